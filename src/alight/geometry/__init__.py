@@ -1,0 +1,33 @@
+"""Rotations, rigid poses, cameras, the world grid, geodetic <-> local. Ground floor: imports nothing of ours."""
+
+from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
+from alight.geometry.geodesy import LocalFrame
+from alight.geometry.grid import Grid, ground_projection
+from alight.geometry.poses import Pose
+from alight.geometry.rotations import (
+    enu_from_flu,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+    skew,
+    slerp,
+    so3_exp,
+    so3_log,
+)
+
+__all__ = [
+    "EQUIDISTANT",
+    "NONE",
+    "RADTAN",
+    "Camera",
+    "Grid",
+    "LocalFrame",
+    "Pose",
+    "enu_from_flu",
+    "ground_projection",
+    "matrix_from_quaternion",
+    "quaternion_from_matrix",
+    "skew",
+    "slerp",
+    "so3_exp",
+    "so3_log",
+]

@@ -1,0 +1,124 @@
+"""Cameras: pinhole with no, radial-tangential or equidistant distortion.
+
+Optical frame: x right, y down, z forward. Pixels: the centre of the top-left pixel is (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+NONE, RADTAN, EQUIDISTANT = 0, 1, 2  # codes shared with the kernels
+MODELS = {"none": NONE, "radial-tangential": RADTAN, "equidistant": EQUIDISTANT}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one camera, after Brown-Conrady (radial-tangential) or Kannala-Brandt (equidistant).
+
+    Raises:
+        ValueError: the numbers are no camera (focal length not positive, unknown model, wrong count).
+    """
+
+    width: int
+    height: int
+    fu: float
+    fv: float
+    cu: float
+    cv: float
+    model: str = "none"  # none | radial-tangential | equidistant
+    distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3] or k1..k4
+
+    def __post_init__(self) -> None:
+        allowed = {"none": (0,), "radial-tangential": (4, 5), "equidistant": (4,)}
+        if self.model not in allowed:
+            raise ValueError(f"unknown distortion model {self.model!r}: use one of {', '.join(allowed)}")
+        if len(self.distortion) not in allowed[self.model]:
+            raise ValueError(f"{self.model} distortion takes {allowed[self.model]} numbers, got {len(self.distortion)}")
+        numbers = (self.fu, self.fv, self.cu, self.cv, *self.distortion)
+        if not np.isfinite(numbers).all() or min(self.fu, self.fv) <= 0 or min(self.width, self.height) <= 0:
+            raise ValueError("no camera: focal lengths and image size must be positive, all numbers finite")
+
+    @property
+    def K(self) -> Array:
+        """The (3, 3) calibration matrix, pixels."""
+        return np.array([[self.fu, 0.0, self.cu], [0.0, self.fv, self.cv], [0.0, 0.0, 1.0]])
+
+    @property
+    def code(self) -> int:
+        """The model's number in the kernels."""
+        return MODELS[self.model]
+
+    @property
+    def coefficients(self) -> Array:
+        """The distortion as (5,) numbers, zero where the model has none: what the kernels take."""
+        return np.array([*self.distortion, *([0.0] * (5 - len(self.distortion)))])
+
+    def scaled(self, factor: float) -> Camera:
+        """The same lens on an image resized by `factor`, pixel centres at integers on both sides."""
+        return replace(
+            self,
+            width=round(self.width * factor),
+            height=round(self.height * factor),
+            fu=self.fu * factor,
+            fv=self.fv * factor,
+            cu=(self.cu + 0.5) * factor - 0.5,
+            cv=(self.cv + 0.5) * factor - 0.5,
+        )
+
+    def distort(self, normalised: ArrayLike) -> Array:
+        """Take (..., 2) ideal coordinates x/z, y/z to distorted ones."""
+        xy = np.asarray(normalised, dtype=np.float64)
+        if self.model == "none":
+            return xy
+        x, y = xy[..., 0], xy[..., 1]
+        if self.model == "equidistant":
+            r = np.hypot(x, y)
+            theta = np.arctan(r)
+            t2 = theta * theta
+            k1, k2, k3, k4 = self.distortion
+            d = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))))
+            s = np.where(r > 1e-9, d / np.maximum(r, 1e-9), 1.0)
+            return np.stack([x * s, y * s], axis=-1)
+        k1, k2, p1, p2, k3 = self.coefficients
+        r2 = x * x + y * y
+        s = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.stack(
+            [x * s + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * s + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1
+        )
+
+    def undistort(self, distorted: ArrayLike, iterations: int = 20) -> Array:
+        """Take (..., 2) distorted coordinates back to ideal ones (Newton with the numerical Jacobian)."""
+        target = np.asarray(distorted, dtype=np.float64)
+        if self.model == "none":
+            return target
+        xy, eps = target.copy(), 1e-6
+        for _ in range(iterations):
+            f = self.distort(xy) - target
+            jx = (self.distort(xy + [eps, 0]) - self.distort(xy - [eps, 0])) / (2 * eps)
+            jy = (self.distort(xy + [0, eps]) - self.distort(xy - [0, eps])) / (2 * eps)
+            det = jx[..., 0] * jy[..., 1] - jx[..., 1] * jy[..., 0]
+            det = np.where(np.abs(det) < 1e-9, 1e-9, det)
+            step = np.stack([f[..., 0] * jy[..., 1] - f[..., 1] * jy[..., 0], jx[..., 0] * f[..., 1] - jx[..., 1] * f[..., 0]], -1)
+            step /= det[..., None]
+            xy = xy - np.clip(step, -0.5, 0.5)
+            if np.abs(step).max(initial=0.0) < 1e-12:
+                break
+        return xy
+
+    def project(self, points_cam: ArrayLike) -> Array:
+        """Take (..., 3) points in the optical frame to (..., 2) pixels; NaN where z <= 0."""
+        p = np.asarray(points_cam, dtype=np.float64)
+        z = p[..., 2:3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = self.distort(np.where(z > 0, p[..., :2] / z, np.nan))
+        return xy * [self.fu, self.fv] + [self.cu, self.cv]
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Take (..., 2) pixels to (..., 3) directions in the optical frame with z = 1."""
+        xy = self.undistort((np.asarray(pixels, dtype=np.float64) - [self.cu, self.cv]) / [self.fu, self.fv])
+        return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)

@@ -1,0 +1,81 @@
+"""Geodetic <-> local: ENU tangent plane at an origin on the WGS84 ellipsoid, and the CRS of the rasters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+_A = 6378137.0  # semi-major axis, metres
+_F = 1 / 298.257223563  # flattening
+_E2 = _F * (2 - _F)
+
+
+def _ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Array:
+    lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
+    h = np.asarray(height, dtype=np.float64)
+    n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
+    return np.stack(
+        np.broadcast_arrays(
+            (n + h) * np.cos(lat) * np.cos(lon), (n + h) * np.cos(lat) * np.sin(lon), (n * (1 - _E2) + h) * np.sin(lat)
+        ),
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True)
+class LocalFrame:
+    """The world: East-North-Up about an origin (degrees; metres above the WGS84 ellipsoid).
+
+    Raises:
+        ValueError: the origin is no place on Earth.
+    """
+
+    latitude: float
+    longitude: float
+    height: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.latitude, self.longitude, self.height]).all() and abs(self.latitude) <= 90 and abs(self.longitude) <= 360):
+            raise ValueError(f"no place on Earth: {self.latitude}, {self.longitude}, {self.height}")
+
+    @cached_property
+    def _enu_from_ecef(self) -> Array:
+        la, lo = np.radians([self.latitude, self.longitude])
+        return np.array(
+            [
+                [-np.sin(lo), np.cos(lo), 0.0],
+                [-np.sin(la) * np.cos(lo), -np.sin(la) * np.sin(lo), np.cos(la)],
+                [np.cos(la) * np.cos(lo), np.cos(la) * np.sin(lo), np.sin(la)],
+            ]
+        )
+
+    def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Array:
+        """Take geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
+        d = _ecef(latitude_deg, longitude_deg, height) - _ecef(self.latitude, self.longitude, self.height)
+        return np.asarray(d @ self._enu_from_ecef.T)
+
+    def to_geodetic(self, enu: ArrayLike) -> tuple[Array, Array, Array]:
+        """Take (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
+        p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + _ecef(self.latitude, self.longitude, self.height)
+        x, y, z = p[..., 0], p[..., 1], p[..., 2]
+        r = np.hypot(x, y)
+        lat = np.arctan2(z, r * (1 - _E2))
+        for _ in range(6):  # fixed point; converges by 1/150 a turn
+            n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
+            lat = np.arctan2(z + _E2 * n * np.sin(lat), r)
+        n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
+        h = r * np.cos(lat) + z * np.sin(lat) - _A**2 / n
+        return np.degrees(lat), np.degrees(np.arctan2(y, x)), h
+
+    @property
+    def crs(self) -> str:
+        """PROJ text of the rasters' CRS: transverse Mercator centred on the origin, scale 1 (formats/outputs)."""
+        return (
+            f"+proj=tmerc +lat_0={self.latitude:.10f} +lon_0={self.longitude:.10f} +k=1 +x_0=0 +y_0=0 "
+            "+datum=WGS84 +units=m +no_defs"
+        )

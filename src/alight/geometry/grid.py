@@ -1,0 +1,61 @@
+"""The world grid: square cells on the reference ground plane, and the projection of its cells into a camera.
+
+`p_i(x, y, h) = H_i (x, y, 1)^T + h b_i` with `H_i = P_i[:, (0, 1, 3)]` and `b_i = P_i[:, 2]`
+(docs/method.md, eqs. 1-3): the ground-plane homography of the 2004 paper and the image of the vertical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry.cameras import Camera
+from alight.geometry.poses import Pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A north-up raster of square cells in the world; row 0 is the northernmost.
+
+    `east`, `north` are the centre of cell (row 0, column 0); a cell's centre is at integer row and column.
+    """
+
+    east: float  # metres
+    north: float  # metres
+    cell: float  # metres
+    rows: int
+    cols: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
+        return self.rows, self.cols
+
+    def xy(self) -> tuple[Array, Array]:
+        """East of every column (cols,) and north of every row (rows,), metres."""
+        return self.east + self.cell * np.arange(self.cols), self.north - self.cell * np.arange(self.rows)
+
+    def index(self, east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[Array, Array]:
+        """Fractional (row, column) of world positions."""
+        return (self.north - np.asarray(north)) / self.cell, (np.asarray(east) - self.east) / self.cell
+
+    def window(self, row: int, col: int, rows: int, cols: int) -> Grid:
+        """The part that starts at (row, col)."""
+        return Grid(self.east + col * self.cell, self.north - row * self.cell, self.cell, rows, cols)
+
+    @property
+    def transform(self) -> tuple[float, float, float, float, float, float]:
+        """Affine coefficients (a, b, c, d, e, f) from (column, row) corners to world, as rasters store it."""
+        c = self.cell
+        return c, 0.0, self.east - c / 2, 0.0, -c, self.north + c / 2
+
+
+def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[Array, Array]:
+    """Return `H` (3, 3) and `b` (3,) in *normalised* image coordinates (K left out; the lens comes after, per cell)."""
+    cam_from_world = world_from_cam.inverse
+    R, t = cam_from_world.rotation, cam_from_world.translation
+    return np.column_stack([R[:, 0], R[:, 1], t]), R[:, 2].copy()

@@ -1,0 +1,103 @@
+"""Rotations: SO(3) exponential and logarithm, quaternions (w, x, y, z; Hamilton), yaw-pitch-roll.
+
+A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def skew(v: ArrayLike) -> Array:
+    """Return the (3, 3) matrix with `skew(a) @ b == cross(a, b)`."""
+    x, y, z = np.asarray(v, dtype=np.float64)
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def so3_exp(rotation_vector: ArrayLike) -> Array:
+    """Return the (3, 3) rotation of a (3,) rotation vector in radians (Rodrigues)."""
+    w = np.asarray(rotation_vector, dtype=np.float64)
+    angle2 = float(w @ w)
+    if angle2 < 1e-12:  # series to second order: error below 1e-18
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    else:
+        angle = np.sqrt(angle2)
+        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
+    W = skew(w)
+    return np.eye(3) + a * W + b * (W @ W)
+
+
+def so3_log(rotation: ArrayLike) -> Array:
+    """Return the (3,) rotation vector in radians, of length at most pi, of a (3, 3) rotation."""
+    q = quaternion_from_matrix(rotation)
+    w, v = q[0], q[1:]
+    sine = float(np.linalg.norm(v))
+    if sine < 1e-9:
+        return 2.0 * v / w
+    return 2.0 * np.arctan2(sine, w) * v / sine
+
+
+def quaternion_from_matrix(rotation: ArrayLike) -> Array:
+    """Return the unit quaternion (w, x, y, z) with w >= 0 of a (3, 3) rotation (largest-pivot method)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    t = float(np.trace(R))
+    pivots = np.array([t, R[0, 0], R[1, 1], R[2, 2]])
+    k = int(np.argmax(pivots))
+    if k == 0:
+        q = np.array([1.0 + t, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        q = np.empty(4)
+        q[0] = R[m, j] - R[j, m]
+        q[1 + i] = 1.0 + R[i, i] - R[j, j] - R[m, m]
+        q[1 + j] = R[j, i] + R[i, j]
+        q[1 + m] = R[m, i] + R[i, m]
+    q /= np.linalg.norm(q)
+    return -q if q[0] < 0 else q
+
+
+def matrix_from_quaternion(quaternion: ArrayLike) -> Array:
+    """Return the (3, 3) rotation of a quaternion (w, x, y, z), normalised first.
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
+    q = np.asarray(quaternion, dtype=np.float64)
+    n = float(np.linalg.norm(q))
+    if not np.isfinite(n) or n < 1e-9:
+        raise ValueError(f"not a rotation: quaternion {q.tolist()} has length {n:g}")
+    w, x, y, z = q / n
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def slerp(a: ArrayLike, b: ArrayLike, t: float) -> Array:
+    """Return the rotation a fraction `t` of the way along the shortest arc from `a` to `b`, both (3, 3)."""
+    A = np.asarray(a, dtype=np.float64)
+    return A @ so3_exp(t * so3_log(A.T @ np.asarray(b, dtype=np.float64)))
+
+
+ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
+
+
+def enu_from_flu(yaw: float, pitch: float, roll: float) -> Array:
+    """Return ENU-from-FLU of aeronautical angles in radians: yaw clockwise from north, pitch nose up, roll right.
+
+    The angles are the usual Z-Y-X sequence of NED/FRD; the result is in our own ENU/FLU.
+    """
+    cy, sy, cp, sp, cr, sr = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch), np.cos(roll), np.sin(roll)
+    ned_from_frd = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    return ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU

@@ -1,0 +1,282 @@
+"""What goes between the stages: frozen records, and the errors a user can mend.
+
+World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is NaN, reasons are flag bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Camera, Grid, Pose
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+U16 = NDArray[np.uint16]
+
+
+class AlightError(Exception):
+    """Something a user can mend; the message names the bad thing and says how."""
+
+
+class InputError(AlightError):
+    """The input cannot be used: a folder without images, a malformed calibration, a missing stream."""
+
+
+class SettingsError(AlightError):
+    """A setting is unknown or out of range."""
+
+
+class OutputError(AlightError):
+    """The result cannot be written: disk full, no permission, folder taken."""
+
+
+class MissingExtraError(AlightError):
+    """An optional package is not installed."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed; mend it with: pip install 'alight[{extra}]'")
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """One camera of a rig: its lens and where it sits."""
+
+    name: str
+    camera: Camera
+    body_from_cam: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The cameras that expose together; index 0 is the left or only one."""
+
+    cameras: tuple[RigCamera, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure of the whole rig. An image that was dropped or unreadable is None."""
+
+    t_ns: int
+    images: tuple[U8 | None, ...]  # one a camera, (H, W) grey or (H, W, 3) RGB
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class NavSample:
+    """One row of the GPS/INS navigation solution; None is 'not measured'."""
+
+    t_ns: int
+    position_world: F64 | None  # (3,) metres
+    world_from_body: F64 | None  # (3, 3) rotation
+    velocity_world: F64 | None = None  # (3,) m/s
+    angular_velocity_body: F64 | None = None  # (3,) rad/s
+    sigma_position: F64 | None = None  # (3,) metres, east north up
+    sigma_attitude: F64 | None = None  # (3,) rad, roll pitch yaw
+    sigma_velocity: F64 | None = None  # (3,) m/s, east north up
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSample:
+    """One raw inertial measurement, body frame."""
+
+    t_ns: int
+    angular_velocity_body: F64  # (3,) rad/s
+    specific_force_body: F64  # (3,) m/s^2
+
+
+Event = Frame | NavSample | ImuSample
+
+
+class MotionState(IntEnum):
+    """How far the motion estimate can be trusted."""
+
+    INITIALISING = 0
+    GOOD = 1
+    DEGRADED = 2
+    LOST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where the vehicle and its cameras were at one exposure, with covariance.
+
+    `world_from_cams` is what the pictures say: it holds any mounting correction that the estimator found, so it can
+    differ from `world_from_body @ body_from_cam` of the rig.
+    """
+
+    t_ns: int
+    world_from_body: Pose
+    world_from_cams: tuple[Pose, ...]
+    covariance: F64  # (6, 6) position in the world [m], then rotation vector in the world [rad]
+    velocity_world: F64 | None = None  # (3,) m/s
+    state: MotionState = MotionState.GOOD
+    tracks: int = 0  # features that supported it
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image with its pose: what parallax works on."""
+
+    t_ns: int
+    cam: int  # index in the rig
+    image: U8  # (H, W) grey or (H, W, 3) RGB
+    camera: Camera
+    world_from_cam: Pose
+
+    @property
+    def centre(self) -> F64:
+        """The camera centre C in the world, (3,) metres."""
+        return self.world_from_cam.translation
+
+
+class Flag(IntFlag):
+    """Why a height is missing or doubtful; bits of flags.tif."""
+
+    UNSEEN = 1  # fewer than two views see the cell
+    TEXTURE = 2  # too little texture to match
+    AMBIGUOUS = 4  # a second height fits nearly as well
+    SATURATED = 8  # the pixels are at an end of their range
+    MOVING = 16  # the views disagree although the geometry fits: water, swaying plants, moving shadow
+    STEP = 32  # within a window of a height step: the height may be that of the neighbour
+    INCONSISTENT = 64  # disjoint subsets of the views give different heights
+    RANGE = 128  # the height is at an end of the searched range
+    OUTLIER = 256  # stands alone against its neighbourhood
+
+
+# a height that carries one of these is not given out (NaN in dem.tif)
+REFUSED = (
+    Flag.UNSEEN | Flag.TEXTURE | Flag.AMBIGUOUS | Flag.SATURATED | Flag.MOVING | Flag.INCONSISTENT | Flag.RANGE | Flag.OUTLIER
+)
+
+
+class Terrain(IntEnum):
+    """Class codes of terrain.tif and of a flight's truth."""
+
+    UNKNOWN = 0
+    BARE = 1
+    SHORT_GRASS = 2
+    TALL_VEGETATION = 3
+    TREE = 4
+    WATER = 5
+    ROCK = 6
+    PAVED = 7
+    STRUCTURE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """What one parallax step found on one grid."""
+
+    grid: Grid
+    height: F32  # (R, C) metres above the origin (world up); NaN = unseen
+    sigma: F32  # (R, C) metres, 1-sigma relative to the map
+    flags: U16  # (R, C) bits of Flag
+    views: U8  # (R, C) views that saw the cell
+    rgb: U8  # (R, C, 3) what the cameras saw
+    residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
+
+
+@dataclass(frozen=True, eq=False)
+class ElevationMap:
+    """One map of the ground, fused from many steps. Fields as in `Heights`."""
+
+    grid: Grid
+    height: F32
+    sigma: F32
+    flags: U16
+    views: U8
+    rgb: U8
+    residual: F32
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(R, C): cells whose height may be given out."""
+        return np.isfinite(self.height) & ((self.flags & np.uint16(REFUSED)) == 0)
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainMap:
+    """What covers the ground."""
+
+    grid: Grid
+    label: U8  # (R, C) Terrain codes
+    landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
+
+
+class Hazard(IntFlag):
+    """Why a touchdown centred on a cell is refused."""
+
+    UNKNOWN = 1  # part of the footprint was not seen or not trusted
+    SLOPE = 2
+    ROUGHNESS = 4
+    STEP = 8
+    CLEARANCE = 16  # something stands in the rotor's or belly's way
+    TERRAIN = 32  # water, plants, structure
+    EDGE = 64  # the footprint leaves the map
+
+
+@dataclass(frozen=True, eq=False)
+class HazardMap:
+    """What a touchdown centred on each cell would meet. NaN where it cannot be judged."""
+
+    grid: Grid
+    slope: F32  # (R, C) rad, of the footprint's plane
+    roughness: F32  # (R, C) metres, largest deviation from that plane
+    step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
+    clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
+    p_safe: F32  # (R, C) probability that a touchdown here meets every limit
+    quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
+    reasons: NDArray[np.uint8]  # (R, C) bits of Hazard; 0 = safe
+
+
+@dataclass(frozen=True)
+class Site:
+    """One candidate landing site, properties as in sites.geojson."""
+
+    rank: int
+    east: float
+    north: float
+    up: float
+    p_safe: float
+    quality: float
+    slope: float  # rad
+    roughness: float  # metres
+    clearance: float  # metres
+    radius: float  # metres, of the largest safe disc about it
+    terrain: Terrain
+    heading: float  # rad, clockwise from north, of the suggested touchdown
+    height_sigma: float  # metres
+
+
+@dataclass(frozen=True)
+class Sites:
+    """The answer: ranked sites, or the reason why there is none."""
+
+    sites: tuple[Site, ...]
+    reason: str = ""  # why `sites` is empty
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoint:
+    """A point of the route."""
+
+    name: str
+    position_world: F64  # (3,) metres
+    heading: float  # rad, clockwise from north
+    speed: float  # m/s towards it
+    t: float  # s from the start of the route
+    look: bool = False  # judge the ground again from here
+
+
+@dataclass(frozen=True)
+class Route:
+    """The way-points to the best site."""
+
+    waypoints: tuple[Waypoint, ...]
+    warnings: tuple[str, ...] = field(default=())

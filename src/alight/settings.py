@@ -1,0 +1,197 @@
+"""Settings: one frozen model a stage, every default here, none needed to run.
+
+YAML in and out; `--set parallax.cell=0.1` on the command line; unknown keys and bad values are refused by name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+
+class Sources(_Model):
+    """How the input is read."""
+
+    calibration: str | None = Field(None, description="Kalibr camchain.yaml that replaces the rig calibration of the log")
+    skip: int = Field(0, ge=0, description="exposures left out at the start")
+    every: int = Field(1, ge=1, description="use each n-th exposure")
+
+
+class Tracks(_Model):
+    """Feature tracks, stereo and in time."""
+
+    count: int = Field(200, ge=8, description="features kept per camera")
+    window_px: int = Field(21, ge=5, description="side of the SSD window")
+    levels: int = Field(4, ge=1, le=8, description="pyramid levels")
+    forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
+    epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")
+
+
+class Filter(_Model):
+    """The structure-from-motion filter."""
+
+    points: int = Field(60, ge=4, description="points held in the state")
+    clones: int = Field(8, ge=2, description="keyframe poses held in the state")
+    pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track")
+    nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")
+    nav_attitude_tau: Positive = Field(120.0, description="s, correlation time of the GPS/INS attitude error")
+    nav_position_white: Positive = Field(0.03, description="m, white part of the GPS/INS position error")
+    nav_attitude_white: Positive = Field(0.002, description="rad, white part of the GPS/INS attitude error")
+    acceleration_sigma: Positive = Field(2.0, description="m/s^2 per sqrt(Hz), constant-velocity model")
+    angular_acceleration_sigma: Positive = Field(2.0, description="rad/s^2 per sqrt(Hz)")
+    mounting_sigma: NonNegative = Field(0.0, description="rad, camera mounting against the INS; 0 holds it")
+    gate: Positive = Field(9.21, description="Mahalanobis gate of a 2-D measurement (chi-square, 99 %)")
+
+
+class Bundle(_Model):
+    """Bundle adjustment of photos far apart."""
+
+    features: int = Field(4000, ge=200, description="SIFT features a photo")
+    image_px: int = Field(1600, ge=400, description="longest side used for features")
+    focal: Literal["held", "free"] = Field("held", description="the maker's focal length; height and focal trade off")
+    attitude_sigma: Positive = Field(0.05, description="rad, 1-sigma of the gimbal's roll and pitch")
+    position_sigma: Positive = Field(3.0, description="m, 1-sigma of GPS where the photo does not say")
+
+
+class MotionSettings(_Model):
+    """Ego-motion."""
+
+    method: Literal["auto", "filter", "bundle"] = Field("auto", description="auto: filter for flights, bundle for photos")
+    filter: Filter = Filter()
+    bundle: Bundle = Bundle()
+
+
+class Parallax(_Model):
+    """Planar parallax on the world grid."""
+
+    method: Literal["auto", "batch", "ring"] = Field("auto", description="auto: batch for recordings")
+    cell: Positive | None = Field(None, description="m; None: from the ground sampling distance")
+    views: int = Field(12, ge=2, le=32, description="most views a cell uses (batch)")
+    ring: int = Field(6, ge=3, le=16, description="keyframes in the ring (recursive)")
+    height_range: tuple[float, float] | None = Field(None, description="m above the origin, searched; None: from matches")
+    keyframe_baseline: Positive = Field(0.02, description="baseline over height between keyframes")
+    store_mb: int = Field(1500, ge=64, description="memory for the pixels of keyframes")
+
+
+class Elevation(_Model):
+    """The map."""
+
+    tile: int = Field(256, ge=64, description="cells a side")
+    max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 1 % of the height")
+
+
+class TerrainSettings(_Model):
+    """What covers the ground."""
+
+    enabled: bool = Field(True, description="refuse ground by its class")
+
+
+class Lander(_Model):
+    """The lander, and what it stands."""
+
+    radius: Positive = Field(1.5, description="m, footprint radius")
+    max_slope: Positive = Field(math.radians(10.0), description="rad, of the footprint's plane")
+    max_roughness: Positive = Field(0.15, description="m, largest deviation from the footprint's plane")
+    belly_clearance: Positive | None = Field(None, description="m between the feet and the belly")
+    feet: tuple[tuple[float, float], ...] | None = Field(None, description="(forward, left) of each foot, m")
+    foot_radius: NonNegative = Field(0.0, description="m")
+    skids: tuple[float, float] | None = Field(None, description="length and distance between two skids, m")
+    rotor_radius: Positive | None = Field(None, description="m; None: the footprint radius")
+    headings: int = Field(8, ge=1, le=72, description="headings tried for feet and skids")
+
+
+class Hazards(_Model):
+    """Judging the ground."""
+
+    unknown_share: Fraction = Field(0.02, description="largest share of the footprint that may be unknown")
+    alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
+    beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
+    p_safe: Fraction = Field(0.99, description="least probability of a safe touchdown")
+
+
+class SitesSettings(_Model):
+    """Choosing."""
+
+    count: int = Field(8, ge=1, description="most sites listed")
+    margin: NonNegative = Field(0.5, description="m between the footprint and the nearest hazard")
+
+
+class RouteSettings(_Model):
+    """Way-points to the best site."""
+
+    approach_height: Positive = Field(10.0, description="m above the site where the final descent starts")
+    clearance: Positive = Field(3.0, description="m above everything on the way")
+    cruise_speed: Positive = Field(5.0, description="m/s")
+    descent_speed: Positive = Field(1.0, description="m/s")
+
+
+class Settings(_Model):
+    """All of them."""
+
+    sources: Sources = Sources()
+    tracks: Tracks = Tracks()
+    motion: MotionSettings = MotionSettings()
+    parallax: Parallax = Parallax()
+    elevation: Elevation = Elevation()
+    terrain: TerrainSettings = TerrainSettings()
+    lander: Lander = Lander()
+    hazards: Hazards = Hazards()
+    sites: SitesSettings = SitesSettings()
+    route: RouteSettings = RouteSettings()
+
+    def to_yaml(self) -> str:
+        """The settings as YAML text that `from_yaml` takes back."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+
+
+def _explain(error: ValidationError) -> str:
+    lines = []
+    for e in error.errors():
+        key = ".".join(str(k) for k in e["loc"])
+        known = "unknown key" if e["type"] == "extra_forbidden" else f"{e['msg']} (got {e['input']!r})"
+        lines.append(f"{key}: {known}")
+    return "; ".join(lines) + "; 'alight settings' lists every key"
+
+
+def _assign(tree: dict[str, Any], assignment: str) -> None:
+    key, sep, value = assignment.partition("=")
+    if not sep or not key.strip():
+        raise ValueError(f"--set takes key=value, got {assignment!r}")
+    *path, last = key.strip().split(".")
+    for part in path:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ValueError(f"{key}: {part} is not a group of settings")
+    tree[last] = yaml.safe_load(value)
+
+
+def load(text: str = "", assignments: Iterable[str] = ()) -> Settings:
+    """Make settings of YAML text and `key=value` assignments, the latter winning.
+
+    Raises:
+        ValueError: the text is no YAML, a key is unknown or a value out of range; the message names the key.
+    """
+    try:
+        tree = yaml.safe_load(text) or {}
+        if not isinstance(tree, dict):
+            raise ValueError("settings: needs a mapping of keys at the top")
+        for a in assignments:
+            _assign(tree, a)
+    except yaml.YAMLError as e:
+        raise ValueError(f"settings: not valid YAML: {' '.join(str(e).split())}") from e
+    try:
+        return Settings.model_validate(tree)
+    except ValidationError as e:
+        raise ValueError(_explain(e)) from e
