@@ -5,13 +5,15 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Camera, Grid, Pose
+from alight.geometry import Camera, Grid, LocalFrame, Pose
+from alight.settings import Settings
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -280,3 +282,29 @@ class Route:
 
     waypoints: tuple[Waypoint, ...]
     warnings: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """Everything one run found out: what the output folder and the report are made of.
+
+    Whatever a run could not make is None or empty; `not_written` then says why, by file name.
+    """
+
+    source_name: str  # the folder or file, as a person would call it
+    source_kind: str  # photos | flight log | ...
+    local: LocalFrame
+    georeferenced: bool  # False: `local` is a stand-in and the world has no place on Earth
+    settings: Settings
+    sites: Sites
+    elevation: ElevationMap | None = None
+    terrain: TerrainMap | None = None
+    hazards: HazardMap | None = None
+    route: Route | None = None
+    motions: Sequence[Motion] = ()
+    height_above_ground: float | None = None  # metres, median over the exposures
+    counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
+    notes: Mapping[str, str] = field(default_factory=dict)  # "focal length": "held at the maker's 3665.8 px"
+    warnings: Sequence[str] = ()
+    timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
+    not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why
