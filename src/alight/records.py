@@ -153,7 +153,14 @@ class Flag(IntFlag):
 
 # a height that carries one of these is not given out (NaN in dem.tif)
 REFUSED = (
-    Flag.UNSEEN | Flag.TEXTURE | Flag.AMBIGUOUS | Flag.SATURATED | Flag.MOVING | Flag.INCONSISTENT | Flag.RANGE | Flag.OUTLIER
+    Flag.UNSEEN
+    | Flag.TEXTURE
+    | Flag.AMBIGUOUS
+    | Flag.SATURATED
+    | Flag.MOVING
+    | Flag.INCONSISTENT
+    | Flag.RANGE
+    | Flag.OUTLIER
 )
 
 
@@ -199,7 +206,8 @@ class ElevationMap:
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """(R, C): cells whose height may be given out."""
-        return np.isfinite(self.height) & ((self.flags & np.uint16(REFUSED)) == 0)
+        trusted: NDArray[np.bool_] = np.isfinite(self.height) & ((self.flags & np.uint16(REFUSED)) == 0)
+        return trusted
 
 
 @dataclass(frozen=True, eq=False)
