@@ -1,0 +1,384 @@
+"""Loops of planar parallax: grid -> image maps, robust sweep cost, semi-global aggregation, Gauss-Newton, visibility.
+
+Equation numbers are those of docs/method.md. Sample stacks are (N, R, C) float32 with NaN outside an image.
+"""
+
+import numpy as np
+
+from alight.kernels.compiler import inline, kernel, parallel_kernel, prange
+
+OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
+
+
+@inline
+def _lens(x, y, model, k):
+    """Distort ideal coordinates: 0 none, 1 radial-tangential, 2 equidistant (geometry/cameras.py)."""
+    if model == 1:
+        r2 = x * x + y * y
+        s = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+        xy2 = 2.0 * x * y
+        return x * s + k[2] * xy2 + k[3] * (r2 + 2.0 * x * x), y * s + k[2] * (r2 + 2.0 * y * y) + k[3] * xy2
+    if model == 2:
+        r = np.sqrt(x * x + y * y)
+        if r < 1e-9:
+            return x, y
+        t = np.arctan(r)
+        t2 = t * t
+        s = t * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
+        return x * s, y * s
+    return x, y
+
+
+@parallel_kernel
+def project(H, b, intrinsics, k, model, r2_max, width, height, xs, ys, h, mapx, mapy):
+    """Fill `mapx`, `mapy` with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3)."""
+    fu, fv, cu, cv = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    rows, cols = h.shape
+    for r in prange(rows):
+        for c in range(cols):
+            mapx[r, c] = OUTSIDE
+            mapy[r, c] = OUTSIDE
+            hh = h[r, c]
+            px = H[0, 0] * xs[c] + H[0, 1] * ys[r] + H[0, 2] + hh * b[0]
+            py = H[1, 0] * xs[c] + H[1, 1] * ys[r] + H[1, 2] + hh * b[1]
+            pz = H[2, 0] * xs[c] + H[2, 1] * ys[r] + H[2, 2] + hh * b[2]
+            if pz > 1e-3:
+                x, y = px / pz, py / pz
+                if x * x + y * y < r2_max:
+                    x, y = _lens(x, y, model, k)
+                    u, v = fu * x + cu, fv * y + cv
+                    if 0.0 <= u <= width - 1.0 and 0.0 <= v <= height - 1.0:
+                        mapx[r, c] = u
+                        mapy[r, c] = v
+
+
+@inline
+def _sort(a, n):
+    for i in range(1, n):
+        x = a[i]
+        j = i - 1
+        while j >= 0 and a[j] > x:
+            a[j + 1] = a[j]
+            j -= 1
+        a[j + 1] = x
+
+
+@parallel_kernel
+def sweep_cost(samples, keep, truncation, cost, count):
+    """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
+
+    Occluded and moving views are the largest deviations; leaving them out is what keeps walls upright.
+    """
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        a = np.empty(n, np.float32)
+        for c in range(cols):
+            k = 0
+            for i in range(n):
+                s = samples[i, r, c]
+                if not np.isnan(s):
+                    a[k] = s
+                    k += 1
+            count[r, c] = k
+            if k < 2:
+                cost[r, c] = truncation
+                continue
+            _sort(a, k)
+            med = 0.5 * (a[(k - 1) // 2] + a[k // 2])
+            for i in range(k):
+                a[i] = abs(a[i] - med)
+            _sort(a, k)
+            m = max(2, int(np.ceil(keep * k)))
+            total = np.float32(0.0)
+            for i in range(m):
+                total += min(a[i], truncation)
+            # two views: |s - median| is half their difference, N views approach the mean deviation: same scale for all
+            cost[r, c] = total / m * np.sqrt(k / (k - 1.0))
+
+
+@kernel
+def _path(cost, image, p1, p2, edge, dr, dc, total):
+    """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) over `cost` (R, C, D) to `total`."""
+    rows, cols, depth = cost.shape
+    previous = np.empty((2, cols, depth), np.float32)
+    best = np.empty((2, cols), np.float32)
+    r0, r1, rs = (0, rows, 1) if dr >= 0 else (rows - 1, -1, -1)
+    c0, c1, cs = (0, cols, 1) if (dc > 0 or (dc == 0 and dr >= 0)) else (cols - 1, -1, -1)
+    for r in range(r0, r1, rs):
+        now = r & 1
+        for c in range(c0, c1, cs):
+            pr, pc = r - dr, c - dc
+            low = np.float32(1e9)
+            if pr < 0 or pr >= rows or pc < 0 or pc >= cols:
+                for d in range(depth):
+                    v = cost[r, c, d]
+                    previous[now, c, d] = v
+                    total[r, c, d] += v
+                    low = min(low, v)
+            else:
+                was = pr & 1
+                jump = best[was, pc] + p2 / (np.float32(1.0) + edge * abs(image[r, c] - image[pr, pc]))
+                for d in range(depth):
+                    m = min(previous[was, pc, d], jump)
+                    if d > 0:
+                        m = min(m, previous[was, pc, d - 1] + p1)
+                    if d + 1 < depth:
+                        m = min(m, previous[was, pc, d + 1] + p1)
+                    v = cost[r, c, d] + m - best[was, pc]
+                    previous[now, c, d] = v
+                    total[r, c, d] += v
+                    low = min(low, v)
+            best[now, c] = low
+
+
+@kernel
+def aggregate(cost, image, p1, p2, edge, total):
+    """Fill `total` (R, C, D) with the sum of eight scanline optimisations of `cost` (eq. 7)."""
+    total[:] = 0.0
+    for dr in range(-1, 2):
+        for dc in range(-1, 2):
+            if dr != 0 or dc != 0:
+                _path(cost, image, p1, p2, edge, dr, dc, total)
+
+
+@parallel_kernel
+def winner(total, cost, count, height, ratio):
+    """Per cell: the best plane with sub-plane parabola (as a fractional index) and best/second cost; NaN if unseen."""
+    rows, cols, depth = total.shape
+    for r in prange(rows):
+        for c in range(cols):
+            height[r, c] = np.nan
+            ratio[r, c] = np.nan
+            if count[r, c] < 2:
+                continue
+            k = 0
+            for d in range(1, depth):
+                if total[r, c, d] < total[r, c, k]:
+                    k = d
+            offset = 0.0
+            if 0 < k < depth - 1:
+                a, m, z = total[r, c, k - 1], total[r, c, k], total[r, c, k + 1]
+                bend = a - 2.0 * m + z
+                if bend > 1e-9:
+                    offset = min(0.5, max(-0.5, 0.5 * (a - z) / bend))
+            height[r, c] = k + offset
+            second = np.float32(1e9)
+            for d in range(depth):
+                if abs(d - k) > 2:
+                    second = min(second, cost[r, c, d])
+            low = cost[r, c, k]
+            for d in range(max(0, k - 1), min(depth, k + 2)):
+                low = min(low, cost[r, c, d])
+            ratio[r, c] = low / max(second, np.float32(1e-6))
+
+
+@parallel_kernel
+def template(samples, weights, tau, mean, used):
+    """Fill `weights` (N, R, C) and the robust mean m of the samples (eq. 8): Huber, nothing beyond 4 tau of the median."""
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        a = np.empty(n, np.float32)
+        for c in range(cols):
+            k = 0
+            for i in range(n):
+                weights[i, r, c] = 0.0
+                s = samples[i, r, c]
+                if not np.isnan(s):
+                    a[k] = s
+                    k += 1
+            used[r, c] = 0
+            mean[r, c] = np.nan
+            if k < 2:
+                continue
+            _sort(a, k)
+            med = 0.5 * (a[(k - 1) // 2] + a[k // 2])
+            sw = np.float32(0.0)
+            sm = np.float32(0.0)
+            for i in range(n):
+                s = samples[i, r, c]
+                if not np.isnan(s):
+                    e = abs(s - med)
+                    if e < 4.0 * tau:
+                        w = np.float32(1.0) if e <= tau else tau / e
+                        weights[i, r, c] = w
+                        sw += w
+                        sm += w * s
+                        used[r, c] += 1
+            if sw > 0.0:
+                mean[r, c] = sm / sw
+
+
+@parallel_kernel
+def normal_equations(samples, weights, mean, centres, xs, ys, h, cell, lam, eta, s2, texture):
+    """Fill Lambda, eta (eqs. 9, 10) and the residual variance of every cell from the template's gradient.
+
+    q_i = grad m . (v_i - vbar), v_i = ((X, Y) - C_i,xy) / (C_i,z - h): how far view i's sample slides over the ground a
+    metre of height. The template's gradient carries none of the single views' noise.
+    """
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        for c in range(cols):
+            lam[r, c] = 0.0
+            eta[r, c] = 0.0
+            s2[r, c] = 0.0
+            texture[r, c] = 0.0
+            if r == 0 or c == 0 or r == rows - 1 or c == cols - 1:
+                continue
+            gx = 0.5 * (mean[r, c + 1] - mean[r, c - 1]) / cell
+            gy = 0.5 * (mean[r - 1, c] - mean[r + 1, c]) / cell  # rows go south
+            if np.isnan(gx) or np.isnan(gy) or np.isnan(mean[r, c]):
+                continue
+            sw = 0.0
+            sq = 0.0
+            sqq = 0.0
+            se = 0.0
+            sqe = 0.0
+            see = 0.0
+            k = 0
+            for i in range(n):
+                w = weights[i, r, c]
+                if w > 0.0:
+                    f = 1.0 / (centres[i, 2] - h[r, c])
+                    q = (gx * (xs[c] - centres[i, 0]) + gy * (ys[r] - centres[i, 1])) * f
+                    e = samples[i, r, c] - mean[r, c]
+                    sw += w
+                    sq += w * q
+                    sqq += w * q * q
+                    se += w * e
+                    sqe += w * q * e
+                    see += w * e * e
+                    k += 1
+            if k < 2:
+                continue
+            lam[r, c] = sqq - sq * sq / sw
+            eta[r, c] = -(sqe - sq * se / sw)
+            s2[r, c] = see / sw * k / (k - 1.0)
+            texture[r, c] = gx * gx + gy * gy
+
+
+@parallel_kernel
+def solve(lam, eta, s2, h, radius, spread, limit, step, precision, noise):
+    """Window the normal equations over (2 radius + 1)^2 cells of like height, fill the step (eq. 11).
+
+    Neighbours count by 1 / (1 + (dh / spread)^2): a window that straddles a height step takes its own side.
+    `precision` is the windowed Lambda, `noise` the windowed residual variance.
+    """
+    rows, cols = h.shape
+    for r in prange(rows):
+        for c in range(cols):
+            step[r, c] = 0.0
+            precision[r, c] = 0.0
+            noise[r, c] = 0.0
+            hc = h[r, c]
+            if np.isnan(hc):
+                continue
+            sl = 0.0
+            se = 0.0
+            sn = 0.0
+            sw = 0.0
+            for y in range(max(0, r - radius), min(rows, r + radius + 1)):
+                for x in range(max(0, c - radius), min(cols, c + radius + 1)):
+                    if lam[y, x] > 0.0:
+                        d = (h[y, x] - hc) / spread[r, c]
+                        w = 1.0 / (1.0 + d * d)
+                        sl += w * lam[y, x]
+                        se += w * eta[y, x]
+                        sn += w * s2[y, x]
+                        sw += w
+            if sw > 0.0:
+                precision[r, c] = sl
+                noise[r, c] = sn / sw
+                s = se / (sl + 0.02 * sn / (spread[r, c] * spread[r, c]) + 1e-9)
+                step[r, c] = min(limit[r, c], max(-limit[r, c], s))
+
+
+@parallel_kernel
+def plane_prior(h, precision, noise, spread, strength, radius, out):
+    """Pull each height towards the robust local plane of its neighbours (eq. 12); what is unseen stays NaN and unused.
+
+    Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull is
+    `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
+    """
+    rows, cols = h.shape
+    for r in prange(rows):
+        for c in range(cols):
+            hc = h[r, c]
+            out[r, c] = hc
+            if np.isnan(hc):
+                continue
+            s0 = 0.0
+            sx = 0.0
+            sy = 0.0
+            sxx = 0.0
+            sxy = 0.0
+            syy = 0.0
+            sh = 0.0
+            shx = 0.0
+            shy = 0.0
+            for dy in range(-radius, radius + 1):
+                for dx in range(-radius, radius + 1):
+                    y, x = r + dy, c + dx
+                    if (dx != 0 or dy != 0) and 0 <= y < rows and 0 <= x < cols and not np.isnan(h[y, x]):
+                        mirror_y, mirror_x = r - dy, c - dx
+                        d = (h[y, x] - hc) / spread[r, c]
+                        if 0 <= mirror_y < rows and 0 <= mirror_x < cols and not np.isnan(h[mirror_y, mirror_x]):
+                            # on a plane the two opposite neighbours deviate by equal and opposite amounts
+                            both = 0.5 * (h[y, x] + h[mirror_y, mirror_x] - 2.0 * hc) / spread[r, c]
+                            if abs(both) < abs(d):
+                                d = both
+                        info = precision[y, x] / (precision[y, x] + noise[y, x] / (spread[r, c] * spread[r, c]) + 1e-12)
+                        w = (0.05 + info) / (1.0 + d * d) ** 2
+                        v = h[y, x] - hc
+                        s0 += w
+                        sx += w * dx
+                        sy += w * dy
+                        sxx += w * dx * dx
+                        sxy += w * dx * dy
+                        syy += w * dy * dy
+                        sh += w * v
+                        shx += w * v * dx
+                        shy += w * v * dy
+            if s0 < 1e-3:
+                continue
+            sxx += 0.1 * s0
+            syy += 0.1 * s0
+            # weighted least squares v = a + bx dx + by dy, value at the centre a
+            det = s0 * (sxx * syy - sxy * sxy) - sx * (sx * syy - sxy * sy) + sy * (sx * sxy - sxx * sy)
+            if det <= 1e-9 * s0 * s0 * s0:
+                continue
+            a = (sh * (sxx * syy - sxy * sxy) - sx * (shx * syy - sxy * shy) + sy * (shx * sxy - sxx * shy)) / det
+            weight = strength * (noise[r, c] + 1e-3) / (spread[r, c] * spread[r, c]) * min(1.0, s0)
+            out[r, c] = hc + a * weight / (weight + precision[r, c] + 1e-12)
+
+
+@parallel_kernel
+def visibility(h, top, centres, xs, ys, cell, margin, visible):
+    """Fill `visible` (N, R, C) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+
+    `top` is the highest height of the map: the march ends once the ray is above it. `margin` (metres) is forgiven.
+    """
+    n, rows, cols = visible.shape
+    for r in prange(rows):
+        for c in range(cols):
+            hc = h[r, c]
+            for i in range(n):
+                visible[i, r, c] = 1
+                if np.isnan(hc):
+                    continue
+                dx = (centres[i, 0] - xs[c]) / cell
+                dy = -(centres[i, 1] - ys[r]) / cell
+                dz = centres[i, 2] - hc
+                length = max(abs(dx), abs(dy))
+                if length < 1e-6 or dz <= 0.0:
+                    continue
+                rise = dz / length  # metres a cell of march
+                steps = int(min(length, (top - hc) / rise))
+                for s in range(1, steps + 1):
+                    y = int(np.floor(r + dy * s / length + 0.5))
+                    x = int(np.floor(c + dx * s / length + 0.5))
+                    if y < 0 or y >= rows or x < 0 or x >= cols:
+                        break
+                    over = h[y, x]
+                    if not np.isnan(over) and over > hc + rise * s + margin:
+                        visible[i, r, c] = 0
+                        break

@@ -1,0 +1,137 @@
+"""Views made ready for matching: smoothed to the cell size, normalised, sampled on the world grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Camera, Grid, ground_projection
+from alight.kernels import parallax as kernels
+from alight.records import F32, F64, View
+
+NORM_CELLS = 9  # window of the local mean and sd; 21 doubled the bad cells
+NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One view at one cell size."""
+
+    grey: F32  # (H, W) smoothed to the cell
+    norm: F32  # (H, W) grey less local mean over local sd
+    contrast: F32  # (H, W) local sd, grey levels
+    camera: Camera
+    H: F64  # (3, 3) ground homography, ideal coordinates (eq. 2)
+    b: F64  # (3,) image of the vertical (eq. 2)
+    centre: F64  # (3,) metres
+    r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
+
+    @property
+    def intrinsics(self) -> F64:
+        """(fu, fv, cu, cv)."""
+        c = self.camera
+        return np.array([c.fu, c.fv, c.cu, c.cv])
+
+
+def grey_of(image: NDArray[np.uint8]) -> F32:
+    """The image as float32 grey levels (RGB by the usual luma weights)."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    return np.asarray(grey, dtype=np.float32)
+
+
+def radius2_limit(camera: Camera) -> float:
+    """Largest squared ideal radius of the image's border, with 2 % to spare."""
+    w, h = camera.width - 1.0, camera.height - 1.0
+    u, v = np.linspace(0, w, 17), np.linspace(0, h, 17)
+    border = np.concatenate([np.c_[u, 0 * u], np.c_[u, 0 * u + h], np.c_[0 * v, v], np.c_[0 * v + w, v]])
+    rays = camera.rays(border)
+    return float((rays[:, :2] ** 2).sum(axis=1).max() * 1.02)
+
+
+def ground_sampling(view: View, height: float) -> float:
+    """Metres of level ground a pixel sees at the image centre, for a ground at `height`."""
+    drop = max(view.centre[2] - height, 1e-3)
+    tilt = max(-view.world_from_cam.rotation[2, 2], 0.2)  # cosine of the optical axis to the vertical
+    return float(drop / tilt / view.camera.fu)
+
+
+def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
+    """Halve while a cell spans two pixels, then blur what is left; returns pixels a cell as well."""
+    while ratio >= 1.9:
+        grey = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
+        camera, ratio = camera.scaled(0.5), ratio / 2
+    sigma = 0.5 * np.sqrt(max(ratio**2 - 1.0, 0.0)) + 0.4  # 0.4 px: linear sampling is then even in its phase
+    return cv2.GaussianBlur(grey, (0, 0), sigma), camera, ratio
+
+
+def prepare(view: View, cell: float, height: float) -> Prepared:
+    """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
+    grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
+    window = (int(NORM_CELLS * max(ratio, 1.0)) | 1,) * 2
+    mean = cv2.blur(grey, window)
+    contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0))
+    H, b = ground_projection(camera, view.world_from_cam)
+    norm = (grey - mean) / np.maximum(contrast, NORM_FLOOR)
+    return Prepared(grey, norm, contrast, camera, H, b, np.array(view.centre), radius2_limit(camera))
+
+
+def maps(p: Prepared, grid: Grid, h: F32) -> tuple[F32, F32]:
+    """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
+    mapx, mapy = np.empty(h.shape, np.float32), np.empty(h.shape, np.float32)
+    xs, ys = grid.xy()
+    kernels.project(
+        p.H, p.b, p.intrinsics, p.camera.coefficients, p.camera.code, p.r2_max,
+        float(p.camera.width), float(p.camera.height), xs, ys, h, mapx, mapy,
+    )  # fmt: skip
+    return mapx, mapy
+
+
+def sample(image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None) -> F32:
+    """Sample an image at the maps, NaN outside it."""
+    return np.asarray(cv2.remap(image, mapx, mapy, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
+
+
+def stack(prepared: list[Prepared], grid: Grid, h: F32) -> F32:
+    """The normalised samples of every view on the grid at height `h`, (N, R, C), NaN outside an image."""
+    out = np.empty((len(prepared), *grid.shape), np.float32)
+    for i, p in enumerate(prepared):
+        out[i] = sample(p.norm, *maps(p, grid, h))
+    return out
+
+
+def choose(views: list[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
+    """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
+
+    Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
+    are already in. Views flatter than `max_tangent` (horizontal over vertical distance) are used where nothing else sees.
+    """
+    xs, ys = grid.xy()
+    px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
+    points = np.c_[px.ravel(), py.ravel(), np.full(px.size, height)]
+    inside, offset = [], []
+    for v in views:
+        uv = v.camera.project(v.world_from_cam.inverse.apply(points))
+        ray = v.world_from_cam.inverse.apply(points)
+        with np.errstate(invalid="ignore"):
+            ok = (uv >= 0).all(1) & (uv[:, 0] <= v.camera.width - 1) & (uv[:, 1] <= v.camera.height - 1) & (ray[:, 2] > 0)
+            ok &= ((ray[:, :2] / ray[:, 2:3]) ** 2).sum(1) < radius2_limit(v.camera)
+        tangent = np.hypot(*(points - v.centre)[:, :2].T) / max(v.centre[2] - height, 1e-3)
+        inside.append(ok * np.where(tangent <= max_tangent, 1.0, 0.05))
+        offset.append(v.centre / max(v.centre[2] - height, 1e-3))
+    seen, centres = np.array(inside), np.array(offset)
+    chosen: list[int] = []
+    total = np.zeros(len(points))
+    distance = np.full(len(views), 1.0)
+    while len(chosen) < count:
+        gain = (seen / (1.0 + total)).sum(axis=1) * distance
+        gain[chosen] = 0
+        k = int(np.argmax(gain))
+        if gain[k] < 0.01:
+            break
+        chosen.append(k)
+        total += seen[k]
+        distance = np.minimum(distance, np.linalg.norm(centres - centres[k], axis=1))
+    return sorted(chosen)
