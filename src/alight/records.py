@@ -95,6 +95,16 @@ class ImuSample:
 Event = Frame | NavSample | ImuSample
 
 
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Where the tracked features are in one exposure. Row i of every array is the feature `ids[i]`."""
+
+    t_ns: int
+    ids: NDArray[np.int64]  # (N,) one number a feature, never used again
+    pixels: F64  # (N, cameras, 2) pixels as the image has them; NaN = not seen by that camera
+    normalised: F64  # (N, cameras, 2) x/z, y/z with the lens taken out; NaN = not seen by that camera
+
+
 class MotionState(IntEnum):
     """How far the motion estimate can be trusted."""
 
@@ -229,6 +239,7 @@ class Hazard(IntFlag):
     CLEARANCE = 16  # something stands in the rotor's or belly's way
     TERRAIN = 32  # water, plants, structure
     EDGE = 64  # the footprint leaves the map
+    DOUBT = 128  # every limit is met, but not surely enough (p_safe below the least wanted)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import combinations
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -32,27 +33,46 @@ class Sources(_Model):
 class Tracks(_Model):
     """Feature tracks, stereo and in time."""
 
-    count: int = Field(200, ge=8, description="features kept per camera")
+    count: int = Field(250, ge=8, description="features kept, spread over a grid of as many cells")
     window_px: int = Field(21, ge=5, description="side of the SSD window")
     levels: int = Field(4, ge=1, le=8, description="pyramid levels")
+    search_px: Positive = Field(40.0, description="largest distance of a match from where the motion puts it")
     forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
     epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")
+    texture: Positive = Field(2e-4, description="least Shi-Tomasi response, grey range 1 (smaller eigenvalue a pixel)")
 
 
 class Filter(_Model):
-    """The structure-from-motion filter."""
+    """The structure-from-motion filter, and its smoother."""
 
-    points: int = Field(60, ge=4, description="points held in the state")
-    clones: int = Field(8, ge=2, description="keyframe poses held in the state")
+    points: int = Field(80, ge=4, description="points held in the state")
+    clones: int = Field(8, ge=3, description="keyframe poses held in the state")
     pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track")
+    depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
+    keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
     nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")
     nav_attitude_tau: Positive = Field(120.0, description="s, correlation time of the GPS/INS attitude error")
-    nav_position_white: Positive = Field(0.03, description="m, white part of the GPS/INS position error")
+    nav_velocity_tau: Positive = Field(20.0, description="s, correlation time of the GPS/INS velocity error")
+    nav_position_white: Positive = Field(0.05, description="m, white part of the GPS/INS position error")
     nav_attitude_white: Positive = Field(0.002, description="rad, white part of the GPS/INS attitude error")
+    nav_velocity_white: Positive = Field(0.03, description="m/s, white part of the GPS/INS velocity error")
+    nav_rate_white: Positive = Field(0.02, description="rad/s, error of the GPS/INS angular velocity (used without IMU)")
+    position_sigma: Positive = Field(5.0, description="m, 1-sigma of the GPS/INS position where the row does not say")
+    attitude_sigma: Positive = Field(0.03, description="rad, 1-sigma of the GPS/INS attitude where the row does not say")
+    velocity_sigma: Positive = Field(0.3, description="m/s, 1-sigma of the GPS/INS velocity where the row does not say")
     acceleration_sigma: Positive = Field(2.0, description="m/s^2 per sqrt(Hz), constant-velocity model")
-    angular_acceleration_sigma: Positive = Field(2.0, description="rad/s^2 per sqrt(Hz)")
+    angular_acceleration_sigma: Positive = Field(2.0, description="rad/s^2 per sqrt(Hz), constant-velocity model")
+    gyro_noise: Positive = Field(5e-4, description="rad/s per sqrt(Hz)")
+    gyro_walk: Positive = Field(3e-5, description="rad/s^2 per sqrt(Hz)")
+    gyro_bias_sigma: Positive = Field(0.02, description="rad/s, 1-sigma of the gyro bias at the start")
+    accelerometer_noise: Positive = Field(3e-3, description="m/s^2 per sqrt(Hz)")
+    accelerometer_walk: Positive = Field(3e-4, description="m/s^3 per sqrt(Hz)")
+    accelerometer_bias_sigma: Positive = Field(0.2, description="m/s^2, 1-sigma of the accelerometer bias at the start")
     mounting_sigma: NonNegative = Field(0.0, description="rad, camera mounting against the INS; 0 holds it")
-    gate: Positive = Field(9.21, description="Mahalanobis gate of a 2-D measurement (chi-square, 99 %)")
+    gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
+    coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
+    smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
+    track_span: int = Field(30, ge=4, description="longest piece of a track the batch uses as one, exposures")
 
 
 class Bundle(_Model):
@@ -98,6 +118,13 @@ class TerrainSettings(_Model):
     enabled: bool = Field(True, description="refuse ground by its class")
 
 
+def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
+    """Whether any three of the points span a triangle."""
+    return any(
+        abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) > 1e-6 for a, b, c in combinations(feet, 3)
+    )
+
+
 class Lander(_Model):
     """The lander, and what it stands."""
 
@@ -108,8 +135,25 @@ class Lander(_Model):
     feet: tuple[tuple[float, float], ...] | None = Field(None, description="(forward, left) of each foot, m")
     foot_radius: NonNegative = Field(0.0, description="m")
     skids: tuple[float, float] | None = Field(None, description="length and distance between two skids, m")
+    max_step: Positive | None = Field(None, description="m, between neighbouring cells; None: roughness alone")
     rotor_radius: Positive | None = Field(None, description="m; None: the footprint radius")
+    rotor_rise: NonNegative = Field(0.3, description="m that ground under the rotor, beside the footprint, may rise")
     headings: int = Field(8, ge=1, le=72, description="headings tried for feet and skids")
+
+    @property
+    def has_gear(self) -> bool:
+        """Whether feet or skids are given; else the lander stands on its whole footprint."""
+        return self.feet is not None or self.skids is not None
+
+    @model_validator(mode="after")
+    def _sound(self) -> Lander:
+        if self.feet is not None and self.skids is not None:
+            raise ValueError("give feet or skids, not both")
+        if self.skids is not None and min(self.skids) <= 0:
+            raise ValueError("skids: length and distance must be above 0")
+        if self.feet is not None and not _spread(self.feet):
+            raise ValueError("feet: needs three or more that are not in one line")
+        return self
 
 
 class Hazards(_Model):
@@ -119,6 +163,9 @@ class Hazards(_Model):
     alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
     p_safe: Fraction = Field(0.99, description="least probability of a safe touchdown")
+    min_landable: Fraction = Field(0.5, description="terrain below this probability is refused")
+    tilt_sigma: NonNegative = Field(0.003, description="rad, 1-sigma of the map's common tilt")
+    noise_length: NonNegative = Field(0.4, description="m over which neighbouring heights share their noise")
 
 
 class SitesSettings(_Model):
