@@ -1,0 +1,234 @@
+"""Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
+
+The search starts where the predicted motion puts a feature and is bounded about that place; every match is made
+forward and backward, and matches between cameras are checked against the epipolar line (docs/method-motion.md, M1-M3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Camera, Pose, skew
+from alight.records import F32, F64, U8, Frame, Rig, Tracks
+from alight.settings import Tracks as TracksSettings
+
+Mask = NDArray[np.bool_]
+Ids = NDArray[np.int64]
+Poses = tuple[Pose, ...]
+
+_BORDER = 4  # px; nearer to the edge the SSD window hangs over it
+_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
+_PER_CELL = 2  # features that may run together in one cell of the grid before the younger are dropped
+
+
+def grey(image: U8) -> U8:
+    """Return the (H, W) grey image of a grey or RGB one."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+
+
+def normalise(camera: Camera, pixels: F64) -> F64:
+    """Take (N, 2) pixels to x/z, y/z with the lens taken out; NaN stays NaN."""
+    out = np.full_like(pixels, np.nan)
+    seen = np.isfinite(pixels).all(axis=-1)
+    out[seen] = camera.rays(pixels[seen])[:, :2]
+    return out
+
+
+def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, F64]:
+    """Triangulate normalised matches: inverse depth in the first camera (M2).
+
+    Args:
+        first, other: (N, 2) normalised coordinates.
+
+    Returns:
+        (N,) inverse depth [1/m], negative where the rays diverge; (N,) length of its derivative's inverse, so that
+        the sigma of the inverse depth is the sigma of a normalised coordinate over it.
+    """
+    ones = np.ones((len(first), 1))
+    a = np.hstack([first, ones]) @ other_from_first.rotation.T
+    x = np.hstack([other, ones])
+    arm = np.cross(np.broadcast_to(other_from_first.translation, x.shape), x)
+    square = np.maximum((arm * arm).sum(axis=1), 1e-18)
+    return -(np.cross(a, x) * arm).sum(axis=1) / square, np.sqrt(square)
+
+
+def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:
+    """Return the (N,) distance of `other` from the epipolar line of `first`, both normalised (M3)."""
+    E = skew(other_from_first.translation) @ other_from_first.rotation
+    lines = np.hstack([first, np.ones((len(first), 1))]) @ E.T
+    norm = np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)
+    return np.asarray(-(np.cross(a, x) * arm).sum(axis=1) / square), np.asarray(np.sqrt(square))
+
+
+@dataclass(eq=False)
+class _Memory:
+    """What is kept of the last exposure that had a left image."""
+
+    image: U8
+    poses: Poses | None
+    ids: Ids
+    pixels: F32  # (N, 2)
+    depth: F64  # (N,) metres in the left camera, NaN = unknown
+
+
+class Tracker:
+    """Follows features through the exposures of a rig; `feed` gives one `Tracks` an exposure."""
+
+    def __init__(self, rig: Rig, settings: TracksSettings) -> None:
+        self._rig, self._settings = rig, settings
+        self._cameras = [c.camera for c in rig.cameras]
+        first = rig.cameras[0].body_from_cam
+        self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
+        self._next_id = 0
+        self._memory: _Memory | None = None
+
+    def feed(self, frame: Frame, prediction: Poses | None = None) -> Tracks:
+        """Follow the features into one exposure and take up new ones where the image has none.
+
+        Args:
+            prediction: world_from_cam a camera at this exposure as the motion predicts it; None: unknown.
+
+        Returns:
+            the features seen; no rows when the left image is missing (the features wait for the next one).
+        """
+        if frame.images[0] is None:
+            return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)))
+        image = grey(frame.images[0])
+        ids, pixels, depth = self._follow(image, prediction)
+        ids, pixels, depth = self._take_up(image, ids, pixels, depth)
+        seen, depth = self._across(frame, image, pixels, depth)
+        self._memory = _Memory(image, prediction, ids, pixels, depth)
+        return self._record(frame.t_ns, ids, seen)
+
+    def _follow(self, image: U8, prediction: Poses | None) -> tuple[Ids, F32, F64]:
+        m = self._memory
+        if m is None or not len(m.ids):
+            return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
+        guess = self._predicted(m, prediction)
+        pixels, good = self._match(m.image, image, m.pixels, guess, self._cameras[0])
+        good &= _spread(m.ids, pixels, good, self._cell)
+        return m.ids[good], pixels[good], m.depth[good]
+
+    def _predicted(self, m: _Memory, prediction: Poses | None) -> F32:
+        """Where the features should be now (M1): their stereo depth carried by the predicted motion."""
+        if prediction is None or m.poses is None:
+            return m.pixels.copy()
+        now_from_then = prediction[0].inverse @ m.poses[0]
+        return self._transfer(m.pixels, m.depth, now_from_then, self._cameras[0])
+
+    def _transfer(self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera) -> F32:
+        """Take pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
+        known = np.isfinite(depth)
+        z = np.where(known, depth, np.median(depth[known]) if known.any() else 1e6)
+        points = self._cameras[0].rays(pixels) * z[:, None]
+        out = other.project(other_from_first.apply(points)).astype(np.float32)
+        return np.where(np.isfinite(out), out, pixels)
+
+    def _match(self, a: U8, b: U8, pixels: F32, guess: F32, camera: Camera) -> tuple[F32, Mask]:
+        """Lucas-Kanade from `a` to `b` and back; good where both agree, near the guess and inside the image."""
+        s = self._settings
+        options: dict[str, Any] = {"winSize": (s.window_px, s.window_px), "maxLevel": s.levels - 1}
+        options |= {"flags": cv2.OPTFLOW_USE_INITIAL_FLOW, "criteria": _STOP}
+        there, ok, _ = cv2.calcOpticalFlowPyrLK(a, b, pixels, guess.copy(), **options)
+        back, ok_back, _ = cv2.calcOpticalFlowPyrLK(b, a, there, pixels.copy(), **options)
+        good = (ok[:, 0] > 0) & (ok_back[:, 0] > 0) & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
+        good &= np.linalg.norm(there - guess, axis=1) < s.search_px
+        return np.asarray(there), good & _inside(there, camera)
+
+    @property
+    def _cell(self) -> float:
+        camera = self._cameras[0]
+        return float(np.sqrt(camera.width * camera.height / self._settings.count))
+
+    def _take_up(self, image: U8, ids: Ids, pixels: F32, depth: F64) -> tuple[Ids, F32, F64]:
+        new = corners(image, pixels, self._cell, self._settings.texture)
+        fresh = np.arange(self._next_id, self._next_id + len(new))
+        self._next_id += len(new)
+        return (
+            np.concatenate([ids, fresh]),
+            np.ascontiguousarray(np.vstack([pixels, new]), dtype=np.float32),
+            np.concatenate([depth, np.full(len(new), np.nan)]),
+        )
+
+    def _across(self, frame: Frame, image: U8, pixels: F32, depth: F64) -> tuple[F64, F64]:
+        """Match the features of the left camera in every other camera; pixels (N, cameras, 2) and depth (N,)."""
+        seen = np.full((len(pixels), len(self._cameras), 2), np.nan)
+        seen[:, 0] = pixels
+        for i in range(1, len(self._cameras)):
+            other = frame.images[i]
+            if other is not None and len(pixels):
+                found, z = self._stereo(i, image, grey(other), pixels, depth)
+                seen[:, i] = found
+                depth = np.where(np.isfinite(z), z, depth)
+        return seen, depth
+
+    def _stereo(self, i: int, left: U8, right: U8, pixels: F32, depth: F64) -> tuple[F64, F64]:
+        """Match along the epipolar line from the expected disparity on; pixels (N, 2) and depth (N,), NaN = none."""
+        pose, camera = self._cam_from_first[i], self._cameras[i]
+        there, good = self._match(left, right, pixels, self._transfer(pixels, depth, pose, camera), camera)
+        found = np.where(good[:, None], there.astype(np.float64), np.nan)
+        a, b = normalise(self._cameras[0], pixels.astype(np.float64)), normalise(camera, found)
+        with np.errstate(invalid="ignore"):
+            w, arm = inverse_depth(a, b, pose)
+            good &= epipolar_distance(a, b, pose) * camera.fu < self._settings.epipolar_px
+            good &= w > -2.0 / (camera.fu * arm)  # behind the camera by more than two pixels: a wrong match
+            z = np.where(good & (w * arm * camera.fu > 1.0), 1.0 / w, np.nan)  # under a pixel it says nothing
+        found[~good] = np.nan
+        return found, z
+
+    def _record(self, t_ns: int, ids: Ids, pixels: F64) -> Tracks:
+        normalised = np.full_like(pixels, np.nan)
+        for i, camera in enumerate(self._cameras):
+            normalised[:, i] = normalise(camera, pixels[:, i])
+        return Tracks(t_ns, ids, pixels, normalised)
+
+
+def _inside(pixels: F32, camera: Camera) -> Mask:
+    x, y = pixels[:, 0], pixels[:, 1]
+    b = _BORDER
+    return np.asarray((x >= b) & (y >= b) & (x <= camera.width - 1 - b) & (y <= camera.height - 1 - b))
+
+
+def _cells(pixels: F32, cell: float) -> list[tuple[int, int]]:
+    """(column, row) of the grid cell that each pixel lies in."""
+    return [(int(x), int(y)) for x, y in np.floor(np.nan_to_num(pixels) / cell)]
+
+
+def _spread(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
+    """Keep the `_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
+    keep = np.zeros(len(ids), bool)
+    count: dict[tuple[int, int], int] = {}
+    for i, key in enumerate(_cells(pixels, cell)):  # ids grow with the row, so the oldest come first
+        if good[i] and count.get(key, 0) < _PER_CELL:
+            count[key] = count.get(key, 0) + 1
+            keep[i] = True
+    return keep
+
+
+def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
+    """Return the best Shi-Tomasi corner of every grid cell that holds no feature yet, (N, 2) pixels.
+
+    Args:
+        taken: (M, 2) pixels of the features that are there; new ones keep a third of a cell away.
+        cell: px, side of a cell.
+        texture: least response.
+    """
+    response = cv2.cornerMinEigenVal(cv2.GaussianBlur(image, (3, 3), 0), 5)
+    b = _BORDER + 4
+    response[:b], response[-b:], response[:, :b], response[:, -b:] = 0, 0, 0, 0
+    for x, y in taken:
+        cv2.circle(response, (round(float(x)), round(float(y))), max(2, int(cell / 3)), 0.0, -1)
+    used, found = set(_cells(taken, cell)), []
+    rows, cols = (int(np.ceil(n / cell)) for n in response.shape)
+    for row, col in ((r, c) for r in range(rows) for c in range(cols) if (c, r) not in used):
+        y, x = int(np.ceil(row * cell)), int(np.ceil(col * cell))
+        part = response[y : int(np.ceil((row + 1) * cell)), x : int(np.ceil((col + 1) * cell))]
+        r, c = divmod(int(part.argmax()), part.shape[1]) if part.size else (0, 0)
+        if part.size and part[r, c] > texture:
+            found.append((x + c, y + r))
+    return np.array(found, np.float32).reshape(-1, 2)
