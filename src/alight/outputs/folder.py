@@ -1,0 +1,201 @@
+"""One folder a run: which files it gets, why one is missing, and in which order they are written."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from alight import __version__, report
+from alight.geometry import Grid
+from alight.outputs import rasters, trajectory, vectors
+from alight.outputs.whole import output_error, part_of, write_whole
+from alight.records import OutputError, RunResult
+
+log = logging.getLogger(__name__)
+
+RUN_JSON = "run.json"
+FILES = (
+    "dem.tif",
+    "flags.tif",
+    "ortho.tif",
+    "terrain.tif",
+    "safe.tif",
+    "sites.geojson",
+    "route.plan",
+    "route.geojson",
+    "trajectory.tum",
+    "trajectory.csv",
+    "report.html",
+)
+NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
+
+# a file's name -> how to make it, or why it cannot be made
+Contents = dict[str, Callable[[], bytes] | str]
+
+
+def _rasters(r: RunResult) -> Contents:
+    crs = rasters.raster_crs(r.local, r.georeferenced)
+
+    def tif(raster: rasters.Raster, grid: Grid) -> bytes:
+        return rasters.encode(raster, grid, crs)
+
+    files: Contents = dict.fromkeys(("dem.tif", "flags.tif", "ortho.tif"), "no heights were found")
+    files |= {"terrain.tif": "the kind of ground was not judged", "safe.tif": "the ground was not judged"}
+    if (e := r.elevation) is not None:
+        files["dem.tif"] = lambda: tif(rasters.dem(e, r.local), e.grid)
+        files["flags.tif"] = lambda: tif(rasters.flags(e), e.grid)
+        files["ortho.tif"] = lambda: tif(rasters.ortho(e), e.grid)
+    if (t := r.terrain) is not None:
+        files["terrain.tif"] = lambda: tif(rasters.terrain(t), t.grid)
+    if (h := r.hazards) is not None:
+        files["safe.tif"] = lambda: tif(rasters.safe(h), h.grid)
+    return files
+
+
+def _sites(r: RunResult) -> Contents:
+    if r.sites.sites and not r.georeferenced:  # "none, because ..." needs no place on Earth
+        return {"sites.geojson": NO_PLACE}
+    return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local))}
+
+
+def _route(r: RunResult) -> Contents:
+    route = r.route
+    if route is None or not route.waypoints:
+        why = "no route was planned" if r.sites.sites else "there is no site to fly to"
+    elif not r.georeferenced:
+        why = NO_PLACE
+    else:
+        return {
+            "route.plan": lambda: vectors.json_bytes(vectors.route_plan(route, r.local, r.settings)),
+            "route.geojson": lambda: vectors.json_bytes(vectors.route_geojson(route, r.local)),
+        }
+    return dict.fromkeys(("route.plan", "route.geojson"), why)
+
+
+def _trajectory(r: RunResult) -> Contents:
+    if not r.motions:
+        return dict.fromkeys(("trajectory.tum", "trajectory.csv"), "the motion was not estimated")
+    return {
+        "trajectory.tum": partial(trajectory.tum, r.motions),
+        "trajectory.csv": partial(trajectory.csv, r.motions),
+    }
+
+
+def contents(result: RunResult) -> Contents:
+    """Every file but run.json, in the order of writing; the caller's own reasons win."""
+    report_html: Contents = {"report.html": lambda: report.render(result).encode()}
+    files = _rasters(result) | _sites(result) | _route(result) | _trajectory(result) | report_html
+    return files | dict(result.not_written)
+
+
+def _seconds(steps: Any) -> dict[str, float]:
+    s = np.asarray(steps, dtype=np.float64)
+    return {
+        "steps": s.size,
+        "median_s": round(float(np.median(s)), 6),
+        "p95_s": round(float(np.percentile(s, 95)), 6),
+        "total_s": round(float(s.sum()), 6),
+    }
+
+
+def timing_summary(timings: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """Seconds of every step, by stage, as number, median, 95th percentile and sum; stages without a step left out."""
+    return {stage: _seconds(steps) for stage, steps in timings.items() if len(steps)}
+
+
+def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
+    """What run.json says: version, input, answer, settings in full, counts, times, warnings, and what is missing."""
+    local = result.local
+    origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
+    height = result.height_above_ground
+    sites = [vectors.site_properties(s) | {"up_m": vectors.number(s.up, 3)} for s in result.sites.sites]
+    return {
+        "alight": __version__,
+        "input": {"name": result.source_name, "kind": result.source_kind},
+        "georeferenced": result.georeferenced,
+        "origin": origin if result.georeferenced else None,
+        "answer": {"sites": sites, "reason": result.sites.reason},
+        "height_above_ground_m": None if height is None else vectors.number(height, 3),
+        "counts": dict(result.counts),
+        "notes": dict(result.notes),
+        "warnings": list(result.warnings),
+        "time": timing_summary(result.timings),
+        "not_written": dict(missing),
+        "settings": result.settings.model_dump(mode="json"),
+    }
+
+
+def is_run(folder: Path) -> bool:
+    """Whether the folder holds a finished run of ours."""
+    try:
+        tree = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(tree, dict) and "alight" in tree
+
+
+def _is_ours(folder: Path) -> bool:
+    """A finished run, or what an interrupted one left: nothing but files of these names."""
+    known = {RUN_JSON, *FILES, "recording.rrd"}
+    known |= {part_of(Path(name)).name for name in known}
+    return is_run(folder) or all(p.name in known and p.is_file() for p in folder.iterdir())
+
+
+def prepare(out: Path, overwrite: bool = False) -> None:
+    """Make the folder and see that it may be written, before any work is done for it.
+
+    An earlier run of ours is replaced; anything else in the folder is somebody's, and refused.
+
+    Raises:
+        OutputError: the folder is a file, holds other things (and not `overwrite`), or may not be written.
+    """
+    probe = out / ".alight.tmp"
+    try:
+        if out.exists() and not out.is_dir():
+            raise OutputError(f"{out}: is a file, not a folder; choose another folder with --out")
+        out.mkdir(parents=True, exist_ok=True)
+        if not overwrite and not _is_ours(out):
+            raise OutputError(
+                f"{out}: holds files that are not a run's; choose another folder with --out or add --force"
+            )
+        probe.write_bytes(b"")
+        probe.unlink()
+    except OSError as e:
+        raise output_error(out, e) from e
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as e:
+        raise output_error(path, e) from e
+
+
+def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
+    """Write the folder of one run, each file whole or not at all, run.json last; return the files written.
+
+    An earlier run's run.json goes first and its other files as their turn comes, so that a folder with a run.json is
+    always of one piece, and no old route survives beside a new answer.
+
+    Raises:
+        OutputError: see `prepare`; or the disk is full, with the name of the file.
+    """
+    prepare(out, overwrite)
+    _remove(out / RUN_JSON)
+    written, missing = [], {}
+    for name, made in contents(result).items():
+        if isinstance(made, str):
+            _remove(out / name)
+            missing[name] = made
+            log.info("%s is not written: %s", name, made)
+        else:
+            write_whole(out / name, made())
+            written.append(out / name)
+    write_whole(out / RUN_JSON, vectors.json_bytes(run_json(result, missing)))
+    return [*written, out / RUN_JSON]

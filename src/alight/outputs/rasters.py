@@ -1,0 +1,149 @@
+"""The rasters of a run as cloud-optimised GeoTIFF: one grid, one CRS, named bands, colours where they make sense."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.enums import ColorInterp
+from rasterio.io import MemoryFile
+
+from alight.geometry import Grid, LocalFrame
+from alight.records import F32, REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
+
+EARTH_RADIUS = 6371008.8  # metres, mean
+LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
+
+TERRAIN_COLOURS: Mapping[Terrain, tuple[int, int, int]] = {
+    Terrain.UNKNOWN: (0, 0, 0),
+    Terrain.BARE: (201, 173, 134),
+    Terrain.SHORT_GRASS: (155, 205, 98),
+    Terrain.TALL_VEGETATION: (79, 138, 58),
+    Terrain.TREE: (24, 84, 42),
+    Terrain.WATER: (47, 120, 190),
+    Terrain.ROCK: (126, 104, 92),
+    Terrain.PAVED: (176, 178, 184),
+    Terrain.STRUCTURE: (196, 67, 56),
+}
+FLAG_MEANING: Mapping[Flag, str] = {
+    Flag.UNSEEN: "fewer than two views see the cell",
+    Flag.TEXTURE: "too little texture to match",
+    Flag.AMBIGUOUS: "a second height fits nearly as well",
+    Flag.SATURATED: "the pixels are at an end of their range",
+    Flag.MOVING: "the views disagree although the geometry fits",
+    Flag.STEP: "beside a height step, may be the neighbour's height",
+    Flag.INCONSISTENT: "disjoint subsets of the views give different heights",
+    Flag.RANGE: "at an end of the searched range",
+    Flag.OUTLIER: "stands alone against its neighbourhood",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """What one GeoTIFF holds."""
+
+    bands: NDArray[Any]  # (B, R, C)
+    names: Sequence[str]  # one a band
+    unit: str = ""
+    nodata: float | None = None
+    tags: Mapping[str, str] = field(default_factory=dict)  # of the first band
+    colours: Mapping[int, tuple[int, int, int, int]] | None = None
+    resampling: str = "AVERAGE"  # of the overviews
+    mask: NDArray[np.bool_] | None = None  # (R, C): False = transparent
+
+
+def raster_crs(local: LocalFrame, georeferenced: bool) -> CRS:
+    """The CRS of every raster: transverse Mercator on the origin, or a plain local one where the place is unknown."""
+    return CRS.from_string(local.crs) if georeferenced else CRS.from_wkt(LOCAL_WKT)
+
+
+def ellipsoidal_height(elevation: ElevationMap, local: LocalFrame) -> F32:
+    """Heights above the WGS84 ellipsoid, (R, C) metres, NaN where a flag refuses them.
+
+    World up is measured from the tangent plane; the ellipsoid falls away from it by d^2 / 2R (7 mm at 300 m).
+    """
+    east, north = elevation.grid.xy()
+    fall = (east[None, :] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)
+    height = np.where(elevation.trusted, local.height + elevation.height + fall, np.nan)
+    return height.astype(np.float32)
+
+
+def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -> F32:
+    """The way back from `ellipsoidal_height`: metres above the origin's tangent plane."""
+    east, north = grid.xy()
+    fall = (east[None, :] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)
+    return (height.astype(np.float64) - local.height - fall).astype(np.float32)
+
+
+def dem(elevation: ElevationMap, local: LocalFrame) -> Raster:
+    """Height and sigma, NaN where no height may be given out."""
+    height = ellipsoidal_height(elevation, local)
+    sigma = np.where(elevation.trusted, elevation.sigma, np.nan).astype(np.float32)
+    tags = {
+        "height_reference": "WGS84 ellipsoid",
+        "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
+    }
+    return Raster(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags)
+
+
+def flags(elevation: ElevationMap) -> Raster:
+    """The bits that say why a height is missing or doubtful."""
+    tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAG_MEANING.items()}
+    return Raster(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
+
+
+def terrain(terrain_map: TerrainMap) -> Raster:
+    """Class codes with their names and colours."""
+    tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
+    colours = {t.value: (*rgb, 0 if t == Terrain.UNKNOWN else 255) for t, rgb in TERRAIN_COLOURS.items()}
+    return Raster(terrain_map.label[None], ("terrain class",), nodata=0, tags=tags, colours=colours, resampling="MODE")
+
+
+def safe(hazards: HazardMap) -> Raster:
+    """Probability of a safe touchdown over the worst heading."""
+    return Raster(hazards.p_safe[None].astype(np.float32), ("probability of a safe touchdown",), nodata=np.nan)
+
+
+def ortho(elevation: ElevationMap) -> Raster:
+    """What the cameras saw, transparent where they saw nothing."""
+    return Raster(np.moveaxis(elevation.rgb, 2, 0), ("red", "green", "blue"), mask=elevation.views > 0)
+
+
+def _fill(raster: Raster, dataset: Any) -> None:
+    dataset.write(raster.bands)
+    dataset.descriptions = tuple(raster.names)
+    dataset.units = (raster.unit,) * len(raster.names)
+    dataset.update_tags(1, **raster.tags)
+    if raster.colours is not None:
+        dataset.write_colormap(1, raster.colours)
+    if raster.mask is not None:
+        dataset.colorinterp = (ColorInterp.red, ColorInterp.green, ColorInterp.blue)
+        dataset.write_mask(raster.mask)
+
+
+def encode(raster: Raster, grid: Grid, crs: CRS) -> bytes:
+    """The bytes of one cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
+    count, rows, cols = raster.bands.shape
+    profile: dict[str, Any] = {
+        "driver": "COG",
+        "width": cols,
+        "height": rows,
+        "count": count,
+        "dtype": raster.bands.dtype.name,
+        "crs": crs,
+        "transform": rasterio.Affine(*grid.transform),
+        "nodata": raster.nodata,
+        "compress": "DEFLATE",
+        "predictor": "YES",
+        "blocksize": 256,
+        "overview_resampling": raster.resampling,
+    }
+    with MemoryFile() as memory:
+        with memory.open(**profile) as dataset:
+            _fill(raster, dataset)
+        return bytes(memory.read())

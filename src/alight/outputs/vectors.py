@@ -1,0 +1,151 @@
+"""The answer as vectors: sites and route as GeoJSON (RFC 7946), the route as a QGroundControl plan."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+from alight.geometry import LocalFrame
+from alight.records import Route, Site, Sites, Waypoint
+from alight.settings import Settings
+
+WAYPOINT, LAND = 16, 21  # MAV_CMD
+RELATIVE = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
+ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
+HEIGHT_REFERENCE = (
+    "altitudes are metres above the ground of the landing site, which is the planned home; "
+    "where the vehicle's home is another place, add the site's height minus that home's height to every way-point"
+)
+
+
+def number(value: float, decimals: int) -> float | None:
+    """A number for JSON: rounded, and null where it is unknown."""
+    return round(float(value), decimals) if math.isfinite(value) else None
+
+
+def degrees(angle: float, decimals: int = 2) -> float | None:
+    """Radians as degrees for people."""
+    return number(math.degrees(angle), decimals)
+
+
+def heading_degrees(heading: float) -> float | None:
+    """A heading in radians as degrees from 0 to below 360."""
+    return number(math.degrees(heading) % 360.0, 1) if math.isfinite(heading) else None
+
+
+def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> list[float]:
+    """A position in GeoJSON's order: degrees to 0.1 mm, metres above the ellipsoid to 1 mm."""
+    latitude, longitude, height = local.to_geodetic([east, north, up])
+    return [round(float(longitude), 9), round(float(latitude), 9), round(float(height), 3)]
+
+
+def site_properties(site: Site) -> dict[str, Any]:
+    """The properties of one site as `formats/outputs` names them."""
+    return {
+        "rank": site.rank,
+        "p_safe": number(site.p_safe, 5),
+        "quality": number(site.quality, 5),
+        "slope_deg": degrees(site.slope),
+        "roughness_m": number(site.roughness, 4),
+        "clearance_m": number(site.clearance, 3),
+        "radius_m": number(site.radius, 3),
+        "terrain": site.terrain.name.lower(),
+        "heading_deg": heading_degrees(site.heading),
+        "east_m": number(site.east, 3),
+        "north_m": number(site.north, 3),
+        "height_sigma_m": number(site.height_sigma, 4),
+    }
+
+
+def _feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "geometry": {"type": geometry, "coordinates": coordinates},
+        "properties": properties,
+    }
+
+
+def sites_geojson(sites: Sites, local: LocalFrame) -> dict[str, Any]:
+    """The candidate sites in order of rank; none: no features and the `reason`."""
+    features = [
+        _feature("Point", lon_lat_height(local, s.east, s.north, s.up), site_properties(s))
+        for s in sorted(sites.sites, key=lambda s: s.rank)
+    ]
+    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if not features:
+        collection["reason"] = sites.reason or "no site was found"
+    return collection
+
+
+def _waypoint_properties(w: Waypoint) -> dict[str, Any]:
+    return {
+        "name": w.name,
+        "t_s": number(w.t, 2),
+        "speed_m_s": number(w.speed, 2),
+        "heading_deg": heading_degrees(w.heading),
+        "look": w.look,
+    }
+
+
+def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
+    """The route as one line with a time and speed for each vertex, then each way-point as a point."""
+    positions = [lon_lat_height(local, *w.position_world) for w in route.waypoints]
+    properties = [_waypoint_properties(w) for w in route.waypoints]
+    line = {
+        "times_s": [p["t_s"] for p in properties],
+        "speeds_m_s": [p["speed_m_s"] for p in properties],
+        "warnings": list(route.warnings),
+    }
+    points = [_feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
+    return {"type": "FeatureCollection", "features": [_feature("LineString", positions, line), *points]}
+
+
+def _item(number_: int, command: int, w: Waypoint, local: LocalFrame, ground: float) -> dict[str, Any]:
+    longitude, latitude, height = lon_lat_height(local, *w.position_world)
+    altitude = 0.0 if command == LAND else round(height - ground, 3)
+    return {
+        "type": "SimpleItem",
+        "command": command,
+        "frame": RELATIVE,
+        "doJumpId": number_,
+        "autoContinue": True,
+        "AMSLAltAboveTerrain": None,
+        "Altitude": altitude,
+        "AltitudeMode": 1,  # relative to home
+        "params": [0, 0, 0, heading_degrees(w.heading), latitude, longitude, altitude],
+    }
+
+
+def route_plan(route: Route, local: LocalFrame, settings: Settings) -> dict[str, Any]:
+    """The route as a QGroundControl plan; the last way-point is the touchdown and becomes LAND.
+
+    Heights above sea level would need a geoid that may not be there, so every altitude is relative to the landing
+    site's ground, which is given as the planned home (its own altitude is above the ellipsoid).
+    """
+    longitude, latitude, ground = lon_lat_height(local, *route.waypoints[-1].position_world)
+    commands = [WAYPOINT] * (len(route.waypoints) - 1) + [LAND]
+    items = [_item(i + 1, c, w, local, ground) for i, (c, w) in enumerate(zip(commands, route.waypoints, strict=True))]
+    return {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "heightReference": HEIGHT_REFERENCE,
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": ARDUPILOT,
+            "vehicleType": MULTICOPTER,
+            "globalPlanAltitudeMode": 1,
+            "cruiseSpeed": settings.route.cruise_speed,
+            "hoverSpeed": settings.route.cruise_speed,
+            "plannedHomePosition": [latitude, longitude, ground],
+            "items": items,
+        },
+    }
+
+
+def json_bytes(tree: Any) -> bytes:
+    """JSON that every reader takes: UTF-8, no NaN, a new line at the end."""
+    return (json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

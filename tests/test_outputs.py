@@ -1,0 +1,341 @@
+"""The folder of a run: contents, and that it is whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import resource
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+import rasterio
+from some_run import CELL, GRID, LOCAL, elevation, site, some_run
+
+from alight import outputs
+from alight.outputs import FILES, prepare, read_run, whole, world_up, write_run
+from alight.records import Flag, InputError, OutputError, Sites, Terrain
+from alight.settings import Settings
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "deep" / "out"
+    write_run(some_run(), folder)
+    return folder
+
+
+def loaded(path: Path) -> dict:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def test_everything_is_written_and_run_json_last(tmp_path: Path) -> None:
+    written = [p.name for p in write_run(some_run(), tmp_path / "out")]
+    assert set(written) == {*FILES, "run.json"}
+    assert written[-1] == "run.json"
+    assert {p.name for p in (tmp_path / "out").iterdir()} == set(written)
+
+
+@pytest.mark.parametrize("name", ["dem", "flags", "terrain", "safe", "ortho"])
+def test_rasters_are_cloud_optimised_on_one_grid(out: Path, name: str) -> None:
+    with rasterio.open(out / f"{name}.tif") as d:
+        assert d.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert d.profile["tiled"]
+        assert d.profile["compress"] == "deflate"
+        assert all(d.descriptions)
+        assert d.shape == GRID.shape
+        assert d.crs == rasterio.crs.CRS.from_string(LOCAL.crs)
+        assert "Transverse_Mercator" in d.crs.to_wkt()
+        assert d.xy(0, 0) == pytest.approx((GRID.east, GRID.north))  # a cell's centre
+        assert d.res == (CELL, CELL)
+
+
+def test_large_rasters_have_overviews() -> None:
+    flat = outputs.rasters.Raster(np.zeros((1, 700, 900), np.float32), ("flat",))
+    grid = outputs.rasters.Grid(0.0, 0.0, 0.1, 700, 900)
+    data = outputs.rasters.encode(flat, grid, rasterio.crs.CRS.from_string(LOCAL.crs))
+    with rasterio.io.MemoryFile(data) as m, m.open() as d:
+        assert d.overviews(1) == [2, 4]
+
+
+def test_dem_is_above_the_ellipsoid_and_empty_where_refused(out: Path) -> None:
+    with rasterio.open(out / "dem.tif") as d:
+        assert d.descriptions == ("height", "sigma")
+        assert d.units == ("m", "m")
+        assert np.isnan(d.nodata)
+        height, sigma = d.read()
+    e = elevation()
+    refused = (e.flags & np.uint16(Flag.MOVING | Flag.UNSEEN)) != 0
+    np.testing.assert_array_equal(np.isnan(height), refused)
+    np.testing.assert_array_equal(np.isnan(sigma), refused)
+    r, c = 60, 60  # the exact geodesy beside the closed form
+    east, north = GRID.xy()
+    truth = LOCAL.to_geodetic([east[c], north[r], float(e.height[r, c])])[2]
+    assert height[r, c] == pytest.approx(float(truth), abs=5e-5)
+    assert np.isfinite(height[30, 45])  # a step is doubtful, not refused
+
+
+def test_the_curvature_term_agrees_with_geodesy_far_from_the_origin() -> None:
+    grid = outputs.rasters.Grid(1000.0, 2000.0, 1.0, 1, 1)
+    one = np.ones((1, 1), np.float32)
+    e = elevation()
+    far = type(e)(grid, one, one, np.zeros((1, 1), np.uint16), e.views[:1, :1], e.rgb[:1, :1], one)
+    height = outputs.ellipsoidal_height(far, LOCAL)
+    assert height[0, 0] == pytest.approx(float(LOCAL.to_geodetic([1000.0, 2000.0, 1.0])[2]), abs=3e-3)
+    assert world_up(height, grid, LOCAL)[0, 0] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_flags_name_their_bits(out: Path) -> None:
+    with rasterio.open(out / "flags.tif") as d:
+        assert d.dtypes == ("uint16",)
+        np.testing.assert_array_equal(d.read(1), elevation().flags)
+        tags = d.tags(1)
+    for flag in Flag:
+        assert tags[f"bit_{flag.value.bit_length() - 1}"].startswith(f"{flag.name.lower()}: ")
+
+
+def test_terrain_has_codes_and_colours(out: Path) -> None:
+    with rasterio.open(out / "terrain.tif") as d:
+        assert set(np.unique(d.read(1))) == {Terrain.UNKNOWN, Terrain.SHORT_GRASS, Terrain.WATER}
+        colours, tags = d.colormap(1), d.tags(1)
+    assert len({colours[t] for t in Terrain}) == len(Terrain)
+    assert tags["class_5"] == "water"
+
+
+def test_safe_is_a_probability(out: Path) -> None:
+    with rasterio.open(out / "safe.tif") as d:
+        p = d.read(1)
+    assert d.dtypes == ("float32",)
+    assert np.isnan(p[0, 0])
+    assert np.nanmin(p) >= 0
+    assert np.nanmax(p) <= 1
+
+
+def test_ortho_is_rgb_and_transparent_where_unseen(out: Path) -> None:
+    with rasterio.open(out / "ortho.tif") as d:
+        assert [c.name for c in d.colorinterp] == ["red", "green", "blue"]
+        np.testing.assert_array_equal(np.moveaxis(d.read(), 0, 2), elevation().rgb)
+        np.testing.assert_array_equal(d.dataset_mask() > 0, elevation().views > 0)
+
+
+def test_sites_follow_rfc_7946(out: Path) -> None:
+    tree = loaded(out / "sites.geojson")
+    assert tree["type"] == "FeatureCollection"
+    assert [f["properties"]["rank"] for f in tree["features"]] == [1, 2]
+    best = tree["features"][0]
+    lon, lat, height = best["geometry"]["coordinates"]
+    np.testing.assert_allclose(LOCAL.to_enu(lat, lon, height), [5.0, -2.0, 2.12], atol=1e-3)
+    assert set(best["properties"]) == {
+        *("rank", "p_safe", "quality", "slope_deg", "roughness_m", "clearance_m", "radius_m", "terrain"),
+        *("heading_deg", "east_m", "north_m", "height_sigma_m"),
+    }
+    assert best["properties"]["slope_deg"] == 2.1
+    assert best["properties"]["heading_deg"] == 330.0
+    assert best["properties"]["terrain"] == "short_grass"
+
+
+def test_unknown_numbers_become_null(tmp_path: Path) -> None:
+    unknown = site()
+    unknown = type(unknown)(**{**vars(unknown), "clearance": float("nan"), "heading": float("inf")})
+    write_run(some_run(sites=Sites((unknown,))), tmp_path)
+    properties = loaded(tmp_path / "sites.geojson")["features"][0]["properties"]
+    assert properties["clearance_m"] is None
+    assert properties["heading_deg"] is None
+
+
+def test_no_site_is_an_answer_with_a_reason(tmp_path: Path) -> None:
+    write_run(some_run(sites=Sites((), "everything is water"), route=None), tmp_path)
+    tree = loaded(tmp_path / "sites.geojson")
+    assert tree == {"type": "FeatureCollection", "features": [], "reason": "everything is water"}
+    assert not (tmp_path / "route.plan").exists()
+    assert loaded(tmp_path / "run.json")["not_written"]["route.plan"] == "there is no site to fly to"
+
+
+def test_plan_is_what_qgroundcontrol_reads(out: Path) -> None:
+    plan = loaded(out / "route.plan")
+    assert (plan["fileType"], plan["version"]) == ("Plan", 1)
+    assert plan["geoFence"] == {"circles": [], "polygons": [], "version": 2}
+    assert plan["rallyPoints"] == {"points": [], "version": 2}
+    mission = plan["mission"]
+    needed = {"version", "firmwareType", "vehicleType", "cruiseSpeed", "hoverSpeed", "items", "plannedHomePosition"}
+    assert needed <= set(mission)
+    items = mission["items"]
+    assert [i["command"] for i in items] == [16, 16, 21]
+    assert [i["doJumpId"] for i in items] == [1, 2, 3]
+    assert all(i["type"] == "SimpleItem" and i["frame"] == 3 and len(i["params"]) == 7 for i in items)
+    assert [i["params"][6] for i in items] == pytest.approx([29.88, 10.0, 0.0], abs=1e-3)  # above the site
+    lat, lon, ground = mission["plannedHomePosition"]
+    np.testing.assert_allclose(LOCAL.to_enu(lat, lon, ground), [5.0, -2.0, 2.12], atol=1e-3)
+
+
+def test_route_line_has_times_and_speeds(out: Path) -> None:
+    line, *points = loaded(out / "route.geojson")["features"]
+    assert line["geometry"]["type"] == "LineString"
+    assert len(line["geometry"]["coordinates"]) == len(points) == 3
+    assert line["properties"]["times_s"] == [0.0, 7.5, 17.5]
+    assert line["properties"]["speeds_m_s"] == [5.0, 5.0, 5.0]
+    assert points[1]["properties"]["name"] == "approach"
+
+
+def test_tum_keeps_nanoseconds_and_puts_w_last(out: Path) -> None:
+    rows = [r.split() for r in (out / "trajectory.tum").read_text().splitlines() if not r.startswith("#")]
+    assert rows[0][0] == "1700000000.000000001"
+    m = some_run().motions[0]
+    np.testing.assert_allclose(np.array(rows[0][1:4], float), m.world_from_body.translation, atol=1e-6)
+    np.testing.assert_allclose(np.roll(np.array(rows[0][4:], float), 1), m.world_from_body.quaternion, atol=1e-8)
+
+
+def test_csv_has_velocity_and_sigma(out: Path) -> None:
+    header, *rows = [r.split(",") for r in (out / "trajectory.csv").read_text().splitlines()]
+    row = dict(zip(header, rows[0], strict=True))
+    assert int(row["t_ns"]) == 1_700_000_000_000_000_001
+    assert float(row["v_n"]) == -10.0
+    assert float(row["sigma_u"]) == pytest.approx(0.3)
+    assert float(row["sigma_yaw"]) == pytest.approx(3e-3, rel=0.01)  # yaw is about world up, nearly
+    assert row["state"] == "good"
+
+
+def test_attitude_sigma_turns_into_the_body() -> None:
+    m = some_run().motions[0]  # heading 1.2 rad: roll and pitch mix the world's east and north parts
+    roll, pitch, _ = outputs.trajectory.attitude_sigma(m)
+    s, c = np.sin(1.2), np.cos(1.2)
+    assert roll == pytest.approx(np.hypot(1e-3 * c, 2e-3 * s), rel=0.02)
+    assert pitch == pytest.approx(np.hypot(1e-3 * s, 2e-3 * c), rel=0.02)
+
+
+def test_run_json_tells_the_run(out: Path) -> None:
+    info = loaded(out / "run.json")
+    assert Settings.model_validate(info["settings"]) == Settings()
+    assert info["counts"]["frames dropped, file missing"] == 1
+    assert info["time"]["motion"] == {"steps": 3, "median_s": 0.02, "p95_s": pytest.approx(0.452), "total_s": 0.53}
+    assert "sites" not in info["time"]
+    assert info["warnings"] == ["nav0: 3 rows without attitude"]
+    assert info["not_written"] == {}
+    assert info["answer"]["sites"][0]["east_m"] == 5.0
+
+
+def test_what_cannot_be_filled_is_named(tmp_path: Path) -> None:
+    empty = some_run(
+        sites=Sites((), "nothing looked down"), elevation=None, terrain=None, hazards=None, route=None, motions=(),
+        not_written={"dem.tif": "no downward view"},
+    )  # fmt: skip
+    names = {p.name for p in write_run(empty, tmp_path)}
+    assert names == {"sites.geojson", "report.html", "run.json"}
+    missing = loaded(tmp_path / "run.json")["not_written"]
+    assert set(missing) == set(FILES) - names
+    assert missing["dem.tif"] == "no downward view"
+    run = read_run(tmp_path)
+    assert run.grid is None
+    assert run.height is None
+
+
+def test_without_a_place_on_earth_nothing_claims_one(tmp_path: Path) -> None:
+    write_run(some_run(georeferenced=False), tmp_path)
+    missing = loaded(tmp_path / "run.json")["not_written"]
+    assert set(missing) == {"sites.geojson", "route.plan", "route.geojson"}
+    with rasterio.open(tmp_path / "dem.tif") as d:
+        assert not d.crs.is_projected
+        assert not d.crs.is_geographic
+    assert read_run(tmp_path).local is None
+
+
+def test_a_run_is_read_back(out: Path) -> None:
+    run = read_run(out)
+    assert run.grid == GRID
+    assert run.local == LOCAL
+    e = elevation()
+    up = world_up(run.height, run.grid, run.local)
+    np.testing.assert_allclose(up[e.trusted], e.height[e.trusted], atol=5e-5)
+    np.testing.assert_array_equal(run.flags, e.flags)
+    np.testing.assert_array_equal(run.ortho, e.rgb)
+    assert run.terrain[90, 120] == Terrain.WATER
+    assert np.isnan(run.safe[0, 0])
+
+
+def test_reading_what_is_no_run(tmp_path: Path, out: Path) -> None:
+    with pytest.raises(InputError, match="no finished run"):
+        read_run(tmp_path)
+    (tmp_path / "run.json").write_bytes((out / "run.json").read_bytes())
+    (tmp_path / "dem.tif").write_bytes((out / "dem.tif").read_bytes()[:200])
+    with pytest.raises(InputError, match=r"dem\.tif: not a readable raster"):
+        read_run(tmp_path)
+
+
+def test_a_second_run_leaves_nothing_of_the_first(tmp_path: Path) -> None:
+    write_run(some_run(), tmp_path)
+    (tmp_path / "dem.tif.aux.xml").write_text("of QGIS")
+    write_run(some_run(sites=Sites((), "fog"), route=None), tmp_path)
+    assert not (tmp_path / "route.plan").exists()
+    assert loaded(tmp_path / "run.json")["answer"]["reason"] == "fog"
+    assert (tmp_path / "dem.tif.aux.xml").exists()
+
+
+def test_somebody_elses_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(OutputError, match="--force"):
+        prepare(tmp_path)
+    prepare(tmp_path, overwrite=True)
+    write_run(some_run(), tmp_path, overwrite=True)
+    assert (tmp_path / "thesis.tex").read_text() == "precious"
+
+
+def test_a_run_json_of_somebody_else_is_no_licence(tmp_path: Path) -> None:
+    (tmp_path / "run.json").write_text('{"score": 3}')
+    (tmp_path / "model.pt").write_text("precious")
+    with pytest.raises(OutputError, match="not a run's"):
+        prepare(tmp_path)
+
+
+def test_an_interrupted_run_can_be_repeated(tmp_path: Path) -> None:
+    (tmp_path / "dem.tif").write_text("old")
+    (tmp_path / ".flags.tif.tmp").write_text("ha")
+    prepare(tmp_path)
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(OutputError, match="is a file"):
+        prepare(tmp_path / "out")
+    with pytest.raises(OutputError, match="cannot be written"):
+        prepare(tmp_path / "out" / "deeper")
+
+
+def test_disk_full_names_the_file_and_leaves_no_half(tmp_path: Path) -> None:
+    """The kernel's own file size limit stands in for a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(OutputError, match=r"dem\.tif: the disk is full; free some space"):
+            write_run(some_run(), tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_leaves_the_old_file_whole(tmp_path: Path) -> None:
+    path = tmp_path / "dem.tif"
+    whole.write_whole(path, b"old")
+    with mock.patch("os.fsync", side_effect=KeyboardInterrupt), pytest.raises(KeyboardInterrupt):
+        whole.write_whole(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["dem.tif"]
+
+
+def test_ctrl_c_between_files_leaves_no_run_json(tmp_path: Path) -> None:
+    write_run(some_run(), tmp_path)
+    with (
+        mock.patch("alight.outputs.vectors.route_plan", side_effect=KeyboardInterrupt),
+        pytest.raises(KeyboardInterrupt),
+    ):
+        write_run(some_run(), tmp_path)
+    assert not (tmp_path / "run.json").exists()
+    with pytest.raises(InputError):
+        read_run(tmp_path)
+    prepare(tmp_path)
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_run(some_run(), tmp_path / name)
+    for path in (tmp_path / "a").iterdir():
+        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
