@@ -23,7 +23,7 @@ Poses = tuple[Pose, ...]
 
 _BORDER = 4  # px; nearer to the edge the SSD window hangs over it
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
-_PER_CELL = 2  # features that may run together in one cell of the grid before the younger are dropped
+_PER_CELL = 3  # features that may run together in one cell of the grid before the younger are dropped
 
 
 def grey(image: U8) -> U8:
@@ -62,7 +62,7 @@ def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:
     E = skew(other_from_first.translation) @ other_from_first.rotation
     lines = np.hstack([first, np.ones((len(first), 1))]) @ E.T
     norm = np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)
-    return np.asarray(-(np.cross(a, x) * arm).sum(axis=1) / square), np.asarray(np.sqrt(square))
+    return np.asarray(np.abs((lines[:, :2] * other).sum(axis=1) + lines[:, 2]) / norm)
 
 
 @dataclass(eq=False)
@@ -214,7 +214,7 @@ def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
     """Return the best Shi-Tomasi corner of every grid cell that holds no feature yet, (N, 2) pixels.
 
     Args:
-        taken: (M, 2) pixels of the features that are there; new ones keep a third of a cell away.
+        taken: (M, 2) pixels of the features that are there; new ones keep 0.7 of a cell away.
         cell: px, side of a cell.
         texture: least response.
     """
@@ -222,7 +222,7 @@ def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
     b = _BORDER + 4
     response[:b], response[-b:], response[:, :b], response[:, -b:] = 0, 0, 0, 0
     for x, y in taken:
-        cv2.circle(response, (round(float(x)), round(float(y))), max(2, int(cell / 3)), 0.0, -1)
+        cv2.circle(response, (round(float(x)), round(float(y))), max(2, int(0.7 * cell)), 0.0, -1)
     used, found = set(_cells(taken, cell)), []
     rows, cols = (int(np.ceil(n / cell)) for n in response.shape)
     for row, col in ((r, c) for r in range(rows) for c in range(cols) if (c, r) not in used):
