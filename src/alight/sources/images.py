@@ -1,0 +1,61 @@
+"""Image files, read strictly: a picture that is cut off is refused, not filled up with grey."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
+
+
+def open_image(path: Path) -> Image.Image:
+    """Open an image without decoding it; pillow's own warnings are silenced, what it cannot read raises.
+
+    Raises:
+        One of `UNREADABLE`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Image.open(path)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(width, height) from the file's header.
+
+    Raises:
+        One of `UNREADABLE`.
+    """
+    with open_image(path) as image:
+        return image.size
+
+
+def _pixels(image: Image.Image) -> NDArray[np.uint8]:
+    if image.mode.startswith("I"):  # 16 bits: keep the upper eight
+        return (np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8)
+    grey = image.mode in ("L", "1", "LA")
+    return np.array(image.convert("L" if grey else "RGB"), dtype=np.uint8)
+
+
+def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Decode a whole image, (H, W) when the file is grey, else (H, W, 3) RGB.
+
+    OpenCV decodes a truncated JPEG without a word and leaves its lower part grey: hence pillow, which refuses it.
+
+    Raises:
+        ValueError: cut off, damaged, or not of the (width, height) that the calibration is for.
+    """
+    if not path.is_file():
+        raise ValueError("the file is missing")
+    try:
+        with open_image(path) as image:
+            if image.size != size:
+                raise ValueError(f"it is {image.size[0]}x{image.size[1]}, the camera {size[0]}x{size[1]}")
+            return _pixels(image)
+    except UnidentifiedImageError as e:
+        raise ValueError("it is no image") from e
+    except UNREADABLE as e:
+        raise ValueError(str(e)) from e

@@ -1,0 +1,41 @@
+"""The one place that takes the name of an input and decides what it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from alight.records import InputError
+from alight.settings import Settings
+from alight.sources.flight_log import FlightLog
+from alight.sources.photos import Photos, find_photos
+from alight.sources.source import Source
+
+LOOKED_FOR = "a flight log (a folder with mav0/) or a folder of JPEG photos"
+
+
+def open_source(path: Path, settings: Settings) -> Source:
+    """Open a flight log or a folder of photos.
+
+    Raises:
+        InputError: it is neither, or cannot be used; the message says what was looked for.
+    """
+    path = Path(path)
+    try:
+        return _open(path, settings)
+    except OSError as e:
+        raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
+
+
+def _open(path: Path, settings: Settings) -> Source:
+    if not path.exists():
+        raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
+    if not path.is_dir():
+        raise InputError(f"{path}: a file; give {LOOKED_FOR}")
+    root = path.resolve()
+    if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0").is_dir():
+        return FlightLog(root, settings)
+    if files := find_photos(root):
+        return Photos(root, files, settings)
+    if not any(root.iterdir()):
+        raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
+    raise InputError(f"{path}: nothing usable in it; looked for mav0/ and for .jpg or .jpeg files, give {LOOKED_FOR}")

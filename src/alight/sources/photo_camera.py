@@ -1,0 +1,106 @@
+"""The lens of a photo camera, from the best calibration that its photos carry."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from PIL import ExifTags
+
+from alight.geometry import Camera
+from alight.records import InputError
+from alight.sources.photo_tags import PhotoTags, finite
+
+Base = ExifTags.Base
+Notes = dict[str, Any]
+
+MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
+FILM_DIAGONAL = math.hypot(36, 24)  # mm
+SQUARE = 0.003  # largest difference of fx and fy that a real sensor has
+TANGENTIAL = 0.002  # |p| above this, twice the same number: a slip, not a lens
+
+
+def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
+    """The camera of a photo and where its numbers came from.
+
+    Raises:
+        InputError: the photo carries no focal length in any form.
+    """
+    for known in (_from_dewarp, _from_calibrated, _from_sensor, _from_film):
+        if (found := known(tags)) is not None:
+            camera, notes = found
+            return camera, notes | {"focal_px": round(camera.fu, 2)}
+    raise InputError(
+        f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=camchain.yaml"
+    )
+
+
+def calibrated_width(tags: PhotoTags) -> float:
+    """Width in pixels of the image that the factory calibration is for: photos may have been resized since."""
+    width = tags.number(Base.ExifImageWidth) or tags.size[0]
+    centre = tags.xmp_number("dji:CalibratedOpticalCenterX")
+    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool that resized and rewrote the EXIF size
+        return 2 * centre
+    return width
+
+
+def _camera(tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = ()) -> Camera:
+    """Makers count the image's centre from the corner, at (w/2, h/2); our (0, 0) is the centre of the first pixel."""
+    w, h = tags.size
+    model = "radial-tangential" if any(lens) else "none"
+    return Camera(w, h, f, f, w / 2 + offset[0] - 0.5, h / 2 + offset[1] - 0.5, model, lens if any(lens) else ())
+
+
+def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
+    """`date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre."""
+    text = tags.xmp.get("dji:DewarpData", "").rpartition(";")[2]
+    values = [finite(v) for v in text.split(",")]
+    numbers = [v for v in values if v is not None]
+    return numbers if len(numbers) == len(values) == 9 and min(numbers[:2]) > 0 else None
+
+
+def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    numbers = _dewarp_numbers(tags)
+    if numbers is None:
+        return None
+    fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
+    scale = tags.size[0] / calibrated_width(tags)
+    notes: Notes = {"focal_from": "factory calibration (DewarpData)"}
+    focal = (fx + fy) / 2
+    if abs(fx / fy - 1) > SQUARE:
+        focal = fy
+        notes["focal_note"] = f"fx {fx:.1f} and fy {fy:.1f} disagree although pixels are square; fy is used"
+    if p1 == p2 and abs(p1) > TANGENTIAL:
+        notes["lens_note"] = f"p1 and p2 are both {p1:g}, which no lens is: left out"
+        p1 = p2 = 0.0
+    lens: tuple[float, ...] = (k1, k2, p1, p2, k3)
+    if tags.xmp.get("dji:DewarpFlag") == "1":
+        notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
+    if scale != 1:
+        notes["scale"] = round(scale, 6)
+    return _camera(tags, focal * scale, (cx * scale, cy * scale), lens), notes
+
+
+def _from_calibrated(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    focal = tags.xmp_number("dji:CalibratedFocalLength")
+    if not focal or focal <= 0:
+        return None
+    scale = tags.size[0] / calibrated_width(tags)
+    return _camera(tags, focal * scale), {"focal_from": "CalibratedFocalLength"}
+
+
+def _from_sensor(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    focal, resolution = tags.number(Base.FocalLength), tags.number(Base.FocalPlaneXResolution)
+    unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
+    if not focal or not resolution or unit is None:
+        return None
+    scale = tags.size[0] / calibrated_width(tags)
+    return _camera(tags, focal * resolution / unit * scale), {"focal_from": "FocalLength and FocalPlaneXResolution"}
+
+
+def _from_film(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    focal = tags.number(Base.FocalLengthIn35mmFilm)
+    if not focal or focal <= 0:
+        return None
+    pixels = math.hypot(*tags.size) * focal / FILM_DIAGONAL
+    return _camera(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}

@@ -1,0 +1,96 @@
+"""Where a photo was taken from and where it looked, as GPS/INS measurements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import LocalFrame, Pose, enu_from_flu
+from alight.records import NavSample
+from alight.sources.photo_tags import PhotoTags
+
+F64 = NDArray[np.float64]
+
+# the body of a photo is its gimbal: x along the optical axis, y left, z up, when all gimbal angles are zero
+BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
+
+RTK_FIXED, RTK_FLOAT = 50, 34
+GIMBAL_SIGMA = np.array([0.02, 0.02, 0.1])  # rad, roll pitch (about horizontal axes), yaw (about the vertical)
+FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
+GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
+
+
+def attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
+    """`world_from_body` (3, 3) of the gimbal, and which tags it came from ("" without any).
+
+    DJI: gimbal angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw, Pitch, Roll`
+    (Parrot, senseFly, Sentera and others): zero is a camera that looks down with the image's top to the north.
+    """
+    gimbal = _angles(tags, "dji:Gimbal{}Degree")
+    if gimbal is not None:
+        return enu_from_flu(*gimbal), "gimbal"
+    pix4d = _angles(tags, "camera:{}")
+    if pix4d is not None:
+        yaw, pitch, roll = pix4d
+        sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round
+        return enu_from_flu(yaw, pitch, sign * roll) @ CRAFT_FROM_NADIR, "camera"
+    flight = _angles(tags, "dji:Flight{}Degree")
+    if flight is not None:
+        return enu_from_flu(*flight) @ CRAFT_FROM_NADIR, "flight"
+    return None, ""
+
+
+def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
+    values = [tags.xmp_number(pattern.format(name)) for name in ("Yaw", "Pitch", "Roll")]
+    if any(v is None for v in values):
+        return None
+    yaw, pitch, roll = (math.radians(v or 0.0) for v in values)
+    return yaw, pitch, roll
+
+
+def position_sigma(tags: PhotoTags) -> F64:
+    """1-sigma of east, north, up in metres: what an RTK receiver says, else that of a consumer receiver."""
+    said = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
+    flag = rtk_flag(tags)
+    if flag is None or any(s is None or s <= 0 for s in said):
+        return GPS_SIGMA.copy()
+    floor = {RTK_FIXED: 0.01, RTK_FLOAT: 0.5}.get(flag)
+    return GPS_SIGMA.copy() if floor is None else np.maximum(np.array(said, dtype=np.float64), floor)
+
+
+def rtk_flag(tags: PhotoTags) -> int | None:
+    """DJI's kind of fix: 50 fixed, 34 float, 16 single; None where the photo does not say."""
+    flag = tags.xmp_number("dji:RtkFlag")
+    return None if flag is None else int(flag)
+
+
+def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
+    """The world's origin: the median place, at the height of take-off.
+
+    The height of take-off is the first photo's absolute less its relative altitude; without one, 50 m below the
+    lowest photo. It only keeps the numbers small: nothing measures from it.
+    """
+    places = np.array([p for t in photos if (p := t.position) is not None])
+    latitude, longitude = np.round(np.median(places[:, :2], axis=0), 7)
+    first = next(t for t in photos if t.position is not None)
+    relative = first.xmp_number("dji:RelativeAltitude")
+    height = places[:, 2].min() - 50 if relative is None else places[0, 2] - relative
+    return LocalFrame(float(latitude), float(longitude), round(float(height), 2))
+
+
+def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
+    """One photo's place and attitude; what it does not say is None."""
+    place = tags.position
+    world_from_body, source = attitude(tags)
+    sigma = FLIGHT_SIGMA if source == "flight" else GIMBAL_SIGMA
+    return NavSample(
+        t_ns,
+        None if place is None else local.to_enu(*place),
+        world_from_body,
+        sigma_position=None if place is None else position_sigma(tags),
+        sigma_attitude=None if world_from_body is None else sigma.copy(),
+    )

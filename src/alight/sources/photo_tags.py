@@ -1,0 +1,164 @@
+"""What a drone writes into its photos: EXIF (pillow) and the XMP packet of DJI and of Pix4D's `Camera` names."""
+
+from __future__ import annotations
+
+import math
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from PIL import ExifTags, Image
+
+from alight.sources.images import open_image
+
+Base, Gps = ExifTags.Base, ExifTags.GPS
+
+
+@dataclass(frozen=True)
+class PhotoTags:
+    """The tags of one photo, as written: degrees, metres, nothing derived."""
+
+    path: Path
+    size: tuple[int, int]  # width, height of the file's pixels
+    exif: Mapping[int, Any]  # main and photo directory, by tag number
+    gps: Mapping[int, Any]
+    xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
+
+    def text(self, tag: int) -> str:
+        """An EXIF text, padding removed; empty when absent."""
+        value = self.exif.get(tag, "")
+        return (value.decode(errors="replace") if isinstance(value, bytes) else str(value)).strip("\0 ")
+
+    def number(self, tag: int) -> float | None:
+        """An EXIF number; None when absent or not finite."""
+        return finite(self.exif.get(tag))
+
+    def xmp_number(self, key: str) -> float | None:
+        """An XMP number; None when absent or malformed."""
+        return finite(self.xmp.get(key))
+
+    @property
+    def camera(self) -> tuple[str, str, tuple[int, int], float | None]:
+        """What makes two photos be of one camera: maker, model, image size, focal length in mm."""
+        focal = self.number(Base.FocalLength)
+        return self.text(Base.Make), self.text(Base.Model), self.size, None if focal is None else round(focal, 2)
+
+    @property
+    def orientation(self) -> int:
+        """EXIF orientation; 1 is upright, 0 is unknown."""
+        return int(self.number(Base.Orientation) or 0)
+
+    @property
+    def time_ns(self) -> int | None:
+        """Capture time in ns since 1970, a time without zone taken as UTC: it only puts photos in order."""
+        for tag, part in ((Base.DateTimeOriginal, Base.SubsecTimeOriginal), (Base.DateTime, Base.SubsecTime)):
+            try:
+                whole = datetime.strptime(self.text(tag), "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+            except ValueError:
+                continue
+            digits = self.text(part)
+            fraction = int(digits[:9].ljust(9, "0")) if digits.isascii() and digits.isdigit() else 0
+            return int(whole.timestamp()) * 1_000_000_000 + fraction
+        return None
+
+    @property
+    def position(self) -> tuple[float, float, float] | None:
+        """Latitude, longitude (degrees), altitude (metres as the maker counts them); None without a fix."""
+        latitude = _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S")
+        longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
+        if latitude is None or longitude is None:
+            latitude = self.xmp_number("dji:GpsLatitude")
+            longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number(
+                "dji:GpsLongtitude"
+            )  # DJI's own spelling
+        altitude = self._altitude()
+        if latitude is None or longitude is None or altitude is None:
+            return None
+        on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
+        return (latitude, longitude, altitude) if on_earth and (latitude, longitude) != (0, 0) else None
+
+    def _altitude(self) -> float | None:
+        exif, absolute = finite(self.gps.get(Gps.GPSAltitude)), self.xmp_number("dji:AbsoluteAltitude")
+        if exif is not None and self.gps.get(Gps.GPSAltitudeRef) in (b"\x01", 1):
+            exif = -exif
+        if absolute is not None and (exif is None or abs(exif - absolute) > 1):
+            return absolute  # some firmware leaves the EXIF altitude at zero
+        return exif
+
+
+def finite(value: Any) -> float | None:
+    """A tag as a number; None when it is absent, malformed or not finite."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _angle(dms: Any, ref: Any, negative: str) -> float | None:
+    if not isinstance(dms, tuple) or len(dms) != 3:
+        return None
+    parts = [finite(v) for v in dms]
+    if any(p is None for p in parts):
+        return None
+    d, m, s = (p or 0.0 for p in parts)
+    return (d + m / 60 + s / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
+
+
+def _xmp_key(qualified: str) -> str:
+    space, _, local = qualified.rpartition("}")
+    space = space.lower()
+    prefix = "dji:" if "dji" in space else "camera:" if "camera/1.0" in space else ""
+    return prefix + local
+
+
+def parse_xmp(packet: bytes | str) -> dict[str, str]:
+    """Take values from an XMP packet, written as attributes or as elements.
+
+    Raises:
+        ValueError: the packet is no XML.
+    """
+    text = packet.decode("utf-8", errors="replace") if isinstance(packet, bytes) else packet
+    if "<!" in text.replace("<!--", ""):  # a document type: nothing that a camera writes, and a known way to do harm
+        raise ValueError("its XMP has a document type")
+    try:
+        root = ET.fromstring(text.strip("\0\ufeff \r\n\t"))
+    except ET.ParseError as e:
+        raise ValueError("its XMP is malformed") from e
+    found: dict[str, str] = {}
+    for element in root.iter():
+        found |= {_xmp_key(k): v.strip() for k, v in element.attrib.items()}
+        if len(element) == 0 and element.text and element.text.strip():
+            found.setdefault(_xmp_key(element.tag), element.text.strip())
+    return found
+
+
+def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pillow warns of damaged tags and then leaves them out, which is what we want
+        exif = image.getexif()
+        return dict(exif) | dict(exif.get_ifd(ExifTags.IFD.Exif)), dict(exif.get_ifd(ExifTags.IFD.GPSInfo))
+
+
+def read_tags(path: Path) -> tuple[PhotoTags, str]:
+    """Read one photo's tags, not its pixels.
+
+    Returns:
+        The tags, and what is wrong with them (empty when nothing is).
+
+    Raises:
+        One of `images.UNREADABLE`.
+    """
+    with open_image(path) as image:
+        exif, gps = _exif(image)
+        xmp, problem = {}, ""
+        try:
+            if packet := image.info.get("xmp"):
+                xmp = parse_xmp(packet)
+        except ValueError as e:
+            problem = str(e)
+        return PhotoTags(path, image.size, exif, gps, xmp), problem

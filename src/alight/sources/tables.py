@@ -1,0 +1,114 @@
+"""CSV streams of a flight log: a bad row is left out and named, never guessed at."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.sources.source import Findings
+
+Times = NDArray[np.int64]
+Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
+
+
+def _split(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+    rows: list[Row] = []
+    total = 0
+    with path.open(encoding="utf-8-sig", errors="replace") as lines:
+        for number, line in enumerate(lines, 1):
+            text = line.strip()
+            if not text or text.startswith("#"):
+                continue
+            total += 1
+            stamp, *fields = [f.strip() for f in text.split(",")]
+            if len(fields) + 1 not in columns:
+                findings.lose(group, f"line {number}", f"{len(fields) + 1} columns instead of {columns[0]}")
+            elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
+                findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds")
+            else:
+                rows.append((number, int(stamp), fields))
+    findings.expect(group, total)
+    return rows
+
+
+def rising(times: list[int]) -> list[bool]:
+    """Mark the longest strictly rising part of a list, so that one wild time does not cost all that follow it."""
+    tails: list[int] = []  # smallest last time of a rising part of each length
+    length = []
+    for t in times:
+        k = bisect_left(tails, t)
+        tails[k : k + 1] = [t]
+        length.append(k)
+    keep, want, bound = [False] * len(times), len(tails) - 1, 2**64
+    for i in range(len(times) - 1, -1, -1):
+        if length[i] == want and times[i] < bound:
+            keep[i], want, bound = True, want - 1, times[i]
+    return keep
+
+
+def _in_order(rows: list[Row], group: str, findings: Findings) -> list[Row]:
+    times = [t for _, t, _ in rows]
+    if all(a < b for a, b in pairwise(times)):
+        return rows
+    keep, seen = rising(times), set()
+    for kept, (number, t, _) in zip(keep, rows, strict=True):
+        if not kept:
+            why = "the time is repeated" if t in seen else "time goes backwards or jumps"
+            findings.lose(group, f"line {number}", why)
+        seen.add(t)
+    return [row for row, kept in zip(rows, keep, strict=True) if kept]
+
+
+def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
+    """Read `timestamp, filename` rows, in order of time."""
+    rows = [r for r in _split(path, (2,), group, findings) if _named(r, group, findings)]
+    return [(t, fields[0]) for _, t, fields in _in_order(rows, group, findings)]
+
+
+def _named(row: Row, group: str, findings: Findings) -> bool:
+    name = row[2][0]
+    if name and ".." not in Path(name).parts and not Path(name).is_absolute():
+        return True
+    findings.lose(group, f"line {row[0]}", f"{name!r} names no file of the folder")
+    return False
+
+
+def _numbers(row: Row, group: str, findings: Findings) -> list[float] | None:
+    out = []
+    for field in row[2]:
+        try:
+            value = float(field) if field else np.nan
+        except ValueError:
+            findings.lose(group, f"line {row[0]}", f"{field[:40]!r} is no number")
+            return None
+        if np.isinf(value):
+            findings.lose(group, f"line {row[0]}", "a number is infinite")
+            return None
+        out.append(value)
+    return out
+
+
+def read_numbers(
+    path: Path, columns: tuple[int, ...], group: str, findings: Findings
+) -> tuple[Times, NDArray[np.float64], list[int]]:
+    """Read rows of numbers in order of time.
+
+    Returns:
+        Times (N,) ns, values (N, columns[0] - 1) with NaN for an empty field, and the (N,) line numbers.
+        `columns` lists the numbers of columns that are allowed, time included; shorter rows are filled with NaN.
+    """
+    good: list[Row] = []
+    values: dict[int, list[float]] = {}
+    for row in _split(path, columns, group, findings):
+        if (numbers := _numbers(row, group, findings)) is not None:
+            values[row[0]] = numbers
+            good.append(row)
+    good = _in_order(good, group, findings)
+    table = np.full((len(good), columns[0] - 1), np.nan)
+    for i, (number, _, _) in enumerate(good):
+        table[i, : len(values[number])] = values[number]
+    return np.array([t for _, t, _ in good], dtype=np.int64), table, [n for n, _, _ in good]

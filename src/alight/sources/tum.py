@@ -1,0 +1,52 @@
+"""Trajectories in TUM format: `t x y z qx qy qz qw`, seconds and metres."""
+
+from __future__ import annotations
+
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from alight.geometry import LocalFrame, Pose
+from alight.records import InputError
+from alight.sources.source import Trajectory
+
+HINT = "each line needs: seconds x y z qx qy qz qw"
+
+
+def _line(text: str) -> tuple[int, Pose]:
+    stamp, *rest = text.replace(",", " ").split()
+    # decimal: a float64 of seconds since 1970 has a grain of 240 ns, and poses are found by their exact time
+    t_ns = int((Decimal(stamp) * 1_000_000_000).to_integral_value())
+    x, y, z, qx, qy, qz, qw = (float(v) for v in rest)
+    if not np.isfinite([x, y, z]).all():
+        raise ValueError("a position that is not finite")
+    return t_ns, Pose.from_quaternion([qw, qx, qy, qz], [x, y, z])
+
+
+def read_tum(path: Path, local: LocalFrame) -> Trajectory:
+    """Read body poses in the world (ENU about `local`), times to the nanosecond.
+
+    Raises:
+        InputError: no such file, no pose in it, a malformed line, or time that does not rise.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+    except OSError as e:
+        raise InputError(f"{path}: cannot be read ({e.strerror}); --poses takes a file in TUM format") from e
+    times: list[int] = []
+    poses: list[Pose] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            t, pose = _line(line)
+        except (ValueError, InvalidOperation, OverflowError) as e:
+            raise InputError(f"{path}, line {number}: no pose; {HINT}") from e
+        if times and t <= times[-1]:
+            raise InputError(f"{path}, line {number}: time does not rise; put the lines in order of time")
+        times.append(t)
+        poses.append(pose)
+    if not poses:
+        raise InputError(f"{path}: no pose in it; {HINT}")
+    return np.array(times, dtype=np.int64), poses
