@@ -78,10 +78,16 @@ class Filter(_Model):
 class Bundle(_Model):
     """Bundle adjustment of photos far apart."""
 
-    features: int = Field(4000, ge=200, description="SIFT features a photo")
+    features: int = Field(5000, ge=200, description="SIFT features a photo")
     image_px: int = Field(1600, ge=400, description="longest side used for features")
+    neighbours: int = Field(10, ge=2, description="nearest photos each photo is matched with, besides one in each direction")
+    matches: int = Field(20, ge=8, description="least matches of a pair after two-view geometry")
+    observations: int = Field(1500, ge=50, description="observations a photo has in the adjustment")
     focal: Literal["held", "free"] = Field("held", description="the maker's focal length; height and focal trade off")
+    lens: Literal["held", "free"] = Field("free", description="the maker's principal point and distortion; free: a prior")
     attitude_sigma: Positive = Field(0.05, description="rad, 1-sigma of the gimbal's roll and pitch")
+    heading_sigma: Positive = Field(0.15, description="rad, 1-sigma of the gimbal's heading")
+    mounting_sigma: NonNegative = Field(0.03, description="rad, camera mounting against the gimbal; 0 holds it")
     position_sigma: Positive = Field(3.0, description="m, 1-sigma of GPS where the photo does not say")
 
 
@@ -173,13 +179,18 @@ class SitesSettings(_Model):
 
     count: int = Field(8, ge=1, description="most sites listed")
     margin: NonNegative = Field(0.5, description="m between the footprint and the nearest hazard")
+    separation: Positive | None = Field(None, description="m between two sites; None: twice the footprint radius")
+    roomy: Positive = Field(5.0, description="m of clearance beyond which more is worth nothing")
+    room_weight: NonNegative = Field(1.0, description="what that clearance is worth against Q")
+    distance_weight: NonNegative = Field(0.0, description="what each metre to the vehicle costs against Q")
 
 
 class RouteSettings(_Model):
     """Way-points to the best site."""
 
     approach_height: Positive = Field(10.0, description="m above the site where the final descent starts")
-    clearance: Positive = Field(3.0, description="m above everything on the way")
+    clearance: Positive = Field(3.0, description="m above and beside everything on the way")
+    look_share: Fraction = Field(0.5, description="share of the approach height at which the ground is judged again")
     cruise_speed: Positive = Field(5.0, description="m/s")
     descent_speed: Positive = Field(1.0, description="m/s")
 

@@ -1,0 +1,5 @@
+"""Judge every cell of a map as the centre of a touchdown."""
+
+from alight.hazards.assess import assess
+
+__all__ = ["assess"]

@@ -1,0 +1,150 @@
+"""From heights to hazards: what a touchdown centred on each cell would meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.hazards.contact import (
+    Footprint,
+    any_near,
+    footprint_of,
+    gear_contact,
+    near_edge,
+    rotor_rise,
+    share_near,
+    step_of,
+)
+from alight.hazards.probability import mean_near, safe_probability
+from alight.records import F32, U8, ElevationMap, Hazard, HazardMap, TerrainMap
+from alight.settings import Hazards, Lander
+
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _Findings:
+    """Everything that a verdict is made of, (R, C) each."""
+
+    footprint: Footprint
+    slope: F32
+    step: F32
+    edge: Bool
+    unknown: Bool
+    blocked: Bool  # something stands in the belly's or rotor's way
+    vetoed: Bool
+
+
+def known_height(elevation: ElevationMap) -> F32:
+    """Trusted heights about their own median (float32 keeps its digits there), NaN elsewhere."""
+    known = elevation.trusted
+    middle = np.float32(np.median(elevation.height[known])) if known.any() else np.float32(0)
+    return np.where(known, elevation.height - middle, np.float32(np.nan))
+
+
+def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int]) -> Bool:
+    """Cells whose cover may not be landed on; no evidence is no veto."""
+    if terrain is None:
+        return np.zeros(shape, dtype=np.bool_)
+    return terrain.landable < settings.min_landable
+
+
+def _find(height: F32, terrain: TerrainMap | None, lander: Lander, settings: Hazards, cell: float) -> _Findings:
+    fp = footprint_of(height, lander.radius, cell)
+    edge = near_edge(height.shape, lander.radius, cell)
+    unknown = np.isnan(height) | np.isnan(fp.level) | (fp.unknown > settings.unknown_share)
+    blocked, slope = np.zeros_like(edge), fp.slope
+    if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
+        blocked |= rotor_rise(height, fp, lander, cell) > lander.rotor_rise
+        unknown |= share_near(np.isnan(height), lander.rotor_radius, cell) > settings.unknown_share
+        edge |= near_edge(height.shape, lander.rotor_radius, cell)
+    if lander.has_gear:
+        slope, rise = gear_contact(height, fp, edge | unknown, lander, cell)
+        unknown |= np.isnan(slope) & ~edge
+        blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
+    vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
+    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, blocked, vetoed)
+
+
+def _reasons(f: _Findings, lander: Lander) -> U8:
+    """Every limit that a touchdown would break, as bits of `Hazard`."""
+    rough = f.footprint.roughness > lander.max_roughness
+    if lander.has_gear and lander.belly_clearance is not None:  # the belly's own limit says more
+        rough = np.zeros_like(rough)
+    high_step = f.step > (np.inf if lander.max_step is None else lander.max_step)
+    broken = {
+        Hazard.EDGE: f.edge,
+        Hazard.UNKNOWN: f.unknown,
+        Hazard.SLOPE: f.slope > lander.max_slope,
+        Hazard.ROUGHNESS: rough,
+        Hazard.STEP: high_step,
+        Hazard.CLEARANCE: f.blocked,
+        Hazard.TERRAIN: f.vetoed,
+    }
+    out = np.zeros(f.edge.shape, dtype=np.uint8)
+    for bit, where in broken.items():
+        out |= np.where(where, np.uint8(bit), np.uint8(0))
+    return out
+
+
+def _quality(
+    f: _Findings, terrain: TerrainMap | None, sigma: F32, lander: Lander, settings: Hazards, cell: float
+) -> F32:
+    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from the cover and from how well it is known."""
+    flatness = (f.slope / lander.max_slope) ** 2 + (f.footprint.roughness / lander.max_roughness) ** 2
+    doubt = (sigma / np.float32(lander.max_roughness)) ** 2
+    cover = np.zeros_like(doubt)
+    if terrain is not None:
+        cover = np.nan_to_num(1 - mean_near(terrain.landable, lander.radius, cell), nan=0.0)
+    q: F32 = (-settings.alpha * flatness - settings.beta * (cover + doubt)).astype(np.float32)
+    return q
+
+
+def clearance_of(safe: Bool, cell: float) -> F32:
+    """Distance of every cell's centre to the rim of the nearest cell that is refused, metres; 0 on those."""
+    if safe.all():  # cannot happen with a rim of EDGE, but the transform needs one zero
+        return np.full(safe.shape, np.inf, dtype=np.float32)
+    cells: F32 = cv2.distanceTransform(safe.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    out: F32 = np.maximum(cells - np.float32(0.5), np.float32(0)) * np.float32(cell)
+    return out
+
+
+def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: Hazards) -> HazardMap:
+    """Judge each cell as the centre of a touchdown, at the worst heading.
+
+    The footprint is every cell whose centre lies within the lander's radius. Unknown ground is never safe.
+
+    Args:
+        elevation: heights; cells that a flag refuses count as unknown.
+        terrain: classes, which may refuse and never permit; None for none.
+        lander: its shape and its limits.
+        settings: how strict.
+
+    Raises:
+        ValueError: the two maps do not share a grid.
+    """
+    if terrain is not None and terrain.grid != elevation.grid:
+        raise ValueError("terrain and elevation must share one grid")
+    cell = elevation.grid.cell
+    height = known_height(elevation)
+    found = _find(height, terrain, lander, settings, cell)
+    reasons = _reasons(found, lander)
+    variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
+    sigma = np.sqrt(mean_near(variance, lander.radius, cell))
+    p = safe_probability(found.footprint, found.slope, sigma, lander, settings, cell)
+    judged = ~(found.edge | found.unknown)
+    p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))
+    reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))
+    return HazardMap(
+        grid=elevation.grid,
+        slope=found.slope,
+        roughness=found.footprint.roughness,
+        step=found.step,
+        clearance=clearance_of(reasons == 0, cell),
+        p_safe=p,
+        quality=_quality(found, terrain, sigma, lander, settings, cell),
+        reasons=reasons,
+    )

@@ -1,0 +1,117 @@
+"""What a lander covers and touches, in whole cells of one grid (docs/method-ground.md, section 1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.settings import Lander
+
+I64 = NDArray[np.int64]
+F64 = NDArray[np.float64]
+
+_HAIR = 1e-6  # cells; a centre exactly on the rim belongs to the disc whatever the last digit of the radius says
+
+
+def disc_spans(radius_cells: float) -> I64:
+    """Half width of each row of the disc of cells whose *centres* lie within the radius.
+
+    Args:
+        radius_cells: radius over cell size.
+
+    Returns:
+        (2 n + 1,) half widths in cells, from the northernmost row to the southernmost.
+    """
+    reach = math.floor(radius_cells + _HAIR)
+    rows = np.arange(-reach, reach + 1, dtype=np.float64)
+    return np.floor(np.sqrt(np.maximum((radius_cells + _HAIR) ** 2 - rows**2, 0.0)) + _HAIR).astype(np.int64)
+
+
+def disc_mask(spans: I64) -> NDArray[np.uint8]:
+    """The disc as a (2 n + 1, 2 n + 1) array of ones and zeros: what OpenCV's filters take."""
+    reach = spans.size // 2
+    return (np.abs(np.arange(-reach, reach + 1)) <= spans[:, None]).astype(np.uint8)
+
+
+def padded_spans(spans: I64, reach: int) -> I64:
+    """The same disc with -1 in the rows that it does not reach, for a larger disc's loops."""
+    extra = reach - spans.size // 2
+    return np.pad(spans, extra, constant_values=-1)
+
+
+def directions(headings: int) -> F64:
+    """Unit (column, row) of the forward direction of evenly spread headings from north, clockwise; (headings, 2)."""
+    angle = 2 * math.pi * np.arange(headings) / headings
+    return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """The cells under each foot at each heading."""
+
+    xy: F64  # (headings, feet, 2) centroid of the cells under a foot: (column, row) offset in cells
+    offsets: I64  # (n, 2) (row, column) of all those cells
+    starts: I64  # (headings, feet + 1) where each foot's cells begin
+    triples: I64  # (t, 3) feet that can carry the lander together
+
+
+@dataclass(frozen=True, eq=False)
+class Skids:
+    """The cells under each rail at each heading."""
+
+    axes: F64  # (headings, 2) forward, unit (column, row)
+    offsets: I64  # (headings, 2, n, 2) (row, column) under the left and the right rail
+    along: F64  # (n,) position along the rail, cells
+    gauge: float  # between the rails, cells
+
+
+def _cells_within(centre: F64, radius_cells: float) -> I64:
+    """Return (n, 2) (row, column) of the cells with centres within the radius of (column, row); the nearest if none."""
+    near = np.round(centre)
+    reach = math.ceil(radius_cells) + 1
+    grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
+    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + _HAIR]
+    return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
+
+
+def _triples(feet: F64) -> I64:
+    """Every three feet that span a tenth or more of the largest triangle: thinner ones carry nothing."""
+    every = list(combinations(range(len(feet)), 3))
+    u, v = (np.array([feet[t[k]] - feet[t[0]] for t in every]) for k in (1, 2))
+    area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    return np.array([t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()], dtype=np.int64)
+
+
+def feet_of(lander: Lander, cell: float) -> Feet:
+    """Lay the lander's feet on the grid, every heading."""
+    assert lander.feet is not None
+    body = np.array(lander.feet) / cell  # forward, left
+    xy: list[F64] = []
+    offsets: list[I64] = []
+    starts: list[I64] = []
+    begin = 0
+    for ahead in directions(lander.headings):
+        left = np.array([ahead[1], -ahead[0]])
+        cells = [_cells_within(f * ahead + s * left, lander.foot_radius / cell) for f, s in body]
+        ends = np.cumsum([len(c) for c in cells])
+        starts.append(begin + np.concatenate([[0], ends]))
+        begin += int(ends[-1])
+        offsets += cells
+        xy.append(np.array([c[:, ::-1].mean(axis=0) for c in cells]))
+    return Feet(np.array(xy), np.concatenate(offsets), np.array(starts, dtype=np.int64), _triples(body))
+
+
+def skids_of(lander: Lander, cell: float) -> Skids:
+    """Lay the lander's skids on the grid, every heading, one sample a cell of length and both ends."""
+    assert lander.skids is not None
+    length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
+    along = np.linspace(-length / 2, length / 2, max(3, 2 * math.ceil(length / 2) + 1))
+    axes = directions(lander.headings)
+    left = np.stack([axes[:, 1], -axes[:, 0]], axis=1)
+    rails = [along[None, :, None] * axes[:, None] + side * gauge / 2 * left[:, None] for side in (1, -1)]
+    offsets = np.round(np.stack(rails, axis=1)).astype(np.int64)[..., ::-1]
+    return Skids(axes, np.ascontiguousarray(offsets), along, gauge)

@@ -1,0 +1,382 @@
+"""Compiled loops that judge the ground under a lander (docs/method-ground.md).
+
+Loops run over whole rows of cells, offset by offset, so that they vectorise; an unknown height is NaN and loses every
+`>` comparison, which is what leaves it out of a maximum.
+"""
+
+import math
+
+import numpy as np
+
+from alight.kernels.compiler import inline, kernel, parallel_kernel, prange
+
+
+@parallel_kernel
+def row_sums(height, sums):
+    """Fill sums (5, R, C + 1) with running sums along each row of k, k c, k c^2, k h, k c h; k = 1 where h is known."""
+    rows, cols = height.shape
+    for r in prange(rows):
+        n = s1 = s2 = sh = sch = 0.0
+        for i in range(5):
+            sums[i, r, 0] = 0.0
+        for c in range(cols):
+            h = height[r, c]
+            if not math.isnan(h):
+                n += 1.0
+                s1 += c
+                s2 += c * c
+                sh += h
+                sch += c * h
+            sums[0, r, c + 1], sums[1, r, c + 1], sums[2, r, c + 1] = n, s1, s2
+            sums[3, r, c + 1], sums[4, r, c + 1] = sh, sch
+
+
+@inline
+def _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh):
+    """Solve the plane of G1 from its sums about the centre; return (level, gradient x, gradient y), NaN if none."""
+    mx, my, mh = sx / n, sy / n, sh / n
+    cxx, cxy, cyy = sxx - n * mx * mx, sxy - n * mx * my, syy - n * my * my
+    det = cxx * cyy - cxy * cxy
+    if not det > 1e-6 * (1.0 + cxx * cyy):
+        return math.nan, math.nan, math.nan
+    cxh, cyh = sxh - n * mx * mh, syh - n * my * mh
+    gx = (cyy * cxh - cxy * cyh) / det
+    gy = (cxx * cyh - cxy * cxh) / det
+    return mh - gx * mx - gy * my, gx, gy
+
+
+@parallel_kernel
+def fit_planes(sums, spans, count, level, grad_c, grad_r):
+    """Fit the least-squares plane of the footprint about every cell (G1).
+
+    Args:
+        sums: (5, R, C + 1) of `row_sums`.
+        spans: (2 n + 1,) half widths in cells of the rows of the disc.
+        count: (R, C) filled with the known cells in the footprint.
+        level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
+    """
+    rows, cols = count.shape
+    reach = spans.size // 2
+    for r in prange(rows):
+        for c in range(cols):
+            n = sx = sy = sxx = sxy = syy = sh = sxh = syh = 0.0
+            for i in range(spans.size):
+                q = r + i - reach
+                if q < 0 or q >= rows:
+                    continue
+                lo, hi = max(c - spans[i], 0), min(c + spans[i] + 1, cols)
+                y = float(i - reach)
+                k = sums[0, q, hi] - sums[0, q, lo]
+                kc = sums[1, q, hi] - sums[1, q, lo]
+                kx = kc - c * k
+                kxx = sums[2, q, hi] - sums[2, q, lo] - 2.0 * c * kc + c * c * k
+                kh = sums[3, q, hi] - sums[3, q, lo]
+                kxh = sums[4, q, hi] - sums[4, q, lo] - c * kh
+                n += k
+                sx += kx
+                sy += y * k
+                sxx += kxx
+                sxy += y * kx
+                syy += y * y * k
+                sh += kh
+                sxh += kxh
+                syh += y * kh
+            count[r, c] = n
+            if n < 3.0:
+                level[r, c] = grad_c[r, c] = grad_r[r, c] = math.nan
+                continue
+            a, gx, gy = _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh)
+            level[r, c], grad_c[r, c], grad_r[r, c] = a, gx, gy
+
+
+@parallel_kernel
+def deviations(height, level, grad_c, grad_r, spans, largest, squares):
+    """Fill largest (R, C) with the largest |h - plane| in the footprint (G2), squares with the sum of its squares."""
+    rows, cols = height.shape
+    reach = spans.size // 2
+    for r in prange(rows):
+        base = np.empty(cols, np.float32)
+        gc = grad_c[r]
+        top = largest[r]
+        ssq = squares[r]
+        for c in range(cols):
+            top[c] = ssq[c] = np.float32(0.0)
+        for i in range(spans.size):
+            q = r + i - reach
+            if q < 0 or q >= rows:
+                continue
+            line = height[q]
+            for c in range(cols):
+                base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
+            for dc in range(-spans[i], spans[i] + 1):
+                x = np.float32(dc)
+                for c in range(max(0, -dc), min(cols, cols - dc)):
+                    e = line[c + dc] - base[c] - x * gc[c]
+                    d = abs(e)
+                    top[c] = d if d > top[c] else top[c]
+                    ssq[c] += e * e if d >= np.float32(0.0) else np.float32(0.0)
+
+
+@parallel_kernel
+def neighbour_steps(height, step):
+    """Fill step (R, C) with the largest |difference| to the four known neighbours; NaN where h is unknown."""
+    rows, cols = height.shape
+    for r in prange(rows):
+        for c in range(cols):
+            h = height[r, c]
+            worst = h - h  # 0, or NaN where h is unknown
+            if r > 0:
+                worst = max(worst, abs(height[r - 1, c] - h))
+            if r < rows - 1:
+                worst = max(worst, abs(height[r + 1, c] - h))
+            if c > 0:
+                worst = max(worst, abs(height[r, c - 1] - h))
+            if c < cols - 1:
+                worst = max(worst, abs(height[r, c + 1] - h))
+            step[r, c] = worst
+
+
+@parallel_kernel
+def disc_maximum(values, spans, out):
+    """Fill out (R, C) with the largest known value in the footprint; -inf where nothing is known."""
+    rows, cols = values.shape
+    reach = spans.size // 2
+    for r in prange(rows):
+        top = out[r]
+        for c in range(cols):
+            top[c] = -np.inf
+        for i in range(spans.size):
+            q = r + i - reach
+            if q < 0 or q >= rows:
+                continue
+            line = values[q]
+            for dc in range(-spans[i], spans[i] + 1):
+                for c in range(max(0, -dc), min(cols, cols - dc)):
+                    v = line[c + dc]
+                    top[c] = v if v > top[c] else top[c]
+
+
+@parallel_kernel
+def highest_above(height, level, grad_c, grad_r, inner, outer, out):
+    """Fill out (R, C) with the largest rise above the plane in the ring between two discs; -inf if nothing is known.
+
+    `inner` has the length of `outer`, -1 in rows that the inner disc does not reach.
+    """
+    rows, cols = height.shape
+    reach = outer.size // 2
+    for r in prange(rows):
+        base = np.empty(cols, np.float32)
+        gc = grad_c[r]
+        top = out[r]
+        for c in range(cols):
+            top[c] = -np.inf
+        for i in range(outer.size):
+            q = r + i - reach
+            if q < 0 or q >= rows:
+                continue
+            line = height[q]
+            for c in range(cols):
+                base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
+            for dc in range(-outer[i], outer[i] + 1):
+                if abs(dc) <= inner[i]:
+                    continue
+                x = np.float32(dc)
+                for c in range(max(0, -dc), min(cols, cols - dc)):
+                    e = line[c + dc] - base[c] - x * gc[c]
+                    top[c] = e if e > top[c] else top[c]
+
+
+@inline
+def _contact(height, r, c, offsets, first, last):
+    """Highest ground under one foot; NaN if any cell of it is unknown or off the map."""
+    rows, cols = height.shape
+    top = -math.inf
+    for i in range(first, last):
+        q, p = r + offsets[i, 0], c + offsets[i, 1]
+        if q < 0 or q >= rows or p < 0 or p >= cols or math.isnan(height[q, p]):
+            return math.nan
+        top = max(top, height[q, p])
+    return top
+
+
+@inline
+def _rise(height, r, c, spans, a, gx, gy, spare):
+    """Largest rise of known ground in the disc above a plane; the first one above `spare` found ends the search."""
+    rows, cols = height.shape
+    reach = spans.size // 2
+    top = -math.inf
+    for i in range(spans.size):
+        q = r + i - reach
+        if q < 0 or q >= rows:
+            continue
+        row_level = a + gy * (i - reach)
+        for p in range(max(0, c - spans[i]), min(cols, c + spans[i] + 1)):
+            e = height[q, p] - row_level - gx * (p - c)
+            top = e if e > top else top
+        if top > spare:
+            break
+    return top
+
+
+@inline
+def _belly(height, r, c, spans, plane, a, gx, gy, spare):
+    """Rise of the ground above a contact plane, or a bound below -`spare` where that settles it without a search.
+
+    The ground lies within `plane[3]` of the footprint's own plane (level, x, y); the two planes part by no more than
+    their difference at the centre plus that of their gradients times the reach.
+    """
+    reach = spans.size // 2
+    bound = plane[3] + (plane[0] - a) + math.hypot(plane[1] - gx, plane[2] - gy) * reach
+    if bound < spare:
+        return bound
+    return _rise(height, r, c, spans, a, gx, gy, spare)
+
+
+@parallel_kernel
+def feet_contact(height, skip, level, grad_c, grad_r, largest, xy, offsets, starts, triples, spans, spare, tilt, rise):
+    """Judge a lander that rests on feet, over every heading and every three of its feet (G4).
+
+    Args:
+        height: (R, C) metres in *cells* (height over cell size), so that gradients are tangents.
+        skip: (R, C) bool, cells not judged.
+        level, grad_c, grad_r, largest: the footprint's plane and its largest deviation, in cells.
+        xy: (headings, feet, 2) offset (column, row) of each foot's centre, cells.
+        offsets: (n, 2) (row, column) of the cells under each foot; starts: (headings, feet + 1) where they begin.
+        triples: (t, 3) feet.
+        spans: half widths of the body's disc.
+        spare: rise above the contact plane that the belly allows, cells; the rise only says on which side of it.
+        tilt, rise: (R, C) filled with the worst tangent of the tilt and the worst rise, NaN where a foot is unknown.
+    """
+    rows, cols = height.shape
+    headings, feet = xy.shape[0], xy.shape[1]
+    for r in prange(rows):
+        touch = np.empty(feet, np.float64)
+        plane = np.empty(4, np.float64)
+        for c in range(cols):
+            tilt[r, c] = rise[r, c] = math.nan
+            if skip[r, c]:
+                continue
+            plane[0], plane[1], plane[2], plane[3] = level[r, c], grad_c[r, c], grad_r[r, c], largest[r, c]
+            worst_tilt, worst_rise = 0.0, -math.inf
+            for k in range(headings):
+                for f in range(feet):
+                    touch[f] = _contact(height, r, c, offsets, starts[k, f], starts[k, f + 1])
+                for t in range(triples.shape[0]):
+                    i, j, m = triples[t, 0], triples[t, 1], triples[t, 2]
+                    ux, uy = xy[k, j, 0] - xy[k, i, 0], xy[k, j, 1] - xy[k, i, 1]
+                    vx, vy = xy[k, m, 0] - xy[k, i, 0], xy[k, m, 1] - xy[k, i, 1]
+                    u, v = touch[j] - touch[i], touch[m] - touch[i]
+                    det = ux * vy - uy * vx
+                    gx, gy = (u * vy - v * uy) / det, (v * ux - u * vx) / det
+                    a = touch[i] - gx * xy[k, i, 0] - gy * xy[k, i, 1]
+                    worst_tilt = max(worst_tilt, math.hypot(gx, gy)) if a == a else math.nan
+                    if a == a and worst_rise <= spare < math.inf:
+                        worst_rise = max(worst_rise, _belly(height, r, c, spans, plane, a, gx, gy, spare))
+                    if worst_tilt != worst_tilt:
+                        break
+                if worst_tilt != worst_tilt:
+                    break
+            tilt[r, c] = worst_tilt
+            rise[r, c] = worst_rise if worst_tilt == worst_tilt else math.nan
+
+
+@kernel
+def rail_support(along, profile):
+    """Rest one rail on its profile (G5): return (height over s = 0, slope) of the line that it settles on.
+
+    Args:
+        along: (n,) ascending positions s with at least one <= 0 and one >= 0.
+        profile: (n,) ground heights there.
+
+    The line minimises its height over s = 0 while it stays on or above the profile: the edge of the upper convex hull
+    over the middle. The pair that spans it is found by hopping from one end to the other until neither moves.
+    """
+    n = along.size
+    left, right = 0, n - 1
+    for _ in range(2 * n):
+        new_right, best = right, -math.inf
+        for j in range(n):  # from the left end, the steepest line to the other side
+            if along[j] >= 0.0 and along[j] > along[left]:
+                g = (profile[j] - profile[left]) / (along[j] - along[left])
+                if g > best:
+                    best, new_right = g, j
+        new_left, best = left, math.inf
+        for i in range(n):  # from the right end, the line that falls off least to the other side
+            if along[i] <= 0.0 and along[i] < along[new_right]:
+                g = (profile[new_right] - profile[i]) / (along[new_right] - along[i])
+                if g < best:
+                    best, new_left = g, i
+        if new_left == left and new_right == right:
+            break
+        left, right = new_left, new_right
+    slope = (profile[right] - profile[left]) / (along[right] - along[left])
+    return profile[left] - slope * along[left], slope
+
+
+@inline
+def _clear_over(along, profile, slope):
+    """Lowest height over s = 0 of a rail with a given slope that stays on or above its profile."""
+    top = -math.inf
+    for i in range(along.size):
+        top = max(top, profile[i] - slope * along[i])
+    return top
+
+
+@inline
+def _profile(height, r, c, offsets, first, out):
+    """Read a rail's profile; False if any cell is unknown or off the map."""
+    rows, cols = height.shape
+    for i in range(out.size):
+        q, p = r + offsets[first + i, 0], c + offsets[first + i, 1]
+        if q < 0 or q >= rows or p < 0 or p >= cols or math.isnan(height[q, p]):
+            return False
+        out[i] = height[q, p]
+    return True
+
+
+@parallel_kernel
+def skid_contact(height, skip, level, grad_c, grad_r, largest, axes, offsets, along, gauge, spans, spare, tilt, rise):
+    """Judge a lander that rests on two skids, over every heading (G5).
+
+    Args:
+        height, skip, level, grad_c, grad_r, largest, spans, spare, tilt, rise: as in `feet_contact`.
+        axes: (headings, 2) unit (column, row) of the forward direction.
+        offsets: (headings, 2, n, 2) (row, column) of the cells under the left and the right rail.
+        along: (n,) position of those cells along the rail, cells.
+        gauge: distance between the rails, cells.
+    """
+    rows, cols = height.shape
+    n = along.size
+    for r in prange(rows):
+        left = np.empty(n, np.float64)
+        right = np.empty(n, np.float64)
+        plane = np.empty(4, np.float64)
+        for c in range(cols):
+            tilt[r, c] = rise[r, c] = math.nan
+            if skip[r, c]:
+                continue
+            plane[0], plane[1], plane[2], plane[3] = level[r, c], grad_c[r, c], grad_r[r, c], largest[r, c]
+            worst_tilt, worst_rise = 0.0, -math.inf
+            known = True
+            for k in range(axes.shape[0]):
+                known = _profile(height, r, c, offsets[k, 0], 0, left) and _profile(
+                    height, r, c, offsets[k, 1], 0, right
+                )
+                if not known:
+                    break
+                pitch_l = rail_support(along, left)[1]
+                pitch_r = rail_support(along, right)[1]
+                ax, ay = axes[k, 0], axes[k, 1]
+                worst_roll = worst_pitch = 0.0
+                for side in range(2):
+                    pitch = pitch_l if side == 0 else pitch_r
+                    over_l, over_r = _clear_over(along, left, pitch), _clear_over(along, right, pitch)
+                    roll = (over_l - over_r) / gauge  # rise towards the left
+                    worst_roll, worst_pitch = max(worst_roll, abs(roll)), max(worst_pitch, abs(pitch))
+                    if worst_rise <= spare < math.inf:  # left of forward (ax, ay) in (column, row) is (ay, -ax)
+                        gx, gy = pitch * ax + roll * ay, pitch * ay - roll * ax
+                        a = 0.5 * (over_l + over_r)
+                        worst_rise = max(worst_rise, _belly(height, r, c, spans, plane, a, gx, gy, spare))
+                worst_tilt = max(worst_tilt, math.hypot(worst_roll, worst_pitch))
+            if known:
+                tilt[r, c], rise[r, c] = worst_tilt, worst_rise
