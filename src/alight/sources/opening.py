@@ -32,10 +32,12 @@ def _open(path: Path, settings: Settings) -> Source:
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
-    if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0").is_dir():
+    if (root / "mav0").is_dir() or root.name == "mav0" or (root / "cam0" / "data.csv").is_file():
         return FlightLog(root, settings)
     if files := find_photos(root):
         return Photos(root, files, settings)
     if not any(root.iterdir()):
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
+    if inside := sorted(p.parent.name for p in root.glob("*/mav0")):
+        raise InputError(f"{path}: holds {len(inside)} flight log(s); name one of them, such as {path / inside[0]}")
     raise InputError(f"{path}: nothing usable in it; looked for mav0/ and for .jpg or .jpeg files, give {LOOKED_FOR}")

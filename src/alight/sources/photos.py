@@ -20,6 +20,7 @@ from alight.sources.photo_tags import PhotoTags, read_tags
 from alight.sources.source import Findings, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg")
+GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
 SECOND = 1_000_000_000
 RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
@@ -44,7 +45,7 @@ class Photos:
     def __init__(self, root: Path, files: Sequence[Path], settings: Settings) -> None:
         self._findings = Findings()
         self._findings.expect("photos", len(files))
-        self.name = root.name
+        self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         photos = self._one_camera(self._upright(self._readable(files)))
         if not any(p.position for p in photos):
             raise InputError(

@@ -54,12 +54,11 @@ def _in_order(rows: list[Row], group: str, findings: Findings) -> list[Row]:
     times = [t for _, t, _ in rows]
     if all(a < b for a, b in pairwise(times)):
         return rows
-    keep, seen = rising(times), set()
+    keep = rising(times)
+    used = {t for t, kept in zip(times, keep, strict=True) if kept}
     for kept, (number, t, _) in zip(keep, rows, strict=True):
         if not kept:
-            why = "the time is repeated" if t in seen else "time goes backwards or jumps"
-            findings.lose(group, f"line {number}", why)
-        seen.add(t)
+            findings.lose(group, f"line {number}", "the time is repeated" if t in used else "time goes backwards")
     return [row for row, kept in zip(rows, keep, strict=True) if kept]
 
 

@@ -1,0 +1,116 @@
+"""The numeric streams of a flight log: `nav0`, `imu0` and the truth, from rows to samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import LocalFrame, Pose, matrix_from_quaternion
+from alight.records import ImuSample, NavSample
+from alight.sources.source import Findings, Trajectory
+from alight.sources.tables import Times, read_numbers
+
+F64 = NDArray[np.float64]
+
+NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth without velocity and biases
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Rows of one stream that can be used."""
+
+    t_ns: Times  # (N,)
+    values: F64  # (N, columns - 1), NaN = not measured
+
+
+def _read(root: Path, stream: str, columns: tuple[int, ...], findings: Findings) -> tuple[Table, list[int]] | None:
+    path = root / stream / "data.csv"
+    if not path.is_file():
+        return None
+    t, values, lines = read_numbers(path, columns, f"{stream} rows", findings)
+    return Table(t, values), lines
+
+
+def _without(table: Table, lines: list[int], bad: dict[int, str], stream: str, findings: Findings) -> Table | None:
+    """The rows that are not bad, the others noted with their line; None when nothing is left."""
+    for i, why in sorted(bad.items()):
+        findings.lose(f"{stream} rows", f"line {lines[i]}", why)
+    keep = np.setdiff1d(np.arange(len(lines)), list(bad)).astype(np.intp)
+    return Table(table.t_ns[keep], table.values[keep]) if len(keep) else None
+
+
+def read_nav(root: Path, findings: Findings) -> Table | None:
+    """Rows of `nav0`; None when there is none that can be used."""
+    if (found := _read(root, "nav0", NAV_COLUMNS, findings)) is None:
+        return None
+    v = found[0].values
+    with np.errstate(invalid="ignore"):
+        checks = {
+            "latitude or longitude is no place on Earth": (np.abs(v[:, 0]) > 90) | (np.abs(v[:, 1]) > 360),
+            "the quaternion is not of unit length": np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) > 0.05,
+            "a sigma is negative": (v[:, 13:22] < 0).any(axis=1),
+        }
+    bad = {int(i): why for why, mask in checks.items() for i in np.flatnonzero(mask)}
+    return _without(*found, bad, "nav0", findings)
+
+
+def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | None:
+    """Rows of `imu0` turned into the body's axes; None when there is none that can be used."""
+    if (found := _read(root, "imu0", IMU_COLUMNS, findings)) is None:
+        return None
+    holes = np.flatnonzero(~np.isfinite(found[0].values).all(axis=1))
+    table = _without(*found, {int(i): "a field is empty" for i in holes}, "imu0", findings)
+    if table is None:
+        return None
+    R = body_from_imu.rotation
+    return Table(table.t_ns, np.concatenate([table.values[:, :3] @ R.T, table.values[:, 3:] @ R.T], axis=1))
+
+
+def read_truth(root: Path, findings: Findings) -> Trajectory | None:
+    """True body poses in the world; None when the log has none."""
+    stream = "state_groundtruth_estimate0"
+    if (found := _read(root, stream, TRUTH_COLUMNS, findings)) is None:
+        return None
+    v = found[0].values[:, :7]
+    bent = ~(np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) < 0.05) | ~np.isfinite(v).all(axis=1)
+    bad = {int(i): "no position or no unit quaternion" for i in np.flatnonzero(bent)}
+    table = _without(*found, bad, stream, findings)
+    if table is None:
+        return None
+    return table.t_ns, [Pose.from_quaternion(row[3:7], row[:3]) for row in table.values]
+
+
+def _measured(values: F64) -> F64 | None:
+    return values.copy() if np.isfinite(values).all() else None
+
+
+def _sigma(values: F64) -> F64 | None:
+    return values.copy() if np.isfinite(values).all() and (values > 0).all() else None
+
+
+def nav_samples(table: Table, local: LocalFrame) -> Iterator[NavSample]:
+    """Samples of `nav0` in the world about `local`."""
+    v = table.values
+    position = local.to_enu(v[:, 0], v[:, 1], v[:, 2])
+    for i, t in enumerate(table.t_ns):
+        q = _measured(v[i, 3:7])
+        yield NavSample(
+            int(t),
+            _measured(position[i]),
+            None if q is None else matrix_from_quaternion(q),
+            _measured(v[i, 7:10]),
+            _measured(v[i, 10:13]),
+            _sigma(v[i, 13:16]),
+            _sigma(v[i, 16:19]),
+            _sigma(v[i, 19:22]),
+        )
+
+
+def imu_samples(table: Table) -> Iterator[ImuSample]:
+    """Samples of `imu0`."""
+    for t, row in zip(table.t_ns, table.values, strict=True):
+        yield ImuSample(int(t), row[:3].copy(), row[3:].copy())
