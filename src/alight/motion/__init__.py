@@ -1,0 +1,5 @@
+"""Ego-motion: tracks and GPS/INS (and IMU) to poses with covariance."""
+
+from alight.motion.filter import MotionFilter
+
+__all__ = ["MotionFilter"]

@@ -1,0 +1,79 @@
+"""What GPS/INS measures: the state plus a slowly varying error plus a small white one (docs/method-motion.md, M14-M16)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.geometry import so3_exp, so3_log
+from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, POS, VEL, State
+from alight.records import F64, NavSample
+from alight.settings import Filter
+
+
+def sigmas(sample: NavSample, noise: Filter) -> F64:
+    """Return the (9,) bound of position, attitude (in the world) and velocity error that a row claims, or the default."""
+    position = _or(sample.sigma_position, noise.position_sigma)
+    attitude = _or(sample.sigma_attitude, noise.attitude_sigma)
+    if sample.world_from_body is not None:  # roll, pitch, yaw are about the body's axes
+        attitude = np.sqrt(np.diag(sample.world_from_body @ np.diag(attitude**2) @ sample.world_from_body.T))
+    return np.concatenate([position, attitude, _or(sample.sigma_velocity, noise.velocity_sigma)])
+
+
+def _or(sigma: F64 | None, default: float) -> F64:
+    known = sigma is not None and bool(np.isfinite(sigma).all()) and bool((np.asarray(sigma) > 0).all())
+    return np.asarray(sigma, dtype=np.float64) if known else np.full(3, default)
+
+
+def whites(sigma: F64, noise: Filter) -> F64:
+    """Return the (9,) sigma of the white part, never above the bound itself (RTK is better than the setting)."""
+    white = np.repeat([noise.nav_position_white, noise.nav_attitude_white, noise.nav_velocity_white], 3)
+    return np.asarray(np.minimum(white, sigma))
+
+
+def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
+    """Make the first state of a row that has position and attitude; None: this row has not."""
+    if sample.position_world is None or sample.world_from_body is None:
+        return None
+    core = np.zeros(CORE)
+    core[POS] = sample.position_world
+    white = whites(sigma, noise)
+    P = np.zeros((CORE, CORE))
+    for value, drift, i in ((POS, NAV_POS, 0), (ATT, NAV_ATT, 3), (VEL, NAV_VEL, 6)):
+        bound, shake = np.diag(sigma[i : i + 3] ** 2), np.diag(white[i : i + 3] ** 2)
+        P[value, value], P[drift, drift] = bound + shake, bound  # value = measured - drift - white
+        P[value, drift] = P[drift, value] = -bound
+    if sample.velocity_world is None:
+        P[VEL, VEL], P[VEL, NAV_VEL], P[NAV_VEL, VEL] = np.eye(3) * 10.0**2, np.zeros((3, 3)), np.zeros((3, 3))
+    else:
+        core[VEL] = sample.velocity_world
+    P[range(24, 27), range(24, 27)] = noise.mounting_sigma**2
+    state = State(sample.t_ns, np.array(sample.world_from_body), core, P)
+    return state
+
+
+def measurements(state: State, sample: NavSample, sigma: F64, noise: Filter) -> list[tuple[F64, F64, F64]]:
+    """Return (residual, H, variance), each of 3 rows: position (M14), attitude (M15), velocity (M16) where measured."""
+    white, out = whites(sigma, noise) ** 2, []
+    if sample.position_world is not None:
+        out.append((sample.position_world - state.core[POS] - state.core[NAV_POS], _H(state, POS, NAV_POS), white[0:3]))
+    if sample.world_from_body is not None:
+        expected = so3_exp(state.core[NAV_ATT]) @ state.R
+        out.append((so3_log(sample.world_from_body @ expected.T), _H(state, ATT, NAV_ATT), white[3:6]))
+    if sample.velocity_world is not None:
+        out.append((sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _H(state, VEL, NAV_VEL), white[6:9]))
+    return out
+
+
+def rate_measurement(state: State, sample: NavSample, noise: Filter) -> tuple[F64, F64, F64] | None:
+    """The angular velocity of a row as a measurement of the state's: only where no IMU drives the motion."""
+    if sample.angular_velocity_body is None:
+        return None
+    variance = np.full(3, noise.nav_rate_white**2)
+    return sample.angular_velocity_body - state.core[GYRO], _H(state, GYRO), variance
+
+
+def _H(state: State, *parts: slice) -> F64:
+    H = np.zeros((3, len(state.P)))
+    for part in parts:
+        H[:, part] = np.eye(3)
+    return H

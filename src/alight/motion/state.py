@@ -1,0 +1,128 @@
+"""The filter's state: nominal values, and one covariance over the errors of all of them (docs/method-motion.md, M7).
+
+Errors live in the world: `R = exp(theta) R_hat`, `p = p_hat + dp`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from alight.geometry import so3_exp
+from alight.records import F64
+
+ATT = slice(0, 3)  # rad, body attitude
+POS = slice(3, 6)  # m
+VEL = slice(6, 9)  # m/s
+GYRO = slice(9, 12)  # rad/s, gyro bias; without IMU the angular velocity of the body itself
+ACC = slice(12, 15)  # m/s^2, accelerometer bias; without IMU unused
+NAV_POS = slice(15, 18)  # m, slowly varying error of the GPS/INS position
+NAV_ATT = slice(18, 21)  # rad, of its attitude, in the world
+NAV_VEL = slice(21, 24)  # m/s, of its velocity
+MOUNT = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
+CORE = 27
+CLONE = 6  # (rotation, position)
+POINT = 3
+
+
+@dataclass(eq=False)
+class Clone:
+    """The pose of the rig at an earlier exposure, with the value at which Jacobians are taken (first estimate)."""
+
+    t_ns: int
+    R: F64  # (3, 3) world_from_rig
+    p: F64  # (3,) m
+    first_R: F64
+    first_p: F64
+
+
+@dataclass(eq=False)
+class Point:
+    """One landmark x_i of the paper's state."""
+
+    id: int
+    x: F64  # (3,) m, world
+    first_x: F64
+    misses: int = 0  # exposures in a row in which it was outside its gate
+
+
+@dataclass(eq=False)
+class State:
+    """Core, clones and points; `P` follows that order."""
+
+    t_ns: int
+    R: F64  # (3, 3) world_from_body
+    core: F64  # (27,) values of the slices; ATT stays zero, R holds the attitude
+    P: F64  # (n, n)
+    clones: list[Clone] = field(default_factory=list)
+    points: list[Point] = field(default_factory=list)
+
+    @property
+    def rig(self) -> F64:
+        """(3, 3) world_from_rig: the attitude with the mounting correction."""
+        return self.R @ so3_exp(self.core[MOUNT])
+
+    def clone_at(self, index: int) -> slice:
+        """Rows of a clone."""
+        start = CORE + CLONE * index
+        return slice(start, start + CLONE)
+
+    def point_at(self, index: int) -> slice:
+        """Rows of a point."""
+        start = CORE + CLONE * len(self.clones) + POINT * index
+        return slice(start, start + POINT)
+
+    def add_clone(self) -> None:
+        """Copy the present rig pose into the state behind the other clones."""
+        J = np.zeros((CLONE, len(self.P)))
+        J[0:3, ATT], J[0:3, MOUNT], J[3:6, POS] = np.eye(3), self.R, np.eye(3)
+        at = CORE + CLONE * len(self.clones)
+        self.P = _insert(self.P, at, J @ self.P, J @ self.P @ J.T)
+        R, p = self.rig, self.core[POS].copy()
+        self.clones.append(Clone(self.t_ns, R, p, R, p))
+
+    def add_point(self, point: Point, cross: F64, covariance: F64) -> None:
+        """Append a point: `cross` (3, n) is its covariance with the state, `covariance` (3, 3) its own."""
+        self.P = _insert(self.P, len(self.P), cross, covariance)
+        self.points.append(point)
+
+    def drop(self, clones: Sequence[int] = (), points: Sequence[int] = ()) -> None:
+        """Marginalise clones and points by index."""
+        rows = [np.arange(len(self.P))[self.clone_at(i)] for i in clones]
+        rows += [np.arange(len(self.P))[self.point_at(i)] for i in points]
+        if rows:
+            keep = np.ones(len(self.P), bool)
+            keep[np.concatenate(rows)] = False
+            self.P = np.ascontiguousarray(self.P[np.ix_(keep, keep)])
+        self.clones = [c for i, c in enumerate(self.clones) if i not in set(clones)]
+        self.points = [x for i, x in enumerate(self.points) if i not in set(points)]
+
+    def update(self, residual: F64, H: F64, noise: F64) -> None:
+        """Correct by a measurement `residual = H error + noise`; `noise` (m,) variances or (m, m)."""
+        PHt = self.P @ H.T
+        S = H @ PHt + (np.diag(noise) if noise.ndim == 1 else noise)
+        K = np.linalg.solve(S, PHt.T).T
+        self.P -= K @ PHt.T
+        self.P = (self.P + self.P.T) / 2.0
+        self._correct(K @ residual)
+
+    def _correct(self, error: F64) -> None:
+        self.R = so3_exp(error[ATT]) @ self.R
+        self.core[3:] += error[3:CORE]
+        for i, c in enumerate(self.clones):
+            e = error[self.clone_at(i)]
+            c.R, c.p = so3_exp(e[:3]) @ c.R, c.p + e[3:]
+        for i, x in enumerate(self.points):
+            x.x = x.x + error[self.point_at(i)]
+
+
+def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:
+    k, n = len(own), len(P)
+    out = np.empty((n + k, n + k))
+    old = np.r_[0:at, at + k : n + k]
+    out[np.ix_(old, old)] = P
+    out[at : at + k, old], out[np.ix_(old, np.arange(at, at + k))] = cross, cross.T
+    out[at : at + k, at : at + k] = own
+    return out

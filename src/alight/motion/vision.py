@@ -1,0 +1,88 @@
+"""What a camera of the rig measures of a point, its Jacobians, and points out of rays (docs/method-motion.md, M11-M13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.geometry import Pose
+from alight.records import F64
+
+
+@dataclass(frozen=True, eq=False)
+class Ray:
+    """One sight of a point: from which rig pose, by which camera, where."""
+
+    R: F64  # (3, 3) world_from_rig
+    p: F64  # (3,) m
+    rig_from_cam: Pose
+    normalised: F64  # (2,)
+
+
+def project(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
+    """Return the normalised coordinates (..., 2) of world points (..., 3) in one camera (M11)."""
+    q = ((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation
+    return np.asarray(q[..., :2] / q[..., 2:3])
+
+
+def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
+    """Return the Jacobians of `project` by the rig's (rotation, position), (..., 2, 6), and by the point (..., 2, 3).
+
+    With d = x - p and C = cam_from_world: d(q) = C (dx - dp + [d]x theta), theta the rotation error in the world.
+    """
+    cam_from_world = rig_from_cam.rotation.T @ R.T
+    d = x - p
+    q = (d @ R - rig_from_cam.translation) @ rig_from_cam.rotation
+    w = 1.0 / q[..., 2]
+    J = np.zeros((*x.shape[:-1], 2, 3))
+    J[..., 0, 0] = J[..., 1, 1] = w
+    J[..., 0, 2], J[..., 1, 2] = -q[..., 0] * w**2, -q[..., 1] * w**2
+    by_point = J @ cam_from_world
+    by_pose = np.concatenate([by_point @ skews(d), -by_point], axis=-1)
+    return by_pose, by_point
+
+
+def skews(v: F64) -> F64:
+    """Return the (..., 3, 3) cross-product matrices of (..., 3) vectors."""
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return out
+
+
+def depth(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> float:
+    """Return the distance along the optical axis, metres."""
+    return float((((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation)[2])
+
+
+def triangulate(rays: Sequence[Ray], sigma: float, iterations: int = 4) -> tuple[F64, F64] | None:
+    """Find the point that the rays meet at, and its (3, 3) covariance for exact poses (M12); None: they do not.
+
+    Args:
+        sigma: 1-sigma of a normalised coordinate.
+    """
+    x = _meet(rays)
+    for _ in range(iterations):
+        if x is None or any(depth(r.R, r.p, r.rig_from_cam, x) < 0.1 for r in rays):
+            return None
+        H = np.vstack([jacobians(r.R, r.p, r.rig_from_cam, x)[1] for r in rays])
+        e = np.concatenate([r.normalised - project(r.R, r.p, r.rig_from_cam, x) for r in rays])
+        N = H.T @ H
+        if np.linalg.cond(N) > 1e10:
+            return None
+        x = x + np.linalg.solve(N, H.T @ e)
+    return None if x is None else (x, np.linalg.inv(N) * sigma**2)
+
+
+def _meet(rays: Sequence[Ray]) -> F64 | None:
+    """The point nearest to all rays in the least-squares sense."""
+    N, y = np.zeros((3, 3)), np.zeros(3)
+    for r in rays:
+        u = r.R @ r.rig_from_cam.rotation @ np.append(r.normalised, 1.0)
+        u /= np.linalg.norm(u)
+        A = np.eye(3) - np.outer(u, u)
+        N += A
+        y += A @ (r.R @ r.rig_from_cam.translation + r.p)
+    return np.linalg.solve(N, y) if np.linalg.cond(N) < 1e10 else None
