@@ -55,7 +55,7 @@ def tum_line(t_ns: int, pose: Pose) -> str:
 
 
 def camchain(size: NDArray[np.int64], params: NDArray[np.float64]) -> str:
-    """The reference's lens as Kalibr writes it; COLMAP counts the principal point from the corner: half a pixel less."""
+    """The reference's lens as Kalibr writes it; COLMAP counts pixels from the corner: half a pixel less."""
     fx, fy, cx, cy, *distortion = (float(v) for v in params)
     entry = {
         "camera_model": "pinhole",
@@ -64,7 +64,7 @@ def camchain(size: NDArray[np.int64], params: NDArray[np.float64]) -> str:
         "distortion_coeffs": distortion,
         "resolution": [int(v) for v in size],
     }
-    return yaml.safe_dump({"cam0": entry}, sort_keys=False)
+    return str(yaml.safe_dump({"cam0": entry}, sort_keys=False))
 
 
 def main() -> None:

@@ -1,0 +1,31 @@
+"""Fixtures shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from damage import write_flight, write_photos
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings that is not part of the project; tests that need it are skipped without it."""
+    folder = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no recordings in {folder}: set ALIGHT_DATA to their folder")
+    return folder
+
+
+@pytest.fixture
+def flight(tmp_path: Path) -> Path:
+    """A tiny healthy flight log with two cameras, nav0, imu0 and truth."""
+    return write_flight(tmp_path / "flight")
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    """A tiny healthy folder of photos as DJI writes them."""
+    return write_photos(tmp_path / "survey")
