@@ -124,7 +124,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
         "height_above_ground_m": None if height is None else vectors.number(height, 3),
         "counts": dict(result.counts),
         "notes": dict(result.notes),
-        "warnings": list(result.warnings),
+        "warnings": report.warnings(result),
         "time": timing_summary(result.timings),
         "not_written": dict(missing),
         "settings": result.settings.model_dump(mode="json"),

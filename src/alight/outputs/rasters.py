@@ -15,21 +15,11 @@ from rasterio.io import MemoryFile
 
 from alight.geometry import Grid, LocalFrame
 from alight.records import F32, REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
+from alight.report.paint import TERRAIN_COLOURS, rgb
 
 EARTH_RADIUS = 6371008.8  # metres, mean
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
-TERRAIN_COLOURS: Mapping[Terrain, tuple[int, int, int]] = {
-    Terrain.UNKNOWN: (0, 0, 0),
-    Terrain.BARE: (201, 173, 134),
-    Terrain.SHORT_GRASS: (155, 205, 98),
-    Terrain.TALL_VEGETATION: (79, 138, 58),
-    Terrain.TREE: (24, 84, 42),
-    Terrain.WATER: (47, 120, 190),
-    Terrain.ROCK: (126, 104, 92),
-    Terrain.PAVED: (176, 178, 184),
-    Terrain.STRUCTURE: (196, 67, 56),
-}
 FLAG_MEANING: Mapping[Flag, str] = {
     Flag.UNSEEN: "fewer than two views see the cell",
     Flag.TEXTURE: "too little texture to match",
@@ -100,7 +90,7 @@ def flags(elevation: ElevationMap) -> Raster:
 def terrain(terrain_map: TerrainMap) -> Raster:
     """Class codes with their names and colours."""
     tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
-    colours = {t.value: (*rgb, 0 if t == Terrain.UNKNOWN else 255) for t, rgb in TERRAIN_COLOURS.items()}
+    colours = {t.value: (*rgb(colour), 255) for t, colour in TERRAIN_COLOURS.items()} | {0: (0, 0, 0, 0)}
     return Raster(terrain_map.label[None], ("terrain class",), nodata=0, tags=tags, colours=colours, resampling="MODE")
 
 

@@ -1,8 +1,55 @@
-"""The page a person opens first."""
+"""The page a person opens first: the answer, the pictures, the numbers, the warnings. Self-contained, no script."""
 
+from __future__ import annotations
+
+import jinja2
+
+from alight import __version__
 from alight.records import RunResult
+from alight.report import canvas, facts, figures
+from alight.report.facts import warnings
+from alight.report.figures import Figure
+from alight.report.maps import maps
+
+__all__ = ["render", "warnings"]
+
+_TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("alight", "report"),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    undefined=jinja2.StrictUndefined,
+)
+
+
+def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
+    """The overview, what stands beside it and what below."""
+    elevation = result.elevation
+    window = canvas.whole(elevation) if elevation is not None else None
+    if elevation is None or window is None:
+        return None, [], []
+    overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
+    below = maps(result, elevation, window)
+    if not closeups and result.hazards is not None:  # no site: the reasons are the answer
+        return overview, below[:1], below[1:]
+    return overview, closeups, below
 
 
 def render(result: RunResult) -> str:
-    """One self-contained page."""
-    return f"<!doctype html><title>{result.source_name}</title>"
+    """Return one run as a single HTML page with its pictures inside; it needs neither network nor script."""
+    overview, beside, below = _pictures(result)
+    return _TEMPLATES.get_template("page.html.j2").render(
+        version=__version__,
+        result=result,
+        answer=facts.answer(result),
+        overview=overview,
+        beside=beside,
+        below=below,
+        warnings=warnings(result),
+        columns=facts.SITE_COLUMNS,
+        rows=facts.site_rows(result),
+        facts=facts.run_facts(result),
+        times=facts.times(result.timings),
+        missing=dict(result.not_written),
+        settings=result.settings.to_yaml(),
+    )

@@ -1,0 +1,100 @@
+"""The part of the map that a picture shows: crop, size on the page, world to page, and the picture's bytes."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid
+from alight.records import U8, ElevationMap
+
+WIDTH = 1000.0  # of every picture, in page units; heights follow
+PIXELS = 1400  # most pixels of a picture's longer side
+QUALITY = 84
+SHORTEST, TALLEST = 0.35, 1.6  # height over width of a picture; the crop grows to fit
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A window of the map's cells, shown `WIDTH` units wide. Cells outside the map are transparent."""
+
+    grid: Grid  # of the window
+    row: int  # of the window's first cell in the map, may be negative
+    col: int
+
+    @property
+    def height(self) -> float:
+        """Page units."""
+        return WIDTH * self.grid.rows / self.grid.cols
+
+    @property
+    def per_metre(self) -> float:
+        """Page units a metre."""
+        return WIDTH / (self.grid.cols * self.grid.cell)
+
+    def xy(self, east: float, north: float) -> tuple[float, float]:
+        """World to page."""
+        row, col = self.grid.index(np.asarray(east), np.asarray(north))
+        unit = WIDTH / self.grid.cols
+        return round(float(col + 0.5) * unit, 2), round(float(row + 0.5) * unit, 2)
+
+    def cut(self, array: NDArray[Any]) -> NDArray[Any]:
+        """The window of a map array, zeros outside the map."""
+        out = np.zeros((*self.grid.shape, *array.shape[2:]), array.dtype)
+        r0, c0 = max(self.row, 0), max(self.col, 0)
+        r1, c1 = min(self.row + self.grid.rows, array.shape[0]), min(self.col + self.grid.cols, array.shape[1])
+        if r1 > r0 and c1 > c0:
+            out[r0 - self.row : r1 - self.row, c0 - self.col : c1 - self.col] = array[r0:r1, c0:c1]
+        return out
+
+    def uri(self, rgba: U8) -> str:
+        """A full-map RGBA picture as the data of this window's image, no larger than a page needs."""
+        return data_uri(shrink(self.cut(rgba)))
+
+
+def whole(elevation: ElevationMap) -> Canvas | None:
+    """The canvas that shows everything seen; None where nothing was."""
+    seen = elevation.views > 0
+    if not seen.any():
+        return None
+    rows, cols = (np.flatnonzero(seen.any(axis=a)) for a in (1, 0))
+    return _canvas(elevation.grid, int(rows[0]), int(cols[0]), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1)
+
+
+def about(grid: Grid, east: float, north: float, radius: float) -> Canvas:
+    """The square canvas that shows `radius` metres about a place."""
+    row, col = (round(float(v)) for v in grid.index(np.asarray(east), np.asarray(north)))
+    n = max(4, round(radius / grid.cell))
+    return _canvas(grid, row - n, col - n, 2 * n + 1, 2 * n + 1)
+
+
+def _canvas(grid: Grid, row: int, col: int, rows: int, cols: int) -> Canvas:
+    tall, wide = max(rows, round(cols * SHORTEST)), max(cols, round(rows / TALLEST))
+    row, col = row - (tall - rows) // 2, col - (wide - cols) // 2
+    return Canvas(grid.window(row, col, tall, wide), row, col)
+
+
+def shrink(rgba: U8, longest: int = PIXELS) -> U8:
+    """Make a picture small enough for a page, averaging by area with its transparency."""
+    scale = longest / max(rgba.shape[:2])
+    if scale >= 1:
+        return rgba
+    size = (max(1, round(rgba.shape[1] * scale)), max(1, round(rgba.shape[0] * scale)))
+    weighted = rgba.astype(np.float32)
+    weighted[..., :3] *= weighted[..., 3:] / 255
+    small = cv2.resize(weighted, size, interpolation=cv2.INTER_AREA)
+    small[..., :3] *= 255 / np.maximum(small[..., 3:], 1)
+    return np.asarray(np.clip(np.rint(small), 0, 255), dtype=np.uint8)
+
+
+def data_uri(rgba: U8) -> str:
+    """A picture as text to embed."""
+    done, data = cv2.imencode(".webp", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+    if not done:
+        raise ValueError("the picture cannot be encoded")
+    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()

@@ -1,0 +1,148 @@
+"""What a picture of the page is, and the first ones: the ground from above and the best site from near."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import ElevationMap, RunResult
+from alight.report import canvas, paint, words
+from alight.report.canvas import Canvas
+
+
+@dataclass(frozen=True)
+class Key:
+    """One colour of a legend."""
+
+    colour: str
+    text: str
+    share: str = ""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A colour ramp with its ends."""
+
+    colours: Sequence[str]
+    low: str
+    middle: str
+    high: str
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One site on a picture, page units."""
+
+    x: float
+    y: float
+    r: float  # footprint
+    room: float  # largest safe disc
+    rank: int
+    place: str
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A scale bar."""
+
+    length: float  # page units
+    text: str
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One picture with all that belongs to it."""
+
+    title: str
+    alt: str
+    uri: str
+    height: float  # page units, of 1000 across
+    marks: Sequence[Mark] = ()
+    bar: Bar | None = None
+    caption: str = ""
+    keys: Sequence[Key] = ()
+    scale: Scale | None = None
+    flown: str = ""  # SVG points of the flight path
+    route: str = ""  # SVG points of the way to the site
+    classes: Sequence[str] = ()
+
+
+def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
+    """The longest of 1, 2, 5 times a power of ten that is at most `share` of the picture."""
+    longest = share * canvas.WIDTH / c.per_metre
+    power = 10.0 ** math.floor(math.log10(longest))
+    length = power * max(m for m in (1, 2, 5) if m * power <= longest)
+    return Bar(round(length * c.per_metre, 2), f"{length:g} m" if length >= 1 else f"{length * 100:g} cm")
+
+
+def marks(result: RunResult, c: Canvas) -> list[Mark]:
+    """The sites on a picture, the best one last so that it lies on top."""
+    radius = result.settings.lander.radius * c.per_metre
+    out = []
+    for s in sorted(result.sites.sites, key=lambda s: -s.rank):
+        x, y = c.xy(s.east, s.north)
+        room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
+        out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s)))
+    return out
+
+
+def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
+    return " ".join("{},{}".format(*c.xy(float(p[0]), float(p[1]))) for p in positions)
+
+
+def _explain(result: RunResult) -> list[str]:
+    """Sentences for what is drawn on the overview, and for nothing else."""
+    lines = (
+        ["Solid circle: the lander's footprint; dotted: the largest safe disc about it."] if result.sites.sites else []
+    )
+    lines += ["White line: the flight."] if result.motions else []
+    return lines + (["Green dashes: the way to site 1."] if result.route else [])
+
+
+def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
+    """What the cameras saw, with sites, flight path and route."""
+    n = len(result.sites.sites)
+    return Figure(
+        title="The ground from above",
+        alt=f"Orthophoto, north up, with {n} numbered landing site{'s' * (n != 1)}",
+        uri=c.uri(paint.ortho(elevation)),
+        height=round(c.height, 1),
+        marks=marks(result, c),
+        bar=scale_bar(c),
+        flown=_points(c, [m.world_from_body.translation for m in result.motions]),
+        route=_points(c, [w.position_world for w in result.route.waypoints]) if result.route else "",
+        caption=" ".join(_explain(result)),
+        classes=("big",),
+    )
+
+
+def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
+    """The best site from near: photo and relief, so that a person can check with the eye."""
+    if not result.sites.sites:
+        return []
+    best = min(result.sites.sites, key=lambda s: s.rank)
+    radius = result.settings.lander.radius
+    c = canvas.about(elevation.grid, best.east, best.north, max(3.2 * radius, radius + 3.0))
+    near = c.cut(np.where(elevation.trusted, elevation.height, np.nan).astype(np.float32))
+    low, high = paint.span(near[near != 0], 1, 99)
+    common: dict[str, Any] = {
+        "height": round(c.height, 1),
+        "marks": marks(result, c),
+        "bar": scale_bar(c),
+        "classes": ("near",),
+    }
+    return [
+        Figure("Site 1, the photo", "Orthophoto of the best site", c.uri(paint.ortho(elevation)), **common),
+        Figure(
+            "Site 1, the relief",
+            "Shaded heights of the best site",
+            c.uri(paint.heights(elevation, low, high)),
+            caption=f"colours span {words.metres(high - low)} of height",
+            **common,
+        ),
+    ]

@@ -1,0 +1,144 @@
+"""Maps as pictures: RGBA of the whole grid, transparent where there is nothing to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, Terrain
+
+Colour = tuple[int, int, int]
+Ramp = Sequence[str]
+
+HEIGHT_RAMP: Ramp = ("#2c5c74", "#4f9a8c", "#a9c77b", "#efd98f", "#dc9a66", "#f7ebe1")
+SIGMA_RAMP: Ramp = ("#fff3dc", "#fdc58a", "#ee7b4c", "#b6272c", "#5c0a24")
+SAFE_RAMP: Ramp = ("#7d3c05", "#c58a3d", "#f2e3bd", "#7cc4b4", "#02655c")
+
+SAFE_COLOUR = "#12a37a"
+HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of telling: the first that holds is shown
+    Hazard.TERRAIN: "#2878b5",
+    Hazard.STEP: "#d1495b",
+    Hazard.SLOPE: "#ed8b2f",
+    Hazard.ROUGHNESS: "#c77bb0",
+    Hazard.CLEARANCE: "#f0dc4e",
+    Hazard.UNKNOWN: "#9aa3ad",
+    Hazard.EDGE: "#545b63",
+}
+FLAG_COLOURS: Mapping[Flag, str] = {
+    Flag.MOVING: "#2878b5",
+    Flag.INCONSISTENT: "#d1495b",
+    Flag.AMBIGUOUS: "#ed8b2f",
+    Flag.TEXTURE: "#c77bb0",
+    Flag.SATURATED: "#f0dc4e",
+    Flag.RANGE: "#7a5c3e",
+    Flag.OUTLIER: "#6d4fa3",
+    Flag.STEP: "#8fd0c0",
+    Flag.UNSEEN: "#9aa3ad",
+}
+TERRAIN_COLOURS: Mapping[Terrain, str] = {
+    Terrain.BARE: "#c9ad86",
+    Terrain.SHORT_GRASS: "#9bcd62",
+    Terrain.TALL_VEGETATION: "#4f8a3a",
+    Terrain.TREE: "#18542a",
+    Terrain.WATER: "#2f78be",
+    Terrain.ROCK: "#7e685c",
+    Terrain.PAVED: "#b0b2b8",
+    Terrain.STRUCTURE: "#c44338",
+}
+
+
+def rgb(colour: str) -> Colour:
+    """`#rrggbb` as three numbers."""
+    r, g, b = bytes.fromhex(colour.lstrip("#"))
+    return r, g, b
+
+
+def ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) -> NDArray[np.float32]:
+    """Colours (..., 3) of values between low and high; NaN takes the lowest."""
+    anchors = np.array([rgb(c) for c in colours], dtype=np.float32)
+    t = np.nan_to_num((values - low) / max(high - low, 1e-9)).clip(0, 1) * (len(anchors) - 1)
+    at = np.arange(len(anchors))
+    return np.stack([np.interp(t, at, anchors[:, i]) for i in range(3)], axis=-1).astype(np.float32)
+
+
+def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
+    """Colours (R, C, 3) with what is not `shown` transparent."""
+    alpha = np.where(shown, 255, 0)[..., None]
+    return np.concatenate([np.clip(colours, 0, 255), alpha], axis=-1).astype(np.uint8)
+
+
+def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
+    """The range a colour scale covers: percentiles, so that one wild cell does not flatten the picture."""
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return 0.0, 1.0
+    a, b = np.percentile(known, [low, high])
+    return float(a), float(max(b, a + 1e-3))
+
+
+def _smooth(height: F32, known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """A little smoothing over the known cells only: noise of a few centimetres drowns the relief otherwise."""
+    blur = (0, 0), 1.2
+    weight = cv2.GaussianBlur(known.astype(np.float32), *blur)
+    total = cv2.GaussianBlur(np.where(known, height, 0).astype(np.float32), *blur)
+    return np.asarray(total / np.maximum(weight, 1e-3), dtype=np.float32)
+
+
+def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
+    """Light from the north-west at 45 degrees on the relief, (R, C), about 0.4 to 1.15; 1 on the flat."""
+    down, right = np.gradient(_smooth(height, known), cell)
+    nx, ny = -right, down  # east, north parts of the upward normal
+    light = (-nx + ny + np.sqrt(2.0)) / np.sqrt(2.0 * (1 + nx**2 + ny**2))
+    edge = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0
+    return np.where(edge, 1.0, 0.45 + 0.55 * np.clip(light, 0, 1.3)).astype(np.float32)
+
+
+def heights(elevation: ElevationMap, low: float, high: float) -> U8:
+    """Heights by colour and light."""
+    known = elevation.trusted
+    shade = hillshade(elevation.height, known, elevation.grid.cell)
+    return rgba(ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
+
+
+def sigma(elevation: ElevationMap, high: float) -> U8:
+    """1-sigma of the heights that are given out."""
+    return rgba(ramp(elevation.sigma, 0.0, high, SIGMA_RAMP), elevation.trusted)
+
+
+def safe(hazards: HazardMap) -> U8:
+    """Probability of a safe touchdown."""
+    return rgba(ramp(hazards.p_safe, 0.0, 1.0, SAFE_RAMP), np.isfinite(hazards.p_safe))
+
+
+def ortho(elevation: ElevationMap) -> U8:
+    """What the cameras saw."""
+    return rgba(elevation.rgb, elevation.views > 0)
+
+
+def over_ground(
+    colours: NDArray[Any], elevation: ElevationMap, painted: NDArray[np.bool_] | None = None, strength: float = 0.72
+) -> U8:
+    """Colours laid over the grey of the ground where `painted`, so that a person knows the place again."""
+    grey = cv2.cvtColor(elevation.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    low, high = span(grey[elevation.views > 0], 2, 98)
+    ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1)[..., None] * 255
+    share = np.full(grey.shape, strength) if painted is None else np.where(painted, strength, 0.0)
+    return rgba(share[..., None] * colours + (1 - share[..., None]) * ground, elevation.views > 0)
+
+
+def first_reason(bits: NDArray[Any], order: Sequence[int]) -> NDArray[np.int8]:
+    """Index in `order` of the first bit that is set in each cell; -1 where none is."""
+    first = np.full(bits.shape, -1, np.int8)
+    for i, bit in reversed(list(enumerate(order))):
+        first[(bits & bits.dtype.type(bit)) != 0] = i
+    return first
+
+
+def by_index(index: NDArray[Any], colours: Sequence[str], none: str) -> NDArray[np.float32]:
+    """Colours (R, C, 3) of indices; -1 takes `none`."""
+    table: NDArray[np.float32] = np.array([*(rgb(c) for c in colours), rgb(none)], dtype=np.float32)
+    return np.asarray(table[index])

@@ -1,0 +1,69 @@
+"""Numbers as people say them."""
+
+from __future__ import annotations
+
+import math
+
+from alight.records import RunResult, Site
+
+UNKNOWN = "unknown"
+
+
+def metres(value: float) -> str:
+    """4 cm, 32 cm, 6.3 m."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if abs(value) < 0.0095:
+        return f"{value * 100:.1f} cm"
+    return f"{value * 100:.0f} cm" if abs(value) < 0.995 else f"{value:.1f} m"
+
+
+def angle(value: float) -> str:
+    """Radians as degrees."""
+    return f"{math.degrees(value):.1f}°" if math.isfinite(value) else UNKNOWN
+
+
+def bearing(value: float) -> str:
+    """A heading as three figures."""
+    return f"{round(math.degrees(value)) % 360:03d}°" if math.isfinite(value) else UNKNOWN
+
+
+def percent(value: float) -> str:
+    """A share; never rounded up to certainty, nor down to nothing."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if 0 < value < 0.0005:
+        return "< 0.1 %"
+    if 0.9995 < value < 1:
+        return "> 99.9 %"
+    return f"{value * 100:.0f} %" if value in (0.0, 1.0) else f"{value * 100:.1f} %"
+
+
+def seconds(value: float) -> str:
+    """4.2 ms, 1.25 s, 2 min 5 s."""
+    if value < 1:
+        return f"{value * 1e3:.3g} ms"
+    return f"{value:.3g} s" if value < 99.5 else f"{value // 60:.0f} min {value % 60:.0f} s"
+
+
+def place(result: RunResult, site: Site) -> str:
+    """Where a site is: geographic, or from the origin where the place on Earth is unknown."""
+    if not result.georeferenced:
+        ew, ns = ("east" if site.east >= 0 else "west"), ("north" if site.north >= 0 else "south")
+        return f"{abs(site.east):.1f} m {ew}, {abs(site.north):.1f} m {ns} of the origin"
+    latitude, longitude, _ = result.local.to_geodetic([site.east, site.north, site.up])
+    ns, ew = ("N" if latitude >= 0 else "S"), ("E" if longitude >= 0 else "W")
+    return f"{abs(float(latitude)):.6f}°\N{NO-BREAK SPACE}{ns}, {abs(float(longitude)):.6f}°\N{NO-BREAK SPACE}{ew}"
+
+
+def geo_uri(result: RunResult, site: Site) -> str:
+    """The place as a link that map programs open; empty where the place on Earth is unknown."""
+    if not result.georeferenced:
+        return ""
+    latitude, longitude, _ = result.local.to_geodetic([site.east, site.north, site.up])
+    return f"geo:{float(latitude):.7f},{float(longitude):.7f}"
+
+
+def ground(name: str) -> str:
+    """SHORT_GRASS as 'short grass'."""
+    return name.lower().replace("_", " ")
