@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 import pytest
-
 from damage import write_flight, write_photos
 
 

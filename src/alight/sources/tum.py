@@ -11,6 +11,7 @@ from alight.geometry import LocalFrame, Pose
 from alight.records import InputError
 from alight.sources.source import Trajectory
 
+FAR = 200_000.0  # m; an aircraft's local frame ends long before: beyond it the numbers are of another system
 HINT = "each line needs: seconds x y z qx qy qz qw"
 
 
@@ -19,8 +20,8 @@ def _line(text: str) -> tuple[int, Pose]:
     # decimal: a float64 of seconds since 1970 has a grain of 240 ns, and poses are found by their exact time
     t_ns = int((Decimal(stamp) * 1_000_000_000).to_integral_value())
     x, y, z, qx, qy, qz, qw = (float(v) for v in rest)
-    if not np.isfinite([x, y, z]).all():
-        raise ValueError("a position that is not finite")
+    if not np.isfinite([x, y, z]).all() or abs(t_ns) >= 2**63:
+        raise ValueError("a number out of range")
     return t_ns, Pose.from_quaternion([qw, qx, qy, qz], [x, y, z])
 
 
@@ -28,7 +29,8 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
     """Read body poses in the world (ENU about `local`), times to the nanosecond.
 
     Raises:
-        InputError: no such file, no pose in it, a malformed line, or time that does not rise.
+        InputError: no such file, no pose in it, a malformed line, time that does not rise, or positions that are
+            no local ones (UTM, ECEF).
     """
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
@@ -43,6 +45,11 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
             t, pose = _line(line)
         except (ValueError, InvalidOperation, OverflowError) as e:
             raise InputError(f"{path}, line {number}: no pose; {HINT}") from e
+        if np.abs(pose.translation).max() > FAR:
+            origin = f"latitude {local.latitude:g}, longitude {local.longitude:g}"
+            raise InputError(
+                f"{path}, line {number}: far from everything; write east, north, up in metres from {origin}"
+            )
         if times and t <= times[-1]:
             raise InputError(f"{path}, line {number}: time does not rise; put the lines in order of time")
         times.append(t)

@@ -1,0 +1,422 @@
+"""Photo folders: tags of several makers, calibration, order, and folders damaged in named ways."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import damage as d
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from alight.geometry import LocalFrame, enu_from_flu, so3_log
+from alight.records import Event, Frame, InputError, NavSample
+from alight.settings import Settings, load
+from alight.sources import Source, open_source
+from alight.sources.photo_pose import BODY_FROM_CAM
+from alight.sources.photo_tags import parse_xmp
+
+
+def opened(path: Path, *assignments: str) -> Source:
+    return open_source(path, load("", assignments))
+
+
+def of_kind(source: Source, kind: type[Event]) -> list[Any]:
+    return [e for e in source.events() if isinstance(e, kind)]
+
+
+def names(source: Source) -> list[str]:
+    return [f.name for f in of_kind(source, Frame)]
+
+
+def test_healthy_folder(photos: Path) -> None:
+    source = opened(photos)
+    events = list(source.events())
+    assert [type(e) for e in events] == [NavSample, Frame] * 4
+    assert [e.t_ns for e in events[::2]] == [e.t_ns for e in events[1::2]]
+    assert (source.name, source.kind, source.length, source.georeferenced) == ("survey", "photos", 4, True)
+    assert (source.warnings, source.truth_trajectory) == ([], None)
+    assert source.local == LocalFrame(45.000045, 7.6, 305.0)
+    assert source.notes["gps"] == {"RTK fixed": 4}
+    assert source.notes["attitude_from"] == {"gimbal": 4}
+    nav = events[2]
+    assert nav.position_world[2] == pytest.approx(45, abs=1e-3)
+    assert nav.position_world[1] == pytest.approx(-1.5e-5 * 111_140, abs=0.02)
+    np.testing.assert_allclose(nav.sigma_position, [0.02, 0.015, 0.03])
+    assert events[3].images[0].shape == (48, 64, 3)
+
+
+def test_looking_down_with_the_top_of_the_image_to_the_east(photos: Path) -> None:
+    """Gimbal pitch -90, yaw 90."""
+    nav = of_kind(opened(photos), NavSample)[0]
+    world_from_cam = nav.world_from_body @ BODY_FROM_CAM.rotation
+    np.testing.assert_allclose(world_from_cam @ [0, 0, 1], [0, 0, -1], atol=1e-12)  # the optical axis
+    np.testing.assert_allclose(world_from_cam @ [0, -1, 0], [1, 0, 0], atol=1e-12)  # up in the image
+    np.testing.assert_allclose(world_from_cam @ [1, 0, 0], [0, -1, 0], atol=1e-12)  # right in the image
+
+
+def test_looking_at_the_horizon_is_the_body_itself(tmp_path: Path) -> None:
+    tags = d.xmp_packet(d.dji_tags(GimbalPitchDegree="0.0", GimbalYawDegree="0.0"))
+    d.write_photo(tmp_path / "a.jpg", xmp=tags)
+    source = opened(tmp_path)
+    nav = of_kind(source, NavSample)[0]
+    world_from_cam = nav.world_from_body @ source.rig.cameras[0].body_from_cam.rotation
+    np.testing.assert_allclose(world_from_cam @ [0, 0, 1], [0, 1, 0], atol=1e-12)  # north
+    np.testing.assert_allclose(world_from_cam @ [0, -1, 0], [0, 0, 1], atol=1e-12)
+
+
+def test_xmp_as_elements(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "a.JPEG", xmp=d.xmp_packet(d.dji_tags(), elements=True))
+    d.write_photo(tmp_path / "b.JPEG", second="14")
+    first, second = of_kind(opened(tmp_path), NavSample)
+    np.testing.assert_array_equal(first.world_from_body, second.world_from_body)
+    np.testing.assert_array_equal(first.sigma_position, second.sigma_position)
+
+
+@pytest.mark.parametrize(("make", "sign"), [("Parrot", 1), ("senseFly", -1)])
+def test_pix4d_names(tmp_path: Path, make: str, sign: int) -> None:
+    """Camera:Yaw, Pitch, Roll of zero look down with the top to the north; pitch 90 looks ahead."""
+    tags = {"Yaw": "30", "Pitch": "20", "Roll": "10"}
+    photo = {41989: 28}
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(tags, d.PIX4D), main={271: make}, photo=photo)
+    source = opened(tmp_path)
+    (nav,) = of_kind(source, NavSample)
+    craft = enu_from_flu(math.radians(30), math.radians(20), math.radians(sign * 10))
+    np.testing.assert_allclose(
+        (nav.world_from_body @ BODY_FROM_CAM.rotation) @ [0, 0, 1], craft @ [0, 0, -1], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        (nav.world_from_body @ BODY_FROM_CAM.rotation) @ [0, -1, 0], craft @ [1, 0, 0], atol=1e-12
+    )
+    assert source.notes["attitude_from"] == {"camera": 1}
+
+
+def test_flight_attitude_where_there_is_no_gimbal(tmp_path: Path) -> None:
+    xmp = d.xmp_packet(d.dji_tags(GimbalYawDegree=""))
+    d.write_photo(tmp_path / "a.jpg", xmp=xmp)
+    source = opened(tmp_path)
+    (nav,) = of_kind(source, NavSample)
+    craft = enu_from_flu(math.radians(91), math.radians(1), math.radians(-2))
+    np.testing.assert_allclose(nav.world_from_body @ [1, 0, 0], craft @ [0, 0, -1], atol=1e-12)
+    assert "no gimbal angles: a camera fixed to look down is assumed" in source.warnings[0]
+    np.testing.assert_allclose(nav.sigma_attitude, [0.05, 0.05, 0.1])
+
+
+def test_no_attitude_at_all(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "a.jpg", xmp=b"", photo={41989: 28})
+    source = opened(tmp_path)
+    (nav,) = of_kind(source, NavSample)
+    assert nav.world_from_body is None
+    assert nav.sigma_attitude is None
+    assert nav.position_world is not None
+    assert "say nothing about where the camera looked" in source.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"RtkFlag": "50", "RtkStdLon": "0.001"}, [0.01, 0.015, 0.03]),
+        ({"RtkFlag": "34"}, [0.5, 0.5, 0.5]),
+        ({"RtkFlag": "16"}, [3, 3, 5]),
+        ({"RtkFlag": ""}, [3, 3, 5]),
+        ({"RtkStdHgt": ""}, [3, 3, 5]),
+        ({"RtkStdHgt": "n/a"}, [3, 3, 5]),
+    ],
+)
+def test_position_sigma(tmp_path: Path, changes: dict[str, str], expected: list[float]) -> None:
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(d.dji_tags(**changes)))
+    source = opened(tmp_path)
+    np.testing.assert_allclose(of_kind(source, NavSample)[0].sigma_position, expected)
+    assert ("height_note" in source.notes) == (changes.get("RtkFlag", "50") != "50")
+
+
+@pytest.mark.parametrize("place", [(-33.5, -70.25, 800.0), (45.0, 7.6, 350.0)])
+def test_hemispheres(tmp_path: Path, place: tuple[float, float, float]) -> None:
+    d.write_photo(tmp_path / "a.jpg", place=place, xmp=b"", photo={41989: 28})
+    local = opened(tmp_path).local
+    assert (local.latitude, local.longitude, local.height) == pytest.approx((place[0], place[1], place[2] - 50))
+
+
+def test_place_from_xmp_alone(tmp_path: Path) -> None:
+    tags = d.dji_tags(GpsLatitude="45.5", GpsLongtitude="7.5")
+    d.write_photo(tmp_path / "a.jpg", place=None, xmp=d.xmp_packet(tags))
+    local = opened(tmp_path).local
+    assert (local.latitude, local.longitude) == (45.5, 7.5)
+
+
+def test_exif_altitude_left_at_zero_by_the_maker(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "a.jpg", place=(45.0, 7.6, 0.0))
+    assert of_kind(opened(tmp_path), NavSample)[0].position_world[2] == pytest.approx(45)
+
+
+# -- order and choice
+
+
+def test_order_is_that_of_capture(tmp_path: Path) -> None:
+    """Not that of names; photos of one second share it out, subseconds count."""
+    d.write_photo(tmp_path / "a.jpg", second="30")
+    d.write_photo(tmp_path / "b.jpg", second="10", subsecond="90")
+    d.write_photo(tmp_path / "c.jpg", second="10", subsecond="10")
+    d.write_photo(tmp_path / "e.jpg", second="20")
+    d.write_photo(tmp_path / "d.jpg", second="20")
+    source = opened(tmp_path)
+    assert names(source) == ["c.jpg", "b.jpg", "d.jpg", "e.jpg", "a.jpg"]
+    times = np.array([f.t_ns for f in of_kind(source, Frame)])
+    np.testing.assert_array_equal(times - times[0], [0, 8e8, 99e8, 104e8, 199e8])
+
+
+def test_order_of_names_without_times(tmp_path: Path) -> None:
+    for name, second in (("b.jpg", "10"), ("a.jpg", "20"), ("c.jpg", None)):
+        d.write_photo(tmp_path / name, second=second)
+    source = opened(tmp_path)
+    assert names(source) == ["a.jpg", "b.jpg", "c.jpg"]
+    assert source.warnings == ["1 photo(s) have no capture time: the order of the file names is used"]
+
+
+def test_sub_folders_and_names(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "DCIM/101/x.JPG", second="10")
+    d.write_photo(tmp_path / "DCIM/102/x.JPG", second="12")
+    d.write_photo(tmp_path / "DCIM/102/y.jpeg", second="14")
+    d.write_photo(tmp_path / "DCIM/.x.JPG", second="16")
+    source = opened(tmp_path / "DCIM")
+    assert names(source) == ["101/x.JPG", "102/x.JPG", "y.jpeg"]
+    assert source.name == tmp_path.name  # "DCIM" says nothing
+
+
+def test_skip_and_every(photos: Path) -> None:
+    assert names(opened(photos, "sources.skip=1", "sources.every=2")) == ["DJI_0001.JPG", "DJI_0003.JPG"]
+    with pytest.raises(InputError, match=r"sources\.skip"):
+        opened(photos, "sources.skip=4")
+
+
+def test_two_cameras_mixed(photos: Path) -> None:
+    """The larger group is used, the others named."""
+    d.write_photo(photos / "A_thermal.JPG", model="H20T", size=(32, 24))
+    d.write_photo(photos / "B_zoomed.JPG", photo={37386: 12.0})
+    source = opened(photos)
+    assert source.length == 4
+    assert "A_thermal.JPG" not in names(source)
+    assert "1 photo(s) of another camera are left out: DJI H20T, 32x24 (first: A_thermal.JPG)" in source.warnings
+    assert any("B_zoomed.JPG" in w and "12 mm" in w for w in source.warnings)
+    assert source.counts["photos of another camera"] == 2
+
+
+# -- damage
+
+
+@pytest.mark.parametrize("share", [0.9, 0.6])
+def test_photo_cut_off(photos: Path, share: float) -> None:
+    """Not decoded as far as it goes: left out, named, the rest read."""
+    d.cut_off(photos / "DJI_0002.JPG", share)
+    source = opened(photos)
+    assert names(source) == ["DJI_0000.JPG", "DJI_0001.JPG", "DJI_0003.JPG"]
+    assert len(of_kind(source, NavSample)) == 3
+    (warning,) = source.warnings
+    assert warning.startswith("photos: 1 of 4 left out (first: DJI_0002.JPG: ")
+    assert "truncated" in warning
+
+
+@pytest.mark.parametrize("data", [b"", b"hello", b"\xff\xd8\xff\xe1\x00\x10Exif"])
+def test_file_that_is_no_photo(photos: Path, data: bytes) -> None:
+    (photos / "DJI_0002.JPG").write_bytes(data)
+    source = opened(photos)
+    assert source.length == 3
+    assert source.warnings[0].startswith("photos: 1 of 4 left out (first: DJI_0002.JPG: ")
+
+
+def test_nothing_but_rubbish(tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"hello")
+    with pytest.raises(InputError, match="none of the 1 JPEG files can be read"):
+        opened(tmp_path)
+
+
+def test_every_photo_without_gps(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "a.jpg", place=None)
+    d.write_photo(tmp_path / "b.jpg", place=(0.0, 0.0, 40.0))  # what a receiver without fix writes
+    with pytest.raises(InputError, match="no photo has a GPS position; photos need EXIF GPS latitude"):
+        opened(tmp_path)
+
+
+def test_one_photo_without_gps(photos: Path) -> None:
+    d.write_photo(photos / "DJI_0009.JPG", second="59", place=None)
+    source = opened(photos)
+    last = of_kind(source, NavSample)[-1]
+    assert last.position_world is None
+    assert last.sigma_position is None
+    assert last.world_from_body is not None
+    assert source.warnings == ["1 of 5 photos have no GPS position: their place comes from the pictures alone"]
+
+
+def test_turned_photos_are_left_out(photos: Path) -> None:
+    d.write_photo(photos / "DJI_0009.JPG", main={274: 6})
+    source = opened(photos)
+    assert source.length == 4
+    assert "DJI_0009.JPG: its EXIF orientation is 6" in source.warnings[0]
+    for path in photos.iterdir():
+        d.write_photo(path, main={274: 3})
+    with pytest.raises(InputError, match="every photo has an EXIF orientation other than 1"):
+        opened(photos)
+
+
+@pytest.mark.parametrize("packet", [b"<x:xmpmeta", b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>'])
+def test_broken_xmp(photos: Path, packet: bytes) -> None:
+    d.write_photo(photos / "DJI_0009.JPG", second="59", xmp=packet)
+    source = opened(photos)
+    assert source.length == 5
+    assert source.warnings[0].startswith("DJI_0009.JPG: its XMP")
+    with pytest.raises(ValueError, match="its XMP"):
+        parse_xmp(packet)
+
+
+# -- the lens
+
+
+def lens_of(folder: Path, changes: dict[str, str], **photo: Any) -> tuple[Any, dict[str, Any]]:
+    d.write_photo(folder / "a.jpg", xmp=d.xmp_packet(d.dji_tags(**changes)), **photo)
+    source = opened(folder)
+    return source.rig.cameras[0].camera, source.notes
+
+
+def test_factory_calibration(tmp_path: Path) -> None:
+    """The maker counts from the corner: the centre of a 64x48 image is (31.5, 23.5) of ours."""
+    lens, notes = lens_of(tmp_path, {})
+    assert (lens.fu, lens.fv, lens.cu, lens.cv) == (60, 60, 33.5, 22.5)
+    assert lens.distortion == (-0.1, 0.01, 0.001, 0.0005, 0.002)
+    assert notes["focal_from"] == "factory calibration (DewarpData)"
+    assert "focal_note" not in notes
+    assert "lens_note" not in notes
+
+
+@pytest.mark.parametrize(("nominal", "expected"), [("58.0", 60.0), ("70.0", 62.0), ("", 61.0)])
+def test_two_focal_lengths(tmp_path: Path, nominal: str, expected: float) -> None:
+    """Pixels are square: of two that disagree the one nearer to the design is believed, and the choice is noted."""
+    dewarp = "2022-03-02;62.0,60.0,2.0,-1.0,-0.1,0.01,0.001,0.0005,0.002"
+    lens, notes = lens_of(tmp_path, {"DewarpData": dewarp, "CalibratedFocalLength": nominal})
+    assert (lens.fu, lens.fv) == (expected, expected)
+    assert "fx 62.0 and fy 60.0 disagree by 3.3%" in notes["focal_note"]
+    assert notes["focal_px"] == expected
+
+
+def test_the_same_tangential_term_twice(tmp_path: Path) -> None:
+    dewarp = "2022-03-02;60,60,2.0,-1.0,-0.1,0.01,0.0040638,0.0040638,0.002"
+    lens, notes = lens_of(tmp_path, {"DewarpData": dewarp})
+    assert lens.distortion == (-0.1, 0.01, 0.0, 0.0, 0.002)
+    assert "0.0040638" in notes["lens_note"]
+
+
+def test_already_dewarped(tmp_path: Path) -> None:
+    lens, notes = lens_of(tmp_path, {"DewarpFlag": "1"})
+    assert (lens.model, lens.distortion, lens.fu) == ("none", (), 60)
+    assert "DewarpFlag" in notes["lens_note"]
+
+
+@pytest.mark.parametrize("exif_size", [(128, 96), (64, 48)])
+def test_resized_photo(tmp_path: Path, exif_size: tuple[int, int]) -> None:
+    """Half size, with the EXIF size as the camera wrote it or as the tool that resized rewrote it."""
+    centre = {"CalibratedOpticalCenterX": "64.0", "CalibratedOpticalCenterY": "48.0"}
+    lens, notes = lens_of(tmp_path, centre, exif_size=exif_size)
+    assert (lens.fu, lens.cu, lens.cv) == (30, 32 + 1 - 0.5, 24 - 0.5 - 0.5)
+    assert notes["scale"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("photo", "expected", "source"),
+    [
+        ({37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}, 50.0, "FocalPlaneXResolution"),
+        ({37386: 5.0, 41486: 100.0, 41487: 100.0, 41488: 3}, 50.0, "FocalPlaneXResolution"),
+        ({37386: 5.0, 41486: 254.0, 41487: 254.0, 41488: 2}, 50.0, "FocalPlaneXResolution"),
+        ({41989: 28}, 80 * 28 / math.hypot(36, 24), "FocalLengthIn35mmFilm"),
+    ],
+)
+def test_focal_length_without_calibration(tmp_path: Path, photo: dict[int, Any], expected: float, source: str) -> None:
+    d.write_photo(tmp_path / "a.jpg", xmp=b"", photo=photo)
+    opened_source = opened(tmp_path)
+    lens = opened_source.rig.cameras[0].camera
+    assert lens.fu == pytest.approx(expected, rel=1e-6)
+    assert (lens.cu, lens.cv, lens.model) == (31.5, 23.5, "none")
+    assert source in opened_source.notes["focal_from"]
+
+
+@pytest.mark.parametrize("dewarp", ["", "2022;1,2", "2022;60,60,nan,0,0,0,0,0,0", "2022;-60,60,0,0,0,0,0,0,0"])
+def test_malformed_factory_calibration_falls_back(tmp_path: Path, dewarp: str) -> None:
+    lens, notes = lens_of(tmp_path, {"DewarpData": dewarp})
+    assert (lens.fu, notes["focal_from"]) == (58, "CalibratedFocalLength")
+
+
+def test_no_focal_length_at_all(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "a.jpg", xmp=b"")
+    with pytest.raises(InputError, match=r"a\.jpg: no focal length in its tags.*sources\.calibration"):
+        opened(tmp_path)
+
+
+def test_calibration_of_the_user_wins(photos: Path, tmp_path: Path) -> None:
+    entry = {"camera_model": "pinhole", "intrinsics": [70.0, 70.0, 31.0, 23.0], "resolution": list(d.SIZE)}
+    path = tmp_path / "camchain.yaml"
+    path.write_text(yaml.safe_dump({"cam0": entry}))
+    source = opened(photos, f"sources.calibration={path}")
+    assert source.rig.cameras[0].camera.fu == 70
+    assert source.notes["focal_from"] == "Kalibr camchain.yaml"
+    np.testing.assert_array_equal(source.rig.cameras[0].body_from_cam.matrix, BODY_FROM_CAM.matrix)
+
+
+def test_two_factory_calibrations(photos: Path) -> None:
+    other = d.xmp_packet(d.dji_tags(DewarpData=d.DEWARP.replace("60.0", "66.0")))
+    d.write_photo(photos / "DJI_0000.JPG", second="10", xmp=other)
+    source = opened(photos)
+    assert source.rig.cameras[0].camera.fu == 60
+    assert "2 different factory calibrations" in source.warnings[0]
+
+
+# -- what it is
+
+
+def test_what_is_no_source(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder; give a flight log"):
+        opened(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="the folder is empty"):
+        opened(tmp_path)
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(InputError, match="a file; give a flight log"):
+        opened(tmp_path / "notes.txt")
+    with pytest.raises(InputError, match=r"nothing usable in it; looked for mav0/ and for \.jpg"):
+        opened(tmp_path)
+    (tmp_path / "first/mav0").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"holds 1 flight log.*first"):
+        opened(tmp_path)
+
+
+def test_png_folder_is_not_photos(tmp_path: Path) -> None:
+    Image.new("L", (8, 8)).save(tmp_path / "a.png")
+    with pytest.raises(InputError, match="nothing usable"):
+        opened(tmp_path)
+
+
+# -- real photos
+
+
+def test_mirafiori_attitude_and_place_agree_with_the_reference(shared_data: Path) -> None:
+    """Gimbal tags within 2.6 degrees and RTK within 4 cm of structure from motion."""
+    source = open_source(shared_data / "mirafiori/images", Settings())
+    z = np.load(shared_data / "mirafiori/sfm_reference.npz")
+    index = {str(n): i for i, n in enumerate(z["names"])}
+    reference = LocalFrame(*z["origin_llh"])
+    nav = None
+    for event in source.events():
+        if isinstance(event, NavSample):
+            nav = event
+            continue
+        assert isinstance(event, Frame)
+        assert nav is not None
+        assert nav.world_from_body is not None
+        i = index[event.name]
+        world_from_cam = nav.world_from_body @ source.rig.cameras[0].body_from_cam.rotation
+        assert np.degrees(np.linalg.norm(so3_log(world_from_cam @ z["R_cam_from_enu"][i]))) < 2.6
+        centre = source.local.to_enu(*reference.to_geodetic(z["centers_enu"][i]))
+        assert np.abs(nav.position_world - centre).max() < 0.04
+    assert source.warnings == []
+    assert source.length == 32
+    lens = source.rig.cameras[0].camera
+    assert lens.fu == lens.fv == pytest.approx(1955.65, abs=0.01)
