@@ -158,7 +158,7 @@ class Flag(IntFlag):
     STEP = 32  # within a window of a height step: the height may be that of the neighbour
     INCONSISTENT = 64  # disjoint subsets of the views give different heights
     RANGE = 128  # the height is at an end of the searched range
-    OUTLIER = 256  # stands alone against its neighbourhood
+    UNSURE = 256  # the evidence together makes a wrong match likely
 
 
 # a height that carries one of these is not given out (NaN in dem.tif)
@@ -170,7 +170,7 @@ REFUSED = (
     | Flag.MOVING
     | Flag.INCONSISTENT
     | Flag.RANGE
-    | Flag.OUTLIER
+    | Flag.UNSURE
 )
 
 

@@ -16,21 +16,10 @@ from rasterio.io import MemoryFile
 from alight.geometry import Grid, LocalFrame
 from alight.records import F32, REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
+from alight.report.words import FLAGS
 
 EARTH_RADIUS = 6371008.8  # metres, mean
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
-
-FLAG_MEANING: Mapping[Flag, str] = {
-    Flag.UNSEEN: "fewer than two views see the cell",
-    Flag.TEXTURE: "too little texture to match",
-    Flag.AMBIGUOUS: "a second height fits nearly as well",
-    Flag.SATURATED: "the pixels are at an end of their range",
-    Flag.MOVING: "the views disagree although the geometry fits",
-    Flag.STEP: "beside a height step, may be the neighbour's height",
-    Flag.INCONSISTENT: "disjoint subsets of the views give different heights",
-    Flag.RANGE: "at an end of the searched range",
-    Flag.OUTLIER: "stands alone against its neighbourhood",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +72,7 @@ def dem(elevation: ElevationMap, local: LocalFrame) -> Raster:
 
 def flags(elevation: ElevationMap) -> Raster:
     """The bits that say why a height is missing or doubtful."""
-    tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAG_MEANING.items()}
+    tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAGS.items()}
     return Raster(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
 
 

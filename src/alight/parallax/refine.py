@@ -16,7 +16,7 @@ from alight.records import F32, F64
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
 RADIUS = 2  # cells: 5x5 windows
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
-PRIOR = 0.1  # strength of the plane prior, in parallax pixels
+PRIOR = 100.0  # of the plane prior: 1 over its variance in parallax pixels^2 (0.1 px)
 
 
 @dataclass(eq=False)

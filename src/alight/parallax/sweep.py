@@ -9,9 +9,9 @@ from alight.kernels import parallax as kernels
 from alight.parallax.views import Prepared, stack
 from alight.records import F32
 
-KEEP = 0.6  # share of the views that has to agree
+KEEP = 0.7  # share of the views that has to agree
 TRUNCATION = np.float32(1.5)  # normalised grey
-P1, P2, EDGE = np.float32(0.06), np.float32(0.6), np.float32(2.0)  # smoothness of one plane, of more, and at image edges
+P1, P2, EDGE = np.float32(0.05), np.float32(0.5), np.float32(0.5)  # smoothness of one plane, of more, and at image edges
 MOST_PLANES = 192
 
 
@@ -37,11 +37,11 @@ def sweep(prepared: list[Prepared], grid: Grid, levels: F32) -> tuple[F32, F32]:
     rows, cols = grid.shape
     cost = np.empty((rows, cols, len(levels)), np.float32)
     plane, count = np.empty((rows, cols), np.float32), np.zeros((rows, cols), np.int32)
-    least = np.full((rows, cols), 99, np.int32)
+    least = np.zeros((rows, cols), np.int32)
     for k, z in enumerate(levels):
         kernels.sweep_cost(stack(prepared, grid, np.full((rows, cols), z, np.float32)), KEEP, TRUNCATION, plane, count)
         cost[:, :, k] = plane
-        least = np.minimum(least, count)
+        least = count.copy() if k == len(levels) // 2 else least
     smooth = window3(cost)
     guide = stack(prepared[:1], grid, np.full((rows, cols), np.median(levels), np.float32))[0]
     total = np.empty_like(cost)

@@ -2,38 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import ElevationMap, Flag, Hazard, HazardMap, RunResult, Terrain, TerrainMap
+from alight.records import ElevationMap, HazardMap, RunResult, Terrain, TerrainMap
 from alight.report import paint, words
 from alight.report.canvas import Canvas
 from alight.report.figures import Figure, Key, Scale, marks, scale_bar
-
-HAZARD_WORDS: Mapping[Hazard, str] = {
-    Hazard.TERRAIN: "wrong kind of ground",
-    Hazard.STEP: "a step",
-    Hazard.SLOPE: "too steep",
-    Hazard.ROUGHNESS: "too rough",
-    Hazard.CLEARANCE: "no room for rotor or belly",
-    Hazard.UNKNOWN: "not seen or not trusted",
-    Hazard.EDGE: "edge of the map",
-}
-FLAG_WORDS: Mapping[Flag, str] = {
-    Flag.MOVING: "moving: water, plants",
-    Flag.INCONSISTENT: "views contradict each other",
-    Flag.AMBIGUOUS: "a second height fits as well",
-    Flag.TEXTURE: "too little texture",
-    Flag.SATURATED: "too bright or too dark",
-    Flag.RANGE: "outside the searched heights",
-    Flag.OUTLIER: "stands alone",
-    Flag.STEP: "beside a step (kept, doubtful)",
-    Flag.UNSEEN: "seen by fewer than two views",
-}
 
 
 def _shares(index: NDArray[Any], seen: NDArray[np.bool_], count: int) -> list[float]:
@@ -49,7 +27,7 @@ def reasons(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
     share = _shares(index, elevation.views > 0, len(order))
     keys = [Key(paint.SAFE_COLOUR, "fit for a touchdown", words.percent(share[0]))]
     keys += [
-        Key(k, HAZARD_WORDS[h], words.percent(s)) for h, k, s in zip(order, colours, share[1:], strict=True) if s > 0
+        Key(k, words.HAZARDS[h], words.percent(s)) for h, k, s in zip(order, colours, share[1:], strict=True) if s > 0
     ]
     return Figure(
         title="Where a landing is refused, and why",
@@ -132,7 +110,7 @@ def missing(elevation: ElevationMap, c: Canvas) -> Figure:
     share = _shares(index, elevation.views > 0, len(order))
     keys = [Key("ground", "height found", words.percent(share[0]))]
     keys += [
-        Key(k, FLAG_WORDS[f], words.percent(s)) for f, k, s in zip(order, colours, share[1:], strict=True) if s > 0
+        Key(k, words.FLAGS[f], words.percent(s)) for f, k, s in zip(order, colours, share[1:], strict=True) if s > 0
     ]
     return Figure(
         title="Where heights are missing, and why",
@@ -144,7 +122,7 @@ def missing(elevation: ElevationMap, c: Canvas) -> Figure:
     )
 
 
-def maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
+def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
     """Every map below the answer, in the order in which a person asks."""
     figures = []
     if result.hazards is not None:

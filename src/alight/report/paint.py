@@ -25,6 +25,7 @@ HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of telling: the first that 
     Hazard.SLOPE: "#ed8b2f",
     Hazard.ROUGHNESS: "#c77bb0",
     Hazard.CLEARANCE: "#f0dc4e",
+    Hazard.DOUBT: "#8fd0c0",
     Hazard.UNKNOWN: "#9aa3ad",
     Hazard.EDGE: "#545b63",
 }
@@ -35,7 +36,7 @@ FLAG_COLOURS: Mapping[Flag, str] = {
     Flag.TEXTURE: "#c77bb0",
     Flag.SATURATED: "#f0dc4e",
     Flag.RANGE: "#7a5c3e",
-    Flag.OUTLIER: "#6d4fa3",
+    Flag.UNSURE: "#6d4fa3",
     Flag.STEP: "#8fd0c0",
     Flag.UNSEEN: "#9aa3ad",
 }
