@@ -6,10 +6,9 @@ import jinja2
 
 from alight import __version__
 from alight.records import RunResult
-from alight.report import canvas, facts, figures
+from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
-from alight.report.maps import maps
 
 __all__ = ["render", "warnings"]
 
@@ -29,7 +28,7 @@ def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figu
     if elevation is None or window is None:
         return None, [], []
     overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
-    below = maps(result, elevation, window)
+    below = maps.all_maps(result, elevation, window)
     if not closeups and result.hazards is not None:  # no site: the reasons are the answer
         return overview, below[:1], below[1:]
     return overview, closeups, below

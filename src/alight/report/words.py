@@ -3,10 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
-from alight.records import RunResult, Site
+from alight.records import Flag, Hazard, RunResult, Site
 
 UNKNOWN = "unknown"
+
+HAZARDS: Mapping[Hazard, str] = {
+    Hazard.UNKNOWN: "not seen or not trusted",
+    Hazard.SLOPE: "too steep",
+    Hazard.ROUGHNESS: "too rough",
+    Hazard.STEP: "a step",
+    Hazard.CLEARANCE: "no room for rotor or belly",
+    Hazard.TERRAIN: "wrong kind of ground",
+    Hazard.EDGE: "edge of the map",
+    Hazard.DOUBT: "fits, but not surely enough",
+}
+FLAGS: Mapping[Flag, str] = {
+    Flag.UNSEEN: "seen by fewer than two views",
+    Flag.TEXTURE: "too little texture",
+    Flag.AMBIGUOUS: "a second height fits as well",
+    Flag.SATURATED: "too bright or too dark",
+    Flag.MOVING: "moving: water, plants",
+    Flag.STEP: "beside a step (kept, doubtful)",
+    Flag.INCONSISTENT: "views contradict each other",
+    Flag.RANGE: "outside the searched heights",
+    Flag.UNSURE: "probably a wrong match",
+}
 
 
 def metres(value: float) -> str:

@@ -1,0 +1,250 @@
+"""The page a person opens first."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+from some_run import CELL, GRID, elevation, hazards, site, some_run
+
+from alight.records import Flag, Hazard, Sites
+from alight.report import canvas, facts, figures, maps, paint, render, words
+from alight.settings import load
+
+VOID = {"meta", "image", "circle", "line", "path"}
+
+
+class Page(HTMLParser):
+    """Checks that every element is closed in order, and collects attributes."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, k, v or "") for k, v in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.attributes += [(tag, k, v or "") for k, v in attrs]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return render(some_run())
+
+
+def picture(uri: str) -> np.ndarray:
+    data = np.frombuffer(base64.b64decode(uri.split(",", 1)[1]), np.uint8)
+    return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), cv2.COLOR_BGRA2RGBA)
+
+
+def test_the_answer_comes_first(page: str) -> None:
+    headline = re.search(r"<h1>(.*?)</h1>", page, re.S).group(1)
+    assert "Land here: 48.102282°\N{NO-BREAK SPACE}N, 15.441267°\N{NO-BREAK SPACE}E" in headline
+    assert "Flat to 4 cm, 2.1° slope, 6.3 m clear. 1 more site in reserve." in page
+    assert re.search(r"geo:48\.10228\d+,15\.44126\d+", headline)
+
+
+def test_no_site_says_why() -> None:
+    text = render(some_run(sites=Sites((), "everything is water"), route=None))
+    assert "<h1>No safe site</h1>" in text
+    assert "Everything is water." in text
+    assert "Land here" not in text
+    assert "Site 1" not in text
+
+
+def test_it_needs_nothing_but_itself(page: str) -> None:
+    parsed = Page(page)
+    assert parsed.open == []
+    links = [v for _, k, v in parsed.attributes if k in {"href", "src", "xlink:href", "action"}]
+    assert links
+    assert all(v.startswith(("data:image/", "geo:")) for v in links)
+    for word in ("<script", "http:", "https:", "@import", "url("):
+        assert word not in page
+
+
+def test_names_from_outside_are_escaped(page: str) -> None:
+    assert "meadow &lt;north&gt; &amp; pond" in page
+    assert "<north>" not in page
+
+
+def test_pictures_can_be_read_aloud(page: str) -> None:
+    parsed = Page(page)
+    count = sum(1 for tag, k, _ in parsed.attributes if tag == "svg" and k == "role")
+    labels = [v for tag, k, v in parsed.attributes if tag == "svg" and k == "aria-label"]
+    assert len(labels) == count == 1 + 2 + 6
+    assert all(labels)
+    assert len(set(labels)) == count
+
+
+def test_warnings_settings_counts_and_notes_are_there(page: str) -> None:
+    assert "nav0: 3 rows without attitude" in page
+    assert "held at the calibration&#39;s 620.0 px" in page
+    assert "frames dropped, file missing" in page
+    settings = html.unescape(re.search(r"<pre>(.*?)</pre>", page, re.S).group(1))
+    assert load(settings) == some_run().settings
+
+
+def test_the_routes_warnings_are_told_once() -> None:
+    run = some_run(warnings=["a", "b"])
+    run = replace(run, route=replace(run.route, warnings=("b", "c")))
+    assert facts.warnings(run) == ["a", "b", "c"]
+
+
+@pytest.mark.parametrize("missing", ["elevation", "terrain", "hazards", "route", "height_above_ground"])
+def test_a_run_that_lacks_something_still_has_a_page(missing: str) -> None:
+    text = render(some_run(**{missing: None}))
+    assert Page(text).open == []
+    assert "Land here" in text
+
+
+def test_a_map_that_nobody_saw_is_no_picture() -> None:
+    e = elevation()
+    unseen = replace(e, views=np.zeros_like(e.views), flags=np.full_like(e.flags, Flag.UNSEEN))
+    text = render(some_run(elevation=unseen, sites=Sites((), "nothing was seen"), route=None))
+    assert "<svg" not in text
+
+
+def test_without_a_place_on_earth_metres_are_told() -> None:
+    text = render(some_run(georeferenced=False))
+    assert "Land here: 5.0 m east, 2.0 m south of the origin" in text
+    assert "geo:" not in text
+    assert "WGS84" not in text
+
+
+def test_unknown_numbers_are_called_unknown() -> None:
+    odd = replace(site(), clearance=math.nan, heading=math.nan, radius=math.nan)
+    text = render(some_run(sites=Sites((odd,))))
+    assert "unknown clear" in text
+    assert not re.search(r"[^a-z]nan[^a-z]", re.sub(r"data:image[^\"]*", "", text))
+
+
+def test_a_mark_lies_on_its_place() -> None:
+    """The cell under the site is painted red: the mark must stand on the red of the picture."""
+    e = elevation()
+    row, col = 92, 68  # north -2, east 5
+    assert (GRID.north - row * CELL, GRID.east + col * CELL) == (-2.0, 5.0)
+    rgb = np.full_like(e.rgb, 120)
+    rgb[row - 2 : row + 3, col - 2 : col + 3] = (255, 0, 0)
+    run = some_run(elevation=replace(e, rgb=rgb))
+    window = canvas.whole(run.elevation)
+    for figure in (figures.overview(run, run.elevation, window), figures.closeups(run, run.elevation)[0]):
+        image, mark = picture(figure.uri), figure.marks[-1]
+        assert mark.rank == 1
+        x, y = mark.x * image.shape[1] / canvas.WIDTH, mark.y * image.shape[0] / figure.height
+        red = np.clip(image[..., 0].astype(float) - image[..., 1] - 40, 0, None)
+        rows, cols = np.indices(red.shape) + 0.5  # a pixel's centre, counted from the picture's corner as the page does
+        np.testing.assert_allclose(
+            np.average([rows, cols], axis=(1, 2), weights=np.stack([red, red])), [y, x], atol=0.15
+        )
+
+
+def test_a_footprint_is_drawn_to_scale() -> None:
+    run = some_run()
+    window = canvas.whole(run.elevation)
+    mark, bar = figures.marks(run, window)[-1], figures.scale_bar(window)
+    metres = float(bar.text.removesuffix(" m"))
+    assert mark.r / bar.length == pytest.approx(run.settings.lander.radius / metres, abs=1e-3)
+    assert metres in {1, 2, 5, 10}
+
+
+def test_the_close_up_at_the_maps_edge_is_empty_beyond_it() -> None:
+    window = canvas.about(GRID, GRID.east, GRID.north, 3.0)
+    cut = window.cut(np.ones((*GRID.shape, 4), np.uint8))
+    assert cut.shape[:2] == (25, 25)
+    assert cut[12:, 12:].all()
+    assert not cut[:12].any()
+    assert not cut[:, :12].any()
+
+
+def test_narrow_maps_get_a_canvas_that_fits_a_page() -> None:
+    e = elevation()
+    views = np.zeros_like(e.views)
+    views[:, 80:85] = 3  # a strip, north to south
+    window = canvas.whole(replace(e, views=views))
+    assert window.height / canvas.WIDTH <= canvas.TALLEST * 1.02
+    assert window.cut(views).sum() == views.sum()
+
+
+def test_large_pictures_shrink_without_bleeding_the_unseen() -> None:
+    rgba = np.zeros((300, 3000, 4), np.uint8)
+    rgba[:, :1501] = (200, 100, 50, 255)
+    small = canvas.shrink(rgba, 1000)
+    assert small.shape == (100, 1000, 4)
+    np.testing.assert_array_equal(small[:, 500, :3], np.tile([200, 100, 50], (100, 1)))  # the half-covered column
+    assert 0 < small[0, 500, 3] < 255
+
+
+def test_the_first_reason_wins_and_shares_add_up() -> None:
+    order = [int(h) for h in paint.HAZARD_COLOURS]
+    bits = np.array([[0, Hazard.UNKNOWN, Hazard.UNKNOWN | Hazard.TERRAIN, Hazard.EDGE | Hazard.SLOPE]], np.uint8)
+    index = paint.first_reason(bits, order)
+    names = list(paint.HAZARD_COLOURS)
+    assert index[0, 0] == -1
+    assert [names[i] for i in index[0, 1:]] == [Hazard.UNKNOWN, Hazard.TERRAIN, Hazard.SLOPE]
+    keys = maps.reasons(hazards(), elevation(), canvas.whole(elevation())).keys
+    assert sum(float(k.share.removesuffix(" %")) for k in keys) == pytest.approx(100, abs=0.2)
+
+
+def test_every_reason_has_a_colour_and_a_word() -> None:
+    assert set(paint.HAZARD_COLOURS) == set(words.HAZARDS) == set(Hazard)
+    assert set(paint.FLAG_COLOURS) == set(words.FLAGS) == set(Flag)
+    assert len(set(paint.HAZARD_COLOURS.values()) | {paint.SAFE_COLOUR}) == len(Hazard) + 1
+
+
+def test_light_comes_from_the_north_west() -> None:
+    r, c = np.mgrid[:40, :40].astype(np.float32)
+    known = np.ones((40, 40), bool)
+
+    def light(height: np.ndarray) -> float:
+        return float(paint.hillshade(height.astype(np.float32), known, 1.0)[20, 20])
+
+    assert light(0 * r) == pytest.approx(1.0)
+    assert light(0.3 * (r + c)) > 1.02 > 0.98 > light(-0.3 * (r + c))  # rising to the south-east faces north-west
+    assert light(0.3 * (r - c)) < 1.0  # across the light: only darker
+
+
+def test_a_ramp_meets_its_ends() -> None:
+    colours = paint.ramp(np.array([-5.0, 0.0, 1.0, 9.0]), 0.0, 1.0, ("#102030", "#ff0000"))
+    np.testing.assert_array_equal(colours, [[16, 32, 48], [16, 32, 48], [255, 0, 0], [255, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.004, "0.4 cm"), (0.04, "4 cm"), (0.32, "32 cm"), (1.0, "1.0 m"), (6.34, "6.3 m"), (math.nan, "unknown")],
+)
+def test_metres(value: float, text: str) -> None:
+    assert words.metres(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1.0, "100 %"), (0.99999, "> 99.9 %"), (0.0001, "< 0.1 %"), (0.0, "0 %"), (0.625, "62.5 %")]
+)
+def test_percent_claims_no_certainty(value: float, text: str) -> None:
+    assert words.percent(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.0042, "4.2 ms"), (1.25, "1.25 s"), (125.0, "2 min 5 s")])
+def test_seconds(value: float, text: str) -> None:
+    assert words.seconds(value) == text
+
+
+def test_bearings_have_three_figures() -> None:
+    assert words.bearing(math.radians(-30)) == "330°"
+    assert words.bearing(math.radians(359.8)) == "000°"
