@@ -105,6 +105,13 @@ def cut_off(path: Path, share: float = 0.5) -> None:
     path.write_bytes(data[: int(len(data) * share)])
 
 
+def zero_tail(path: Path, share: float = 0.5) -> None:
+    """Keep the first part of a file and fill the rest with zeros, as some file systems do after a power loss."""
+    data = path.read_bytes()
+    kept = int(len(data) * share)
+    path.write_bytes(data[:kept] + bytes(len(data) - kept))
+
+
 # -- photos
 
 DJI = "http://www.dji.com/drone-dji/1.0/"

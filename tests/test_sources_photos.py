@@ -16,6 +16,7 @@ from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.records import Event, Frame, InputError, NavSample
 from alight.settings import Settings, load
 from alight.sources import Source, open_source
+from alight.sources.images import has_end
 from alight.sources.photo_pose import BODY_FROM_CAM
 from alight.sources.photo_tags import parse_xmp
 
@@ -217,6 +218,25 @@ def test_photo_cut_off(photos: Path, share: float) -> None:
     (warning,) = source.warnings
     assert warning.startswith("photos: 1 of 4 left out (first: DJI_0002.JPG: ")
     assert "truncated" in warning
+
+
+def test_photo_with_zeros_for_its_end(photos: Path) -> None:
+    """Decoders take zeros for picture and stay silent."""
+    d.zero_tail(photos / "DJI_0002.JPG", 0.7)
+    source = opened(photos)
+    assert "DJI_0002.JPG" not in names(source)
+    assert "DJI_0002.JPG: it is truncated: its end is missing" in source.warnings[0]
+
+
+@pytest.mark.parametrize("options", [{"progressive": True}, {"optimize": True}, {"restart_marker_blocks": 2}])
+def test_every_kind_of_jpeg_has_its_end_found(tmp_path: Path, options: dict[str, Any]) -> None:
+    path = tmp_path / "a.jpg"
+    d.picture(size=(200, 100)).save(path, **options)
+    data = path.read_bytes()
+    assert has_end(data)
+    assert has_end(data + bytes(1000))
+    assert not has_end(data[:-2])
+    assert not has_end(data[: len(data) // 2] + bytes(len(data) // 2))
 
 
 @pytest.mark.parametrize("data", [b"", b"hello", b"\xff\xd8\xff\xe1\x00\x10Exif"])

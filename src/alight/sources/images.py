@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 
@@ -40,6 +41,22 @@ def _pixels(image: Image.Image) -> NDArray[np.uint8]:
     return np.array(image.convert("L" if grey else "RGB"), dtype=np.uint8)
 
 
+_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")  # in coded data: neither a stuffed byte nor a restart
+_END = 0xD9
+
+
+def has_end(jpeg: bytes) -> bool:
+    """Tell whether a JPEG has its end marker: a file system that fills a cut with zeros fools every decoder."""
+    at = 2
+    while marker := _MARKER.search(jpeg, at):
+        at = marker.end()
+        kind = jpeg[at - 1]
+        if kind == _END:
+            return True
+        at += int.from_bytes(jpeg[at : at + 2], "big")  # skip the segment, thumbnails in it included
+    return False
+
+
 def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Decode a whole image, (H, W) when the file is grey, else (H, W, 3) RGB.
 
@@ -54,7 +71,10 @@ def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
         with open_image(path) as image:
             if image.size != size:
                 raise ValueError(f"it is {image.size[0]}x{image.size[1]}, the camera {size[0]}x{size[1]}")
-            return _pixels(image)
+            pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
+        if jpeg and not has_end(path.read_bytes()):
+            raise ValueError("it is truncated: its end is missing")
+        return pixels
     except UnidentifiedImageError as e:
         raise ValueError("it is no image") from e
     except UNREADABLE as e:
