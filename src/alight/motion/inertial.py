@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,6 +92,19 @@ def preintegrate(pieces: Sequence[Segment], gyro_bias: F64, accelerometer_bias: 
         R = Rm @ half
         t += dt
     return Preintegral(t, R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
+
+
+def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preintegral:
+    """Return the sums as they would be at other biases, to first order (M5)."""
+    d = m.bias_jacobian @ np.concatenate([gyro_bias - m.gyro_bias, accelerometer_bias - m.accelerometer_bias])
+    return replace(
+        m,
+        rotation=m.rotation @ so3_exp(d[0:3]),
+        velocity=m.velocity + d[3:6],
+        position=m.position + d[6:9],
+        gyro_bias=gyro_bias.copy(),
+        accelerometer_bias=accelerometer_bias.copy(),
+    )
 
 
 def _variance(dt: float, noise: Filter) -> F64:

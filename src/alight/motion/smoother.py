@@ -1,17 +1,228 @@
+"""A recorded flight refined as a whole: all poses, points, biases and GPS/INS errors by least squares (M18-M22).
+
+The same measurements and the same noise as the filter's, but every pose hears of every measurement, later ones
+included, and Jacobians are taken at the solution: the poses of one flight come from one consistent estimate.
+"""
+
 from __future__ import annotations
-from dataclasses import dataclass, field
+
+import logging
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from alight.geometry import Pose, so3_exp, so3_log
+from alight.motion.blocks import BlockTridiagonal
+from alight.motion.dynamics import (
+    Step,
+    bias_walk,
+    constant_step,
+    constant_transition,
+    inertial_step,
+    inertial_transition,
+    nav_decay,
+)
+from alight.motion.inertial import Preintegral, corrected, preintegrate, segments
+from alight.motion.navigation import sigmas, whites
+from alight.motion.sights import Sights
+from alight.motion.state import ACC, ATT, GYRO, MOUNT, NAV_ATT, NAV_POS, NAV_VEL, POS, VEL
 from alight.records import F64, ImuSample, Motion, NavSample, Rig, Tracks
 from alight.settings import Filter
+
+log = logging.getLogger(__name__)
+
+_SIZE = 24  # unknowns an exposure: the core of the filter's state without the mounting
+_ITERATIONS = 12
+_ENOUGH = 1e-5  # rad, m: a step of the poses below which it has converged
 
 
 @dataclass(eq=False)
 class Recording:
+    """What the filter was fed, and what it made of it."""
+
     rig: Rig
     settings: Filter
     imu: list[ImuSample] = field(default_factory=list)
     nav: list[NavSample] = field(default_factory=list)
-    exposures: list[tuple[Motion, Tracks, F64]] = field(default_factory=list)
+    exposures: list[tuple[Motion, Tracks, F64]] = field(default_factory=list)  # motion, tracks, core of the state
 
 
 def smooth(recording: Recording) -> list[Motion]:
-    return [m for m, _, _ in recording.exposures]
+    """Refine all exposures together; the filter's own motions where that is not possible (fewer than three)."""
+    motions = [m for m, _, _ in recording.exposures]
+    if len(motions) < 3:
+        return motions
+    try:
+        return _Batch(recording).run()
+    except np.linalg.LinAlgError:
+        log.warning("the batch over %d exposures has no solution; the filter's poses are used", len(motions))
+        return motions
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One GPS/INS row: the exposure before it, what the IMU sums up to it, its noise."""
+
+    k: int
+    dt: float
+    sum: Preintegral | None
+    sample: NavSample
+    white: F64  # (9,)
+
+
+class _Batch:
+    """The unknowns and the factors between them."""
+
+    def __init__(self, r: Recording) -> None:
+        self._settings, self._motions = r.settings, [m for m, _, _ in r.exposures]
+        self._t = [m.t_ns for m in self._motions]
+        self._R = np.array([m.world_from_body.rotation for m in self._motions])
+        self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
+        self._mount = so3_exp(r.exposures[-1][2][MOUNT])
+        self._cams = tuple(c.body_from_cam for c in r.rig.cameras)
+        self._sigma = r.settings.pixel_sigma / r.rig.cameras[0].camera.fu
+        self._sights = Sights([t for _, t, _ in r.exposures], self._cams, r.settings.track_span)
+        self._nav_sigma = sigmas(r.nav[-1], r.settings) if r.nav else np.ones(9)
+        self._sums = self._summed(r.imu)
+        self._rows = [row for s in r.nav if (row := self._row(s, r.imu)) is not None]
+
+    def _summed(self, imu: list[ImuSample]) -> list[Preintegral | None]:
+        if not imu:
+            return [None] * (len(self._t) - 1)
+        return [self._sum(imu, k, b) for k, b in enumerate(self._t[1:])]
+
+    def _sum(self, imu: list[ImuSample], k: int, end_ns: int) -> Preintegral:
+        a = max(bisect_left(imu, self._t[k], key=lambda s: s.t_ns) - 1, 0)
+        b = bisect_right(imu, end_ns, key=lambda s: s.t_ns) + 1
+        return preintegrate(segments(imu[a:b], self._t[k], end_ns), self._x[k, GYRO], self._x[k, ACC], self._settings)
+
+    def _row(self, sample: NavSample, imu: list[ImuSample]) -> _Row | None:
+        k = bisect_right(self._t, sample.t_ns) - 1
+        if k < 0:
+            return None
+        white = whites(sigmas(sample, self._settings), self._settings)
+        dt = (sample.t_ns - self._t[k]) * 1e-9
+        return _Row(k, dt, self._sum(imu, k, sample.t_ns) if imu else None, sample, white)
+
+    def run(self) -> list[Motion]:
+        """Gauss-Newton on all unknowns; the sights' weights follow the residuals."""
+        self._sights.meet(*self._rigs())
+        for i in range(_ITERATIONS):
+            rms = self._sights.reweigh(*self._rigs(), self._sigma)
+            step, covariance = self._iterate()
+            log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms / self._sigma, np.abs(step[:, :6]).max())
+            if np.abs(step[:, :6]).max() < _ENOUGH:
+                break
+        return [self._motion(k, covariance[k]) for k in range(len(self._t))]
+
+    def _rigs(self) -> tuple[F64, F64]:
+        return self._R @ self._mount, self._x[:, POS]
+
+    def _iterate(self) -> tuple[F64, F64]:
+        """One step; returns it, (K, 24), and the (K, 24, 24) covariances."""
+        span, K = self._settings.track_span, len(self._t)
+        blocks = -(-K // span)
+        system = BlockTridiagonal(blocks, span * _SIZE)
+        linear = self._sights.linearise(*self._rigs(), self._sigma)
+        for b in range(blocks):
+            last = b == blocks - 1  # the unknowns of a last block that the flight does not fill are held at zero
+            H, g = linear.reduced(b * span, (b + 1) * span, span)
+            rows = (np.arange(b * span, (b + 2) * span)[:, None] * _SIZE + np.arange(6)).ravel()
+            keep = slice(0, 6 * span if last else None)
+            system.add(rows[keep], H[keep, keep], g[keep])
+        self._add_priors(system, blocks * span)
+        self._add_motion(system)
+        for row in self._rows:
+            self._add_nav(system, row)
+        x, covariance = system.solve()
+        step = x.reshape(-1, _SIZE)[:K]
+        linear.move_points(step[:, :6])
+        self._move(step)
+        return step, np.array([_own(covariance, k, span) for k in range(K)])
+
+    def _move(self, step: F64) -> None:
+        self._R = np.array([so3_exp(s[ATT]) @ R for s, R in zip(step, self._R, strict=True)])
+        self._x[:, 3:] += step[:, 3:]
+
+    def _add_priors(self, system: BlockTridiagonal, padded: int) -> None:
+        s, information = self._settings, np.zeros(_SIZE)
+        information[15:24] = 1.0 / self._nav_sigma**2
+        if self._sums[0] is not None:
+            information[GYRO], information[ACC] = 1 / s.gyro_bias_sigma**2, 1 / s.accelerometer_bias_sigma**2
+        system.add(np.arange(_SIZE), np.diag(information), -information * self._x[0])
+        for k in range(len(self._t), padded):
+            system.add(np.arange(_SIZE) + k * _SIZE, np.eye(_SIZE), np.zeros(_SIZE))
+        loose = np.eye(_SIZE) * 1e-8  # what nothing measures (the accelerometer's bias without IMU) stays where it is
+        for k in range(len(self._t)):
+            system.add(np.arange(_SIZE) + k * _SIZE, loose, np.zeros(_SIZE))
+
+    def _carry(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
+        """Where exposure k is after `dt`, with transition and noise (15, 15)."""
+        R, x, s = self._R[k], self._x[k], self._settings
+        if m is None:
+            F, Q = constant_transition(R, x[GYRO], dt, s)
+            return constant_step(R, x[POS], x[VEL], x[GYRO], dt), F, Q
+        m = corrected(m, x[GYRO], x[ACC])
+        after = inertial_step(R, x[POS], x[VEL], m)
+        F, Q = inertial_transition(Step(R, x[POS], x[VEL]), after, m)
+        Q[range(15), range(15)] += bias_walk(dt, s)
+        return after, F, Q
+
+    def _add_motion(self, system: BlockTridiagonal) -> None:
+        """Factors between successive exposures: the motion model (M8, M9) and the GPS/INS errors (M10)."""
+        for k, m in enumerate(self._sums):
+            dt = (self._t[k + 1] - self._t[k]) * 1e-9
+            after, F, Q = self._carry(k, dt, m)
+            a, b = self._x[k], self._x[k + 1]
+            decay, drift = nav_decay(dt, self._nav_sigma, self._settings)
+            e = np.concatenate([so3_log(self._R[k + 1] @ after.R.T), b[3:15] - a[3:15], b[15:] - decay * a[15:]])
+            e[POS], e[VEL] = b[POS] - after.position, b[VEL] - after.velocity
+            J = np.zeros((_SIZE, 2 * _SIZE))
+            J[:, _SIZE:] = np.eye(_SIZE)
+            J[:15, :15], J[15:, 15:_SIZE] = -F, -np.diag(decay)
+            W = np.zeros((_SIZE, _SIZE))
+            W[:15, :15] = np.linalg.inv(Q + 1e-14 * np.eye(15))
+            W[range(15, 24), range(15, 24)] = 1.0 / drift
+            rows = np.arange(2 * _SIZE) + k * _SIZE
+            system.add(rows, J.T @ W @ J, -J.T @ W @ e)
+
+    def _add_nav(self, system: BlockTridiagonal, row: _Row) -> None:
+        """A GPS/INS row at the exposure before it (M14-M16), each of its three parts with a Cauchy weight."""
+        after, F, _ = self._carry(row.k, row.dt, row.sum)
+        x, z = self._x[row.k], row.sample
+        parts: list[tuple[slice, slice, F64, F64]] = []
+        if z.position_world is not None:
+            parts.append((POS, NAV_POS, z.position_world - after.position - x[NAV_POS], row.white[0:3]))
+        if z.world_from_body is not None:
+            e = so3_log(z.world_from_body @ (so3_exp(x[NAV_ATT]) @ after.R).T)
+            parts.append((ATT, NAV_ATT, e, row.white[3:6]))
+        if z.velocity_world is not None:
+            parts.append((VEL, NAV_VEL, z.velocity_world - after.velocity - x[NAV_VEL], row.white[6:9]))
+        if row.sum is None and z.angular_velocity_body is not None:
+            rate = z.angular_velocity_body - x[GYRO]
+            parts.append((GYRO, GYRO, rate, np.full(3, self._settings.nav_rate_white)))
+        rows = np.arange(_SIZE) + row.k * _SIZE
+        for value, drift, e, white in parts:
+            J = np.zeros((3, _SIZE))
+            J[:, :15] = F[value]
+            J[:, drift] = np.eye(3)
+            W = 1.0 / white**2 / (1.0 + float(e @ (e / white**2)) / 27.0)
+            system.add(rows, (J.T * W) @ J, J.T @ (W * e))
+
+    def _motion(self, k: int, covariance: F64) -> Motion:
+        old, order = self._motions[k], np.r_[POS, ATT]
+        body = Pose(self._R[k], self._x[k, POS])
+        rig = Pose(self._R[k] @ self._mount, self._x[k, POS])
+        return replace(
+            old,
+            world_from_body=body,
+            world_from_cams=tuple(rig @ c for c in self._cams),
+            covariance=covariance[np.ix_(order, order)],
+            velocity_world=self._x[k, VEL].copy(),
+        )
+
+
+def _own(covariance: F64, k: int, span: int) -> F64:
+    i = slice((k % span) * _SIZE, (k % span + 1) * _SIZE)
+    return np.asarray(covariance[k // span, i, i])
