@@ -1,0 +1,37 @@
+# `make demo` and `make test` need Python 3.11 or newer and nothing else; each makes .venv when there is none.
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; do \
+  $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+MADE := .venv/.made
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check format bench clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 10
+
+demo: $(MADE)  ## a small simulated flight, a landing site found in it, and the report: out/demo/report.html
+	$(BIN)/alight demo --out out/demo
+
+test: $(MADE)  ## all tests, the import contracts among them
+	$(BIN)/python -m pytest
+
+check: $(MADE)  ## format, lint, types, imports; seconds
+	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports
+
+format: $(MADE)  ## put the source into its form
+	$(BIN)/ruff format . && $(BIN)/ruff check --fix .
+
+bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
+	$(BIN)/python -m pytest bench
+
+clean:  ## everything that was made, .venv included
+	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+
+$(MADE): pyproject.toml src/alight/__init__.py
+	@test -n '$(PYTHON)' || { echo 'Alight needs Python 3.11 or newer and found none; install it, or name it: make PYTHON=/path/to/python3.11' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo 'Alight needs Python 3.11 or newer; $(PYTHON) is not. Name another: make PYTHON=/path/to/python3.11' >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { echo '$(PYTHON) cannot make virtual environments; on Debian or Ubuntu: apt install python3-venv' >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $(MADE)

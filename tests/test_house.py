@@ -1,0 +1,89 @@
+"""The rules of the house: they are a contract, not a wish."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import alight
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "src" / "alight"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+KERNELS = sorted((PACKAGE / "kernels").glob("*.py"))
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
+
+
+def name_of(path: Path) -> str:
+    """The test's name: where the file is in the project."""
+    return path.relative_to(ROOT).as_posix()
+
+
+def imports(path: Path) -> Iterator[str]:
+    """Every module that a file imports, wherever in it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            yield node.module or ""
+
+
+def test_import_contracts_hold() -> None:
+    command = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    run = subprocess.run([sys.executable, "-c", command, "--no-cache"], cwd=ROOT, capture_output=True, text=True)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "0 broken" in run.stdout
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_only_the_kernels_doorway_imports_the_compiler(path: Path) -> None:
+    found = [m for m in imports(path) if m.split(".")[0] == "numba"]
+    assert not found or path == PACKAGE / "kernels" / "compiler.py"
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=name_of)
+def test_kernels_stand_on_the_ground(path: Path) -> None:
+    if path.name == "compiler.py":  # the doorway itself arranges the compiler's cache
+        return
+    allowed = {"__future__", "math", "numpy", "numpy.typing"}
+    assert all(m in allowed or m.startswith("alight.kernels") for m in imports(path))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_no_print_and_no_promise(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    calls = [n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Call)]
+    assert not [c.lineno for c in calls if isinstance(c.func, ast.Name) and c.func.id == "print"]
+    assert not re.search(r"\b(TODO|FIXME|XXX)\b", text)
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_every_file_says_what_it_is_for(path: Path) -> None:
+    assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    assert importlib.metadata.version("alight") == alight.__version__
+    released = re.findall(r"^## \[(\d[^\]]*)\]", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
+    assert released[0] == alight.__version__
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_pages_point_at_things_that_exist(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text(encoding="utf-8")):
+        assert (path.parent / target).exists(), f"{path.name}: {target}"
+
+
+def test_the_architecture_page_names_every_module() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    modules = {p.stem if p.is_file() else p.name for p in PACKAGE.iterdir() if p.suffix == ".py" or p.is_dir()}
+    modules -= {"__init__", "__pycache__"}
+    assert not [m for m in sorted(modules) if f"`{m}`" not in text]
