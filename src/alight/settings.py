@@ -82,7 +82,7 @@ class Bundle(_Model):
     image_px: int = Field(1600, ge=400, description="longest side used for features")
     neighbours: int = Field(10, ge=2, description="nearest photos each photo is matched with, besides one in each direction")
     matches: int = Field(20, ge=8, description="least matches of a pair after two-view geometry")
-    observations: int = Field(1500, ge=50, description="observations a photo has in the adjustment")
+    observations: int = Field(4000, ge=50, description="observations a photo has in the adjustment")
     focal: Literal["held", "free"] = Field("held", description="the maker's focal length; height and focal trade off")
     lens: Literal["held", "free"] = Field("free", description="the maker's principal point and distortion; free: a prior")
     attitude_sigma: Positive = Field(0.05, description="rad, 1-sigma of the gimbal's roll and pitch")
@@ -122,6 +122,11 @@ class TerrainSettings(_Model):
     """What covers the ground."""
 
     enabled: bool = Field(True, description="refuse ground by its class")
+    block: Positive = Field(0.5, description="m, blocks on which the shape of the ground is judged")
+    ground_window: Positive = Field(10.0, description="m; what is narrower and higher stands on the ground")
+    bulge: NonNegative = Field(0.04, description="m of height per metre of width that a hilltop may have")
+    raised: Positive = Field(0.5, description="m above the ground from which something counts as an object")
+    basin_depth: Positive = Field(0.2, description="m of standing water that a closed basin must hold to look like a pond")
 
 
 def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
@@ -166,6 +171,7 @@ class Hazards(_Model):
     """Judging the ground."""
 
     unknown_share: Fraction = Field(0.02, description="largest share of the footprint that may be unknown")
+    bridge: NonNegative = Field(0.15, description="m; doubtful heights in gaps up to twice as wide count if they agree")
     alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
     p_safe: Fraction = Field(0.99, description="least probability of a safe touchdown")

@@ -18,6 +18,7 @@ from alight.hazards.contact import (
     share_near,
     step_of,
 )
+from alight.hazards.known import judged_height
 from alight.hazards.probability import mean_near, safe_probability
 from alight.records import F32, U8, ElevationMap, Hazard, HazardMap, TerrainMap
 from alight.settings import Hazards, Lander
@@ -36,13 +37,6 @@ class _Findings:
     unknown: Bool
     blocked: Bool  # something stands in the belly's or rotor's way
     vetoed: Bool
-
-
-def known_height(elevation: ElevationMap) -> F32:
-    """Trusted heights about their own median (float32 keeps its digits there), NaN elsewhere."""
-    known = elevation.trusted
-    middle = np.float32(np.median(elevation.height[known])) if known.any() else np.float32(0)
-    return np.where(known, elevation.height - middle, np.float32(np.nan))
 
 
 def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int]) -> Bool:
@@ -129,7 +123,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     cell = elevation.grid.cell
-    height = known_height(elevation)
+    height = judged_height(elevation, lander, settings)
     found = _find(height, terrain, lander, settings, cell)
     reasons = _reasons(found, lander)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))

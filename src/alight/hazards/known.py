@@ -1,0 +1,52 @@
+"""Which heights a touchdown may be judged by."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F32, ElevationMap, Flag
+from alight.settings import Hazards, Lander
+
+Bool = NDArray[np.bool_]
+
+_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.SATURATED | Flag.RANGE)  # no height, or none that could be right
+
+
+def _within_reach(known: Bool, reach_cells: float) -> Bool:
+    """Known cells, and gaps between them that are narrower than twice the reach."""
+    n = int(reach_cells + 1e-6)
+    if n < 1:
+        return known
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
+    return np.asarray(cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, disc, borderValue=0) > 0)
+
+
+def _neighbours_level(height: F32, known: Bool, reach_cells: float) -> F32:
+    """Mean height of the known cells about each cell, weighed by nearness; NaN where none is near."""
+    weight = known.astype(np.float32)
+    total = cv2.GaussianBlur(np.where(known, height, 0).astype(np.float32), (0, 0), reach_cells)
+    share = cv2.GaussianBlur(weight, (0, 0), reach_cells)
+    out: F32 = np.where(share > 1e-3, total / np.maximum(share, 1e-3), np.nan).astype(np.float32)
+    return out
+
+
+def judged_height(elevation: ElevationMap, lander: Lander, settings: Hazards) -> F32:
+    """Heights that count as known, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
+
+    These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
+    trusted ones beside them to half the roughness limit: a match that is ambiguous and yet lands on the ground around
+    it. On the rendered sample flight 0.15 m finds a quarter more of the safe ground at
+    the same false-safe rate; 0.25 m quadruples that rate (a tree crown matched at ground level slips in).
+    """
+    known = elevation.trusted
+    if not known.any():
+        return np.full(elevation.grid.shape, np.nan, dtype=np.float32)
+    height = elevation.height - np.float32(np.median(elevation.height[known]))
+    reach = settings.bridge / elevation.grid.cell
+    if reach >= 1:
+        gap = _within_reach(known, reach) & ~known & np.isfinite(height) & ((elevation.flags & _NEVER) == 0)
+        agrees = np.abs(height - _neighbours_level(height, known, reach)) <= 0.5 * lander.max_roughness
+        known = known | (gap & agrees)
+    return np.where(known, height, np.float32(np.nan))
