@@ -25,7 +25,9 @@ class _Model(BaseModel):
 class Sources(_Model):
     """How the input is read."""
 
-    calibration: str | None = Field(None, description="Kalibr camchain.yaml that replaces the rig calibration of the log")
+    calibration: str | None = Field(
+        None, description="Kalibr camchain.yaml that replaces the rig calibration of the log"
+    )
     skip: int = Field(0, ge=0, description="exposures left out at the start")
     every: int = Field(1, ge=1, description="use each n-th exposure")
 
@@ -56,9 +58,13 @@ class Filter(_Model):
     nav_position_white: Positive = Field(0.05, description="m, white part of the GPS/INS position error")
     nav_attitude_white: Positive = Field(0.002, description="rad, white part of the GPS/INS attitude error")
     nav_velocity_white: Positive = Field(0.03, description="m/s, white part of the GPS/INS velocity error")
-    nav_rate_white: Positive = Field(0.02, description="rad/s, error of the GPS/INS angular velocity (used without IMU)")
+    nav_rate_white: Positive = Field(
+        0.02, description="rad/s, error of the GPS/INS angular velocity (used without IMU)"
+    )
     position_sigma: Positive = Field(5.0, description="m, 1-sigma of the GPS/INS position where the row does not say")
-    attitude_sigma: Positive = Field(0.03, description="rad, 1-sigma of the GPS/INS attitude where the row does not say")
+    attitude_sigma: Positive = Field(
+        0.03, description="rad, 1-sigma of the GPS/INS attitude where the row does not say"
+    )
     velocity_sigma: Positive = Field(0.3, description="m/s, 1-sigma of the GPS/INS velocity where the row does not say")
     acceleration_sigma: Positive = Field(2.0, description="m/s^2 per sqrt(Hz), constant-velocity model")
     angular_acceleration_sigma: Positive = Field(2.0, description="rad/s^2 per sqrt(Hz), constant-velocity model")
@@ -80,11 +86,15 @@ class Bundle(_Model):
 
     features: int = Field(5000, ge=200, description="SIFT features a photo")
     image_px: int = Field(1600, ge=400, description="longest side used for features")
-    neighbours: int = Field(10, ge=2, description="nearest photos each photo is matched with, besides one in each direction")
+    neighbours: int = Field(
+        10, ge=2, description="nearest photos each photo is matched with, besides one in each direction"
+    )
     matches: int = Field(20, ge=8, description="least matches of a pair after two-view geometry")
     observations: int = Field(4000, ge=50, description="observations a photo has in the adjustment")
     focal: Literal["held", "free"] = Field("held", description="the maker's focal length; height and focal trade off")
-    lens: Literal["held", "free"] = Field("free", description="the maker's principal point and distortion; free: a prior")
+    lens: Literal["held", "free"] = Field(
+        "free", description="the maker's principal point and distortion; free: a prior"
+    )
     attitude_sigma: Positive = Field(0.05, description="rad, 1-sigma of the gimbal's roll and pitch")
     heading_sigma: Positive = Field(0.15, description="rad, 1-sigma of the gimbal's heading")
     mounting_sigma: NonNegative = Field(0.03, description="rad, camera mounting against the gimbal; 0 holds it")
@@ -94,7 +104,9 @@ class Bundle(_Model):
 class MotionSettings(_Model):
     """Ego-motion."""
 
-    method: Literal["auto", "filter", "bundle"] = Field("auto", description="auto: filter for flights, bundle for photos")
+    method: Literal["auto", "filter", "bundle"] = Field(
+        "auto", description="auto: filter for flights, bundle for photos"
+    )
     filter: Filter = Filter()
     bundle: Bundle = Bundle()
 
@@ -104,9 +116,11 @@ class Parallax(_Model):
 
     method: Literal["auto", "batch", "ring"] = Field("auto", description="auto: batch for recordings")
     cell: Positive | None = Field(None, description="m; None: from the ground sampling distance")
-    views: int = Field(12, ge=2, le=32, description="most views a cell uses (batch)")
+    views: int = Field(16, ge=2, le=32, description="most views a cell uses (batch)")
     ring: int = Field(6, ge=3, le=16, description="keyframes in the ring (recursive)")
-    height_range: tuple[float, float] | None = Field(None, description="m above the origin, searched; None: from matches")
+    height_range: tuple[float, float] | None = Field(
+        None, description="m above the origin, searched; None: from matches"
+    )
     keyframe_baseline: Positive = Field(0.02, description="baseline over height between keyframes")
     store_mb: int = Field(1500, ge=64, description="memory for the pixels of keyframes")
 
@@ -114,7 +128,7 @@ class Parallax(_Model):
 class Elevation(_Model):
     """The map."""
 
-    tile: int = Field(256, ge=64, description="cells a side")
+    tile: int = Field(384, ge=64, description="cells a side")
     max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 1 % of the height")
 
 
@@ -126,7 +140,9 @@ class TerrainSettings(_Model):
     ground_window: Positive = Field(10.0, description="m; what is narrower and higher stands on the ground")
     bulge: NonNegative = Field(0.04, description="m of height per metre of width that a hilltop may have")
     raised: Positive = Field(0.5, description="m above the ground from which something counts as an object")
-    basin_depth: Positive = Field(0.2, description="m of standing water that a closed basin must hold to look like a pond")
+    basin_depth: Positive = Field(
+        0.2, description="m of standing water that a closed basin must hold to look like a pond"
+    )
 
 
 def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
