@@ -23,7 +23,7 @@ format: $(MADE)  ## put the source into its form
 	$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
-	$(BIN)/python -m pytest bench
+	for b in bench/bench_*.py; do $(BIN)/python $$b || exit 1; done
 
 clean:  ## everything that was made, .venv included
 	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
