@@ -1,0 +1,7 @@
+"""Planar parallax on the world grid: posed views -> heights with sigma and flags."""
+
+from alight.parallax.batch import Images, match
+from alight.parallax.ground import find_points, height_range
+from alight.parallax.views import ground_sampling
+
+__all__ = ["Images", "find_points", "ground_sampling", "height_range", "match"]

@@ -6,13 +6,17 @@ For recorded flights, photos, and the restart after a gap.
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare, sample
+from alight.parallax.views import NORM_CELLS, Prepared, choose, maps, prepare
 from alight.records import F32, U8, Heights, View
 from alight.settings import Parallax
 
@@ -25,7 +29,9 @@ SWEEP_WINDOW = 5  # coarse cells of normalisation: 9 smear walls (0.5 points few
 def coarse_grid(grid: Grid, factor: int) -> Grid:
     """The grid of `factor` x `factor` cells taken as one."""
     shift = 0.5 * (factor - 1) * grid.cell
-    return Grid(grid.east + shift, grid.north - shift, grid.cell * factor, -(-grid.rows // factor), -(-grid.cols // factor))
+    return Grid(
+        grid.east + shift, grid.north - shift, grid.cell * factor, -(-grid.rows // factor), -(-grid.cols // factor)
+    )
 
 
 def enlarge(values: F32, grid: Grid, factor: int, smooth: bool) -> F32:
@@ -38,33 +44,57 @@ def enlarge(values: F32, grid: Grid, factor: int, smooth: bool) -> F32:
     return np.ascontiguousarray(nearest[: grid.rows, : grid.cols], dtype=np.float32)
 
 
-def match(views: list[View], grid: Grid, low: float, high: float, settings: Parallax) -> Heights | None:
+class Images:
+    """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept."""
+
+    def __init__(self, views: Sequence[View], cell: float, height: float, keep: int = 64) -> None:
+        self.views = views
+        self.cell = cell
+        self.height = height  # metres, of the ground in general: for the ground sampling distance
+        self._ready: OrderedDict[tuple[int, bool], Prepared] = OrderedDict()
+        self._keep = keep
+
+    def get(self, index: int, coarse: bool) -> Prepared:
+        """View `index` at the cell of the grid, or of the sweep."""
+        key = (index, coarse)
+        if key not in self._ready:
+            cell, window = (self.cell * COARSE, SWEEP_WINDOW) if coarse else (self.cell, NORM_CELLS)
+            self._ready[key] = prepare(self.views[index], cell, self.height, window)
+            while len(self._ready) > 2 * self._keep:
+                self._ready.popitem(last=False)
+        self._ready.move_to_end(key)
+        return self._ready[key]
+
+
+def match(images: Images, grid: Grid, low: float, high: float, settings: Parallax) -> Heights | None:
     """Estimate the heights of one grid from the views that see it (docs/method.md, section 3).
 
     Args:
-        views: posed images; those that do not see the grid are ignored.
-        grid: cells to estimate.
+        images: posed views; those that do not see the grid are ignored.
+        grid: cells to estimate, of the images' cell.
         low, high: heights searched, metres above the origin.
 
     Returns:
         The heights, or None where fewer than two views see the grid.
     """
-    sel = [views[i] for i in choose(views, grid, low, settings.views, MAX_TANGENT)]
-    if len(sel) < 2:
+    chosen = choose(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
+    if len(chosen) < 2:
         return None
     wide = coarse_grid(grid, COARSE)
-    coarse = [prepare(v, wide.cell, low, SWEEP_WINDOW) for v in sel]
+    coarse = [images.get(i, coarse=True) for i in chosen]
     found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell))
-    fine = [prepare(v, grid.cell, low) for v in sel]
     start = enlarge(found, grid, COARSE, smooth=True)
-    return _finish(sel, fine, grid, start, enlarge(ratio, grid, COARSE, smooth=False), low, high)
+    if not np.isfinite(start).any():
+        return None
+    fine = [images.get(i, coarse=False) for i in chosen]
+    return _finish(
+        [images.views[i] for i in chosen], fine, grid, start, enlarge(ratio, grid, COARSE, smooth=False), low, high
+    )
 
 
 def _finish(
     views: list[View], fine: list[Prepared], grid: Grid, start: F32, ratio: F32, low: float, high: float
 ) -> Heights:
-    if not np.isfinite(start).any():
-        start = start.copy()
     per_px = refine.metres_per_pixel(fine, start, grid)
     hidden = ~refine.visible_from(fine, grid, start, 2.0 * float(np.nanmedian(per_px)))
     fit = refine.gauss_newton(fine, grid, start, hidden, ITERATIONS)
@@ -77,14 +107,14 @@ def _finish(
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))
 
 
-def _disagreement(fine: list[Prepared], grid: Grid, height: F32, hidden: np.ndarray) -> F32:  # type: ignore[type-arg]
+def _disagreement(fine: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_]) -> F32:
     """Metres between the heights that the even and the odd views give on their own."""
     halves = [refine.gauss_newton(fine[k::2], grid, height, hidden[k::2], 2) for k in (0, 1)]
     known = (halves[0].used >= 2) & (halves[1].used >= 2)
     return np.where(known, np.abs(halves[0].height - halves[1].height), 0).astype(np.float32)
 
 
-def colour(views: list[View], fine: list[Prepared], grid: Grid, height: F32, hidden: np.ndarray) -> U8:  # type: ignore[type-arg]
+def colour(views: list[View], fine: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_]) -> U8:
     """What the steepest view that sees each cell saw, (R, C, 3)."""
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
@@ -99,10 +129,9 @@ def colour(views: list[View], fine: list[Prepared], grid: Grid, height: F32, hid
                 offset = np.float32(0.5 * scale - 0.5)
                 picture = views[i].image
                 picture = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
-                seen = cv2.remap(picture, mx * np.float32(scale) + offset, my * np.float32(scale) + offset, cv2.INTER_LINEAR)
+                seen = cv2.remap(
+                    picture, mx * np.float32(scale) + offset, my * np.float32(scale) + offset, cv2.INTER_LINEAR
+                )
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
-
-
-__all__ = ["match", "sample"]

@@ -56,14 +56,24 @@ def visible_from(prepared: list[Prepared], grid: Grid, height: F32, margin: floa
 
 
 def gauss_newton(
-    prepared: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_] | None, iterations: int, prior: float = PRIOR
+    prepared: list[Prepared],
+    grid: Grid,
+    height: F32,
+    hidden: NDArray[np.bool_] | None,
+    iterations: int,
+    prior: float = PRIOR,
 ) -> Fit:
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
     `hidden` (N, R, C) leaves views out where the map stands in their way.
     """
     shape, xs_ys = grid.shape, grid.xy()
-    fit = Fit(height.copy(), *(np.zeros(shape, np.float32) for _ in range(3)), np.zeros(shape, np.uint8), np.zeros(shape, np.uint8))
+    fit = Fit(
+        height.copy(),
+        *(np.zeros(shape, np.float32) for _ in range(3)),
+        np.zeros(shape, np.uint8),
+        np.zeros(shape, np.uint8),
+    )
     lam, eta, s2, texture, step = (np.zeros(shape, np.float32) for _ in range(5))
     weights = np.empty((len(prepared), *shape), np.float32)
     centres = centres_of(prepared)

@@ -11,7 +11,11 @@ from alight.records import F32
 
 KEEP = 0.7  # share of the views that has to agree
 TRUNCATION = np.float32(1.5)  # normalised grey
-P1, P2, EDGE = np.float32(0.05), np.float32(0.5), np.float32(0.5)  # smoothness of one plane, of more, and at image edges
+P1, P2, EDGE = (
+    np.float32(0.05),
+    np.float32(0.5),
+    np.float32(0.5),
+)  # smoothness of one plane, of more, and at image edges
 MOST_PLANES = 192
 
 

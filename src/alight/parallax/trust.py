@@ -60,7 +60,9 @@ def residual_share(fit: Fit) -> F32:
 def roughness(height: F32) -> F32:
     """Deviation of each height from its 3x3 median-smoothed neighbourhood, metres."""
     filled = np.nan_to_num(height, nan=float(np.nanmedian(height)) if np.isfinite(height).any() else 0.0)
-    return np.asarray(np.sqrt(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5))), dtype=np.float32)
+    return np.asarray(
+        np.sqrt(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5))), dtype=np.float32
+    )
 
 
 def sigma(fit: Fit, metres_per_px: F32) -> F32:

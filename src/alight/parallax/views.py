@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -91,7 +92,9 @@ def maps(p: Prepared, grid: Grid, h: F32) -> tuple[F32, F32]:
 
 def sample(image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None) -> F32:
     """Sample an image at the maps, NaN outside it."""
-    return np.asarray(cv2.remap(image, mapx, mapy, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
+    return np.asarray(
+        cv2.remap(image, mapx, mapy, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+    )
 
 
 def stack(prepared: list[Prepared], grid: Grid, h: F32) -> F32:
@@ -102,7 +105,7 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32) -> F32:
     return out
 
 
-def choose(views: list[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
+def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
     """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
 
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
@@ -116,7 +119,12 @@ def choose(views: list[View], grid: Grid, height: float, count: int, max_tangent
         uv = v.camera.project(v.world_from_cam.inverse.apply(points))
         ray = v.world_from_cam.inverse.apply(points)
         with np.errstate(invalid="ignore"):
-            ok = (uv >= 0).all(1) & (uv[:, 0] <= v.camera.width - 1) & (uv[:, 1] <= v.camera.height - 1) & (ray[:, 2] > 0)
+            ok = (
+                (uv >= 0).all(1)
+                & (uv[:, 0] <= v.camera.width - 1)
+                & (uv[:, 1] <= v.camera.height - 1)
+                & (ray[:, 2] > 0)
+            )
             ok &= ((ray[:, :2] / ray[:, 2:3]) ** 2).sum(1) < radius2_limit(v.camera)
         tangent = np.hypot(*(points - v.centre)[:, :2].T) / max(v.centre[2] - height, 1e-3)
         inside.append(ok * np.where(tangent <= max_tangent, 1.0, 0.05))

@@ -1,0 +1,189 @@
+"""The core: events in, a landing decision out. No file, clock or thread: replay, simulation and flight run the same code."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from alight import hazards, route, sites, terrain
+from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
+from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
+from alight.pipeline.terrain_lane import TerrainLane, footprint, looking_down
+from alight.records import (
+    ElevationMap,
+    Event,
+    Frame,
+    HazardMap,
+    Motion,
+    MotionState,
+    Rig,
+    Route,
+    Sites,
+    TerrainMap,
+    View,
+)
+from alight.settings import Settings
+
+log = logging.getLogger(__name__)
+
+__all__ = ["Decision", "Pipeline", "TimedPoses"]
+
+Tell = Callable[[str, float], None]  # stage, share done
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What a recording says about landing."""
+
+    sites: Sites
+    motions: list[Motion]
+    elevation: ElevationMap | None = None
+    terrain: TerrainMap | None = None
+    hazards: HazardMap | None = None
+    route: Route | None = None
+    height_above_ground: float | None = None  # metres
+    warnings: list[str] = field(default_factory=list)
+    notes: dict[str, Any] = field(default_factory=dict)
+
+
+class Pipeline:
+    """Feed it the events of a recording in order of time, then `finish`.
+
+    Args:
+        rig: the cameras.
+        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment), unless the settings say otherwise.
+        poses: body poses that replace the estimated ones, for evaluation.
+        clock: seconds, for the time of the stages; the core has none of its own.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        kind: Literal["flight", "photos"],
+        settings: Settings,
+        poses: TimedPoses | None = None,
+        clock: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        self._settings = settings
+        self._clock = clock
+        self._navigation = _lane(rig, kind, settings, poses)
+        self._everything = isinstance(self._navigation, BundleLane)
+        self._terrain = TerrainLane(settings)
+        self._store = FrameStore()
+        self._motions: dict[int, Motion] = {}
+        self.timings: dict[str, list[float]] = {}
+
+    def _timed(self, stage: str, since: float) -> float:
+        now = self._clock()
+        self.timings.setdefault(stage, []).append(now - since)
+        return now
+
+    def feed(self, event: Event) -> Motion | None:
+        """Take one event; an exposure gives its motion when that is known at once."""
+        start = self._clock()
+        motion = self._navigation.feed(event)
+        if isinstance(event, Frame):
+            self._timed("motion", start)
+            if motion is not None:
+                self._motions[event.t_ns] = motion
+            self._keep(event, motion)
+        return motion
+
+    def _keep(self, frame: Frame, motion: Motion | None) -> None:
+        if self._everything:
+            self._store.offer(frame, None, None)
+        elif motion is not None and motion.state is not MotionState.LOST:
+            above = FIRST_STEP if self._terrain.ground is None else self._step(motion)
+            if (
+                self._store.offer(frame, motion, above)
+                and self._terrain.ground is None
+                and len(self._store.frames) % 8 == 0
+            ):
+                self._terrain.learn(self._views())
+            if self._store.bytes > self._settings.parallax.store_mb * 1_000_000:
+                self._make_room()
+
+    def _step(self, motion: Motion) -> float:
+        above = motion.world_from_body.translation[2] - (self._terrain.ground or 0.0)
+        return float(self._settings.parallax.keyframe_baseline * max(above, 1.0))
+
+    def _views(self) -> list[View]:
+        return views_of(self._store.frames, self._motions, self._navigation.rig)
+
+    def _make_room(self) -> None:
+        """Match the tiles that only the older half of the store sees, then forget that half: memory is bounded."""
+        half = len(self._store.frames) // 2
+        newer = views_of(self._store.frames[half:], self._motions, self._navigation.rig)
+        if self._terrain.ground is not None or self._terrain.learn(self._views()):
+            ground = self._terrain.ground or 0.0
+            ahead = np.concatenate([footprint(v, ground) for v in looking_down(newer)] or [np.full((1, 2), np.inf)])
+            low, high = ahead.min(axis=0), ahead.max(axis=0)
+
+            def left(grid: Any) -> bool:
+                e, n = grid.xy()
+                return bool(e[-1] < low[0] or e[0] > high[0] or n[0] < low[1] or n[-1] > high[1])
+
+            self._terrain.learn(self._views())
+            self._terrain.build(self._views(), lambda _: None, left)
+        self._store.drop_oldest(half)
+        log.info("frame store full: the older half was mapped and forgotten")
+
+    def finish(self, tell: Tell = lambda stage, share: None) -> Decision:
+        """Refine the motion, build the map, judge it and choose."""
+        start = self._clock()
+        motions = self._navigation.finish(lambda f: tell("motion", f))
+        self._motions = {m.t_ns: m for m in motions if m.state is not MotionState.LOST}
+        start = self._timed("motion, all frames together", start)
+        warnings, notes = list(self._navigation.warnings), dict(self._navigation.notes)
+        if not self._motions:
+            why = "no motion: " + (
+                warnings[-1] if warnings else "there is no GPS/INS to start from (nav0), or no picture could be placed"
+            )
+            return Decision(Sites((), why), motions, warnings=warnings, notes=notes)
+        views = self._views()
+        if not self._terrain.learn(views) and self._terrain.elevation is None:
+            return Decision(Sites((), self._terrain.reason), motions, warnings=warnings, notes=notes)
+        start = self._timed("ground", start)
+        self._terrain.build(views, lambda f: tell("heights", f))
+        self._timed("heights", start)
+        above = float(
+            np.median([m.world_from_body.translation[2] for m in self._motions.values()]) - (self._terrain.ground or 0)
+        )
+        return self._judge(motions, above, warnings, notes, tell)
+
+    def _judge(
+        self, motions: list[Motion], above: float, warnings: list[str], notes: dict[str, Any], tell: Tell
+    ) -> Decision:
+        s, start = self._settings, self._clock()
+        elevation = self._terrain.map(above)
+        if elevation is None:
+            return Decision(
+                Sites((), "no height could be measured: no place was seen by two views"),
+                motions,
+                warnings=warnings,
+                notes=notes,
+            )
+        cover = terrain.classify(elevation, s.terrain) if s.terrain.enabled else None
+        start = self._timed("terrain", start)
+        tell("judging", 0.4)
+        danger = hazards.assess(elevation, cover, s.lander, s.hazards)
+        start = self._timed("hazards", start)
+        last = np.array(motions[-1].world_from_body.translation)
+        chosen = sites.choose(danger, cover, elevation, s.sites, s.lander, last)
+        way = route.plan(chosen.sites[0], elevation, last, s.route) if chosen.sites else None
+        self._timed("sites and route", start)
+        tell("judging", 1.0)
+        return Decision(chosen, motions, elevation, cover, danger, way, above, warnings, notes)
+
+
+def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None) -> Lane:
+    if poses is not None:
+        return GivenLane(rig, poses)
+    method = settings.motion.method
+    if method == "bundle" or (method == "auto" and kind == "photos"):
+        return BundleLane(rig, settings)
+    return FilterLane(rig, settings)

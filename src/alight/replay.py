@@ -1,0 +1,103 @@
+"""Run the whole way over a recording: a source in, a folder of results out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from alight.outputs import prepare, write_run
+from alight.pipeline import Decision, Pipeline, TimedPoses
+from alight.records import InputError, RunResult
+from alight.settings import Settings
+from alight.sources import Source, open_source, read_tum
+
+log = logging.getLogger(__name__)
+
+Tell = Callable[[str, float], None]  # what is being done, share done
+
+
+def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
+    """The poses that replace the estimated ones: None, `truth`, or the name of a TUM file.
+
+    Raises:
+        InputError: the recording has no truth, or the file cannot be used.
+    """
+    if poses is None:
+        return None
+    if poses != "truth":
+        return read_tum(Path(poses), source.local)
+    if source.truth_trajectory is None:
+        raise InputError(f"--poses truth: {source.name} has no state_groundtruth_estimate0; give a TUM file instead")
+    return source.truth_trajectory
+
+
+def replay(
+    source: Source, settings: Settings, poses: str | None = None, tell: Tell = lambda stage, share: None
+) -> RunResult:
+    """Run the pipeline over a source.
+
+    Args:
+        source: the recording.
+        settings: all of them.
+        poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
+        tell: called with the stage and the share of it that is done.
+
+    Raises:
+        InputError: nothing in the recording can be used.
+    """
+    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter)
+    frames = 0
+    for event in source.events():
+        pipeline.feed(event)
+        if hasattr(event, "images"):
+            frames += 1
+            tell("reading", frames / max(source.length, 1))
+    if not frames:
+        raise InputError(f"{source.name}: not one image could be read; {' '.join(source.warnings[:2])}")
+    return result_of(source, settings, pipeline.finish(tell), pipeline.timings)
+
+
+def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str, list[float]]) -> RunResult:
+    """Everything that the output folder and the report are made of."""
+    return RunResult(
+        source_name=source.name,
+        source_kind=source.kind,
+        local=source.local,
+        georeferenced=source.georeferenced,
+        settings=settings,
+        sites=d.sites,
+        elevation=d.elevation,
+        terrain=d.terrain,
+        hazards=d.hazards,
+        route=d.route,
+        motions=d.motions,
+        height_above_ground=d.height_above_ground,
+        counts=source.counts,
+        notes={k: str(v) for k, v in {**source.notes, **d.notes}.items()},
+        warnings=[*source.warnings, *d.warnings, *(d.route.warnings if d.route else ())],
+        timings=timings,
+    )
+
+
+def run(
+    path: Path,
+    out: Path,
+    settings: Settings,
+    poses: str | None = None,
+    overwrite: bool = False,
+    tell: Tell = lambda stage, share: None,
+) -> RunResult:
+    """Find a landing site in a flight log or a folder of photos and write what was found to `out`.
+
+    Raises:
+        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+    """
+    source = open_source(path, settings)
+    prepare(out, overwrite)
+    result = replay(source, settings, poses, tell)
+    tell("writing", 0.0)
+    write_run(result, out, overwrite)
+    tell("writing", 1.0)
+    return result
