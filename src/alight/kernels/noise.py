@@ -15,8 +15,15 @@ UNIT_STD = 5.65  # largest lattice slope: brings the noise below to a standard d
 
 @kernel
 def hash3(i: int, j: int, seed: int) -> int:
-    """Return 32 well mixed bits of two lattice indices and a seed (multiply-xorshift, Wellons' lowbias32)."""
-    h = ((i & MASK) * 0x2DA6B343 ^ (j & MASK) * 0x58163841 ^ (seed & MASK) * 0x4B1AB31F) & MASK
+    """Return 32 well mixed bits of two lattice indices and a seed.
+
+    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other: combining the indices first, by XOR of
+    their multiples, gave one lattice point in six the bits of another.
+    """
+    h = ((i & MASK) * 0x2DA6B343 + ((seed & MASK) * 0x4B1AB31F & MASK)) & MASK
+    h ^= h >> 16
+    h = (h * 0x21F0AAAD) & MASK
+    h = ((h ^ (h >> 15)) + (j & MASK) * 0x58163841) & MASK
     h ^= h >> 16
     h = (h * 0x21F0AAAD) & MASK
     h ^= h >> 15
@@ -30,9 +37,8 @@ def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
 
     Quintic blending: the value is twice differentiable, so its slopes can be used as micro-relief.
     """
-    xf, yf = math.floor(x), math.floor(y)
-    i, j = int(xf), int(yf)
-    u, v = x - xf, y - yf
+    i, j = math.floor(x), math.floor(y)
+    u, v = x - i, y - j
     h00, h10 = hash3(i, j, seed), hash3(i + 1, j, seed)
     h01, h11 = hash3(i, j + 1, seed), hash3(i + 1, j + 1, seed)
     s = UNIT_STD / 32768.0

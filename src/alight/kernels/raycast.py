@@ -25,7 +25,9 @@ MISS = -1.0
 
 
 @kernel
-def _patch_hit(corners: tuple[float, float, float, float], start: tuple[float, float, float], ray: F64, length: float) -> float:
+def _patch_hit(
+    corners: tuple[float, float, float, float], start: tuple[float, float, float], ray: F64, length: float
+) -> float:
     """Return the first parameter in [0, length] where the ray is at or below the bilinear patch, or MISS.
 
     `corners`: heights at (0,0), (1,0), (0,1), (1,1) in (x, y); `start`: the ray's entry in patch coordinates.
@@ -39,17 +41,17 @@ def _patch_hit(corners: tuple[float, float, float, float], start: tuple[float, f
     A = -d * ray[0] * ray[1]
     B = ray[2] - b * ray[0] - c * ray[1] - d * (x * ray[1] + y * ray[0])
     if abs(A) * length < 1e-12 * (abs(B) + 1e-300):
-        s = -gap / B if B < 0.0 else MISS
+        s = float(-gap / B) if B < 0.0 else MISS
         return s if 0.0 <= s <= length else MISS
     root = B * B - 4.0 * A * gap
     if root < 0.0:
         return MISS
     q = -0.5 * (B + math.copysign(math.sqrt(root), B))
     s1, s2 = q / A, (gap / q if q != 0.0 else MISS)
-    lo, hi = min(s1, s2), max(s1, s2)
-    if 0.0 <= lo <= length:
-        return lo
-    return hi if 0.0 <= hi <= length else MISS
+    near, far = float(min(s1, s2)), float(max(s1, s2))
+    if 0.0 <= near <= length:
+        return near
+    return far if 0.0 <= far <= length else MISS
 
 
 @kernel
@@ -92,8 +94,8 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
     t, t_end = _clip(origin, ray, (rows, cols), pyramid[offsets[last]])
     if t > t_end:
         return MISS
-    ix = min(max(int(math.floor(origin[0] + t * ray[0])), 0), cols - 2)
-    iy = min(max(int(math.floor(origin[1] + t * ray[1])), 0), rows - 2)
+    ix = min(max(math.floor(origin[0] + t * ray[0]), 0), cols - 2)
+    iy = min(max(math.floor(origin[1] + t * ray[1]), 0), rows - 2)
     level = last
     while True:
         nx, ny = ix >> level, iy >> level
@@ -105,20 +107,25 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
             if level > 0:
                 level -= 1
                 continue
-            corners = (height[iy, ix], height[iy, ix + 1], height[iy + 1, ix], height[iy + 1, ix + 1])
+            corners = (
+                np.float64(height[iy, ix]),  # float() would stay float32 here, and cost a micrometre
+                np.float64(height[iy, ix + 1]),
+                np.float64(height[iy + 1, ix]),
+                np.float64(height[iy + 1, ix + 1]),
+            )
             start = (origin[0] + t * ray[0] - ix, origin[1] + t * ray[1] - iy, origin[2] + t * ray[2])
             s = _patch_hit(corners, start, ray, t1 - t)
             if s >= 0.0:
-                return t + s
+                return float(t + s)
         if t1 >= t_end:
             return MISS
         t = t1
         if tx <= ty:
             ix = x1 if ray[0] > 0.0 else x0 - 1
-            iy = min(max(int(math.floor(origin[1] + t * ray[1])), y0), y1 - 1)
+            iy = min(max(math.floor(origin[1] + t * ray[1]), y0), y1 - 1)
         else:
             iy = y1 if ray[1] > 0.0 else y0 - 1
-            ix = min(max(int(math.floor(origin[0] + t * ray[0])), x0), x1 - 1)
+            ix = min(max(math.floor(origin[0] + t * ray[0]), x0), x1 - 1)
         if ix < 0 or iy < 0 or ix > cols - 2 or iy > rows - 2:
             return MISS
         level = min(level + 1, last)
@@ -137,7 +144,9 @@ def cast_rays(
         for c in range(out.shape[1]):
             for k in range(3):
                 ray[k] = (
-                    turn[k, 0] * directions[r, c, 0] + turn[k, 1] * directions[r, c, 1] + turn[k, 2] * directions[r, c, 2]
+                    turn[k, 0] * directions[r, c, 0]
+                    + turn[k, 1] * directions[r, c, 1]
+                    + turn[k, 2] * directions[r, c, 2]
                 )
             out[r, c] = cast_ray(height, pyramid, offsets, widths, origin, ray)
 
@@ -148,7 +157,7 @@ def _bilinear(layer: F32, x: float, y: float) -> float:
     u, v = x - ix, y - iy
     upper = layer[iy, ix] * (1 - u) + layer[iy, ix + 1] * u
     lower = layer[iy + 1, ix] * (1 - u) + layer[iy + 1, ix + 1] * u
-    return upper * (1 - v) + lower * v
+    return float(upper * (1 - v) + lower * v)
 
 
 @parallel_kernel

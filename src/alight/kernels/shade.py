@@ -64,7 +64,7 @@ def _flecks(x: float, y: float, footprint: float, size: float, density: float, s
             continue
         cell = 5.0 * radius
         i, j = math.floor(x / cell), math.floor(y / cell)
-        h = hash3(int(i), int(j), seed + 7 * k)
+        h = hash3(i, j, seed + 7 * k)
         if (h & 0xFF) >= 256.0 * density:
             continue
         cx, cy = 0.25 + 0.5 * ((h >> 8) & 0xFF) / 255.0, 0.25 + 0.5 * ((h >> 16) & 0xFF) / 255.0
@@ -77,15 +77,17 @@ def _flecks(x: float, y: float, footprint: float, size: float, density: float, s
 @kernel
 def _tiles(x: float, y: float, footprint: float, seed: int) -> float:
     """Roof tiles of 0.3 x 0.4 m, each with a brightness of its own, and the dark line between two rows."""
-    fade = _smooth(1.0, 2.5, 0.3 / footprint)
+    fade: float = _smooth(1.0, 2.5, 0.3 / footprint)
     u, v = (0.94 * x - 0.34 * y) / 0.3, (0.34 * x + 0.94 * y) / 0.4
-    h = hash3(int(math.floor(u)), int(math.floor(v)), seed)
+    h: int = hash3(math.floor(u), math.floor(v), seed)
     line = 1.0 if v - math.floor(v) < 0.12 else 0.0
     return 1.0 + fade * (0.35 * ((h & 0xFFFF) / 65535.0 - 0.5) - 0.45 * line)
 
 
 @kernel
-def _albedo(material: F64, amplitudes: F64, x: float, y: float, footprint: float, seed: int, out: F64) -> tuple[float, float]:
+def _albedo(
+    material: F64, amplitudes: F64, x: float, y: float, footprint: float, seed: int, out: F64
+) -> tuple[float, float]:
     """Fill `out` (3,) with the colour at a place; return the slopes of its micro-relief."""
     large, _, _ = gradient_noise(x / 9.0, y / 9.0, seed + 1)
     mid, _, _ = gradient_noise(x / 1.7, y / 1.7, seed + 2)
@@ -125,8 +127,8 @@ def _label_near(label: U8, gx: float, gy: float) -> int:
 @kernel
 def _label_at(label: U8, gx: float, gy: float, x: float, y: float, footprint: float) -> int:
     """The class that colours a place: borders between two kinds of ground wander by a cell, as real ones do."""
-    here = _label_near(label, gx, gy)
-    if here == TREE or here == ROCK or here == STRUCTURE:
+    here: int = _label_near(label, gx, gy)
+    if here in (TREE, ROCK, STRUCTURE):
         return here
     border = False
     for k in range(4):
@@ -136,8 +138,8 @@ def _label_at(label: U8, gx: float, gy: float, x: float, y: float, footprint: fl
     _, wx, wy = gradient_noise(x / 0.4, y / 0.4, 77)
     _, vx, vy = gradient_noise(x / 0.1, y / 0.1, 78)
     fine = 0.15 * _smooth(1.6, 3.2, 0.1 / footprint)
-    there = _label_near(label, gx + 0.25 * wx + fine * vx, gy + 0.25 * wy + fine * vy)
-    return here if there == TREE or there == ROCK or there == STRUCTURE else there
+    there: int = _label_near(label, gx + 0.25 * wx + fine * vx, gy + 0.25 * wy + fine * vy)
+    return here if there in (TREE, ROCK, STRUCTURE) else there
 
 
 @kernel
@@ -164,7 +166,18 @@ def _illuminate(albedo: F64, slope_e: float, slope_n: float, here: F64, sun: F64
 
 
 @kernel
-def _water(materials: F64, amplitudes: F64, point: F64, ray: F64, here: F64, sun: F64, time: float, footprint: float, seed: int, out: F64) -> None:
+def _water(
+    materials: F64,
+    amplitudes: F64,
+    point: F64,
+    ray: F64,
+    here: F64,
+    sun: F64,
+    time: float,
+    footprint: float,
+    seed: int,
+    out: F64,
+) -> None:
     """Pond: the bed seen refracted and through the waves, dimmed with depth; body colour; the sky mirrored; glints."""
     slope_e, slope_n = _waves(point[0], point[1], time, footprint, seed + 40)
     depth = max(here[DEPTH], 0.0)
@@ -187,6 +200,19 @@ def _water(materials: F64, amplitudes: F64, point: F64, ray: F64, here: F64, sun
 
 
 @kernel
+def _surface_place(point: F64, slope_e: float, slope_n: float) -> Three:
+    """Where on its texture a point lies: seen from above on ground and roofs, from the side on walls and crowns.
+
+    The third number says how much more of a wall than of the ground a pixel of a camera above it covers.
+    """
+    if max(abs(slope_e), abs(slope_n)) < 1.3:
+        return point[0], point[1], 1.0
+    if abs(slope_e) > abs(slope_n):
+        return point[1] + 300.0, point[2] + 0.3 * point[0], 2.0
+    return point[0] - 300.0, point[2] + 0.3 * point[1], 2.0
+
+
+@kernel
 def _radiance(
     label: U8, light: F32, place: F64, materials: F64, amplitudes: F64, point: F64, ray: F64, sun: F64, time: float,
     footprint: float, seed: int, here: F64, colour: F64, out: F64,
@@ -198,7 +224,8 @@ def _radiance(
     if kind == WATER:
         _water(materials, amplitudes, point, ray, here, sun, time, footprint, seed, out)
         return
-    x, y = point[0] + 0.23 * point[2], point[1] - 0.19 * point[2]  # sheared: walls get texture too
+    x, y, stretch = _surface_place(point, here[SLOPE_E], here[SLOPE_N])
+    footprint *= stretch
     if materials[kind, SWAY] > 0.0:
         phase, _, _ = gradient_noise(x / 2.0, y / 2.0, seed + 60)
         x += materials[kind, SWAY] * math.sin(5.0 * time + 4.0 * phase)
@@ -227,7 +254,9 @@ def shade(
         for c in range(out.shape[1]):
             for k in range(3):
                 ray[k] = (
-                    turn[k, 0] * directions[r, c, 0] + turn[k, 1] * directions[r, c, 1] + turn[k, 2] * directions[r, c, 2]
+                    turn[k, 0] * directions[r, c, 0]
+                    + turn[k, 1] * directions[r, c, 1]
+                    + turn[k, 2] * directions[r, c, 2]
                 )
             t = depth[r, c]
             if t < 0.0:

@@ -12,8 +12,8 @@ from alight.simulate.world import Sun, World
 __all__ = [
     "SCENES",
     "Footprint",
-    "ImuErrors",
     "Imaging",
+    "ImuErrors",
     "Limits",
     "NavErrors",
     "SimulatedFlight",

@@ -42,7 +42,9 @@ class Eye:
     vignette: F32 = field(init=False)  # (H, W, 1)
 
     def __post_init__(self) -> None:
-        offsets = [(0.0, 0.0)] if self.imaging.samples == 1 else [(-0.12, -0.38), (0.38, -0.12), (-0.38, 0.12), (0.12, 0.38)]
+        offsets = (
+            [(0.0, 0.0)] if self.imaging.samples == 1 else [(-0.12, -0.38), (0.38, -0.12), (-0.38, 0.12), (0.12, 0.38)]
+        )
         u, v = np.meshgrid(np.arange(self.camera.width, dtype=float), np.arange(self.camera.height, dtype=float))
         rays = tuple(self.camera.rays(np.stack([u + a, v + b], -1)).astype(np.float32) for a, b in offsets)
         object.__setattr__(self, "rays", rays)
@@ -58,7 +60,9 @@ class Eye:
         """
         centre = world_from_cam.translation
         if centre[2] <= world.height_at(centre[0], centre[1]):
-            raise InputError(f"the camera is below the ground at east {centre[0]:.1f}, north {centre[1]:.1f}; fly higher")
+            raise InputError(
+                f"the camera is below the ground at east {centre[0]:.1f}, north {centre[1]:.1f}; fly higher"
+            )
         grid = world.grid
         row, col = grid.index(centre[0], centre[1])
         to_grid = np.diag([1.0 / grid.cell, -1.0 / grid.cell, 1.0])

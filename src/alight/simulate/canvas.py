@@ -47,7 +47,7 @@ class Canvas:
 
     def window(self, east: float, north: float, reach: float) -> tuple[tuple[slice, slice], F64, F64]:
         """Slices of the layers within `reach` of a place, and east and north of their cells from there, metres."""
-        row, col = (float(v) for v in self.grid.index(np.float64(east), np.float64(north)))
+        row, col = (float(v) for v in self.grid.index(np.array(east), np.array(north)))
         k = math.ceil(reach / self.grid.cell) + 1
         rows = slice(max(0, round(row) - k), max(0, min(self.grid.rows, round(row) + k + 1)))
         cols = slice(max(0, round(col) - k), max(0, min(self.grid.cols, round(col) + k + 1)))

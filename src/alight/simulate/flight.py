@@ -41,9 +41,9 @@ class SimulatedFlight:
     rig: Rig
     rate_hz: float
     seconds: float  # from the first frame to the last
-    imaging: Imaging = Imaging()
-    nav: NavErrors = NavErrors()
-    imu: ImuErrors = ImuErrors()
+    imaging: Imaging
+    nav: NavErrors
+    imu: ImuErrors
     georeferenced: bool = True
     warnings: list[str] = field(default_factory=list)
     kind: Literal["flight"] = "flight"
@@ -90,7 +90,9 @@ class SimulatedFlight:
     @cached_property
     def frame_times(self) -> Times:
         """(N,) ns of the exposures."""
-        return START_NS + np.round(np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1) * 1e9 / self.rate_hz).astype(np.int64)
+        return START_NS + np.round(np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1) * 1e9 / self.rate_hz).astype(
+            np.int64
+        )
 
     @cached_property
     def imu_times(self) -> Times:
@@ -211,5 +213,5 @@ def _check(world: World, trajectory: Trajectory, seconds: float) -> None:
             raise InputError(f"the flight leaves the world at east {east:.0f} m, north {north:.0f} m; make it shorter")
         if up < ground + CLEAR:
             raise InputError(
-                f"the flight comes within {CLEAR:g} m of the ground at east {east:.0f} m, north {north:.0f} m; fly higher"
+                f"the flight comes within {CLEAR:g} m of the ground at east {east:.0f}, north {north:.0f}; fly higher"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import shutil
@@ -15,7 +16,6 @@ import rasterio
 import yaml
 
 from alight.geometry import Pose, quaternion_from_matrix
-from alight.outputs.whole import output_error, part_of
 from alight.records import U8, Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
 from alight.simulate.flight import START_NS, SimulatedFlight
 from alight.simulate.truth import Footprint
@@ -54,7 +54,7 @@ def write(
             written.
     """
     _refuse(out, overwrite)
-    part = part_of(out)
+    part = out.with_name(f".{out.name}.tmp")
     try:
         shutil.rmtree(part, ignore_errors=True)
         _write_sensors(flight, part / "mav0")
@@ -63,7 +63,9 @@ def write(
         shutil.rmtree(out, ignore_errors=True)
         os.replace(part, out)
     except OSError as e:
-        raise output_error(out, e) from e
+        full = e.errno in (errno.ENOSPC, errno.EDQUOT)
+        why = "the disk is full; free some space" if full else f"cannot be written ({e.strerror or e}); mend that"
+        raise OutputError(f"{out}: {why} or choose another folder with --out") from e
     finally:
         shutil.rmtree(part, ignore_errors=True)
 
@@ -110,8 +112,7 @@ def _write_sensors(flight: SimulatedFlight, root: Path) -> None:
     local, imu = flight.local, flight.imu
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     _dump(root / "nav0" / "sensor.yaml", {"sensor_type": "nav", "rate_hz": flight.nav.rate_hz, "origin": origin})
-    densities = ("gyroscope_noise_density", "gyroscope_random_walk")
-    densities += ("accelerometer_noise_density", "accelerometer_random_walk")
+    densities = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
     numbers = {"rate_hz": imu.rate_hz} | {k: float(getattr(imu, k)) for k in densities}
     _dump(root / "imu0" / "sensor.yaml", {"sensor_type": "imu", "T_BS": _transform(Pose()), **numbers})
     _dump(

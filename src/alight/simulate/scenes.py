@@ -26,12 +26,12 @@ def demo(canvas: Canvas) -> None:
     _scatter_trees(canvas, 14, (1.6, 3.2))
     brushes.tall_grass(canvas, 0.28)
     brushes.bare_patches(canvas, 0.15)
-    _scatter_boulders(canvas, 45, (0.2, 0.9))
+    _scatter_boulders(canvas, 32, (0.2, 0.9))
 
 
 def hopeless(canvas: Canvas) -> None:
     """Nowhere to land: steep boulder fields and forest, not one place that is level and clear."""
-    canvas.height += 3.0 * canvas.fractal(16.0, 3.0, 1.2) + 0.10 * canvas.fractal(1.5, 0.2, 0.6)
+    canvas.height += 1.8 * canvas.fractal(16.0, 3.0, 1.2) + 0.10 * canvas.fractal(1.5, 0.2, 0.6)
     canvas.label[canvas.fractal(12.0, 0.6, 1.0) > -0.3] = Terrain.BARE
     _scatter_trees(canvas, 90, (1.4, 3.0))
     _scatter_boulders(canvas, 900, (0.25, 0.9))

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -18,6 +20,7 @@ from alight.geometry import Pose, so3_log
 from alight.records import F64
 
 GRAVITY = 9.80665  # m/s^2
+UPWARDS = np.array([0.0, 0.0, GRAVITY])  # what holds a vehicle against gravity, world
 KNOT = 0.25  # s between control points
 DEGREE = 5
 
@@ -41,23 +44,27 @@ class Trajectory:
     lean: BSpline  # (2,) tilt of the thrust by gusts, rad about
     duration: float
 
+    @cached_property
+    def _derivatives(self) -> tuple[BSpline, BSpline]:
+        return self.position.derivative(1), self.position.derivative(2)
+
     def acceleration_world(self, t: float) -> F64:
         """(3,) m/s^2, gravity not included."""
-        return np.asarray(self.position.derivative(2)(t))
+        return np.asarray(self._derivatives[1](t))
 
     def velocity_world(self, t: float) -> F64:
         """(3,) m/s."""
-        return np.asarray(self.position.derivative(1)(t))
+        return np.asarray(self._derivatives[0](t))
 
     def pose(self, t: float) -> Pose:
         """`world_from_body`: the rotors push against gravity, for the acceleration, and lean in gusts."""
-        thrust = self.acceleration_world(t) + [0.0, 0.0, GRAVITY]
+        thrust = self.acceleration_world(t) + UPWARDS
         thrust[:2] += GRAVITY * self.lean(t)
         up = thrust / np.linalg.norm(thrust)
         psi = float(self.heading(t))
-        left = np.cross(up, [math.cos(psi), math.sin(psi), 0.0])
+        left = _cross(up, np.array([math.cos(psi), math.sin(psi), 0.0]))
         left /= np.linalg.norm(left)
-        return Pose(np.column_stack([np.cross(left, up), left, up]), self.position(t))
+        return Pose(np.column_stack([_cross(left, up), left, up]), self.position(t))
 
     def angular_velocity_body(self, t: float, h: float = 1e-4) -> F64:
         """(3,) rad/s, central difference of the rotation (error below 1e-7)."""
@@ -66,7 +73,11 @@ class Trajectory:
 
     def specific_force_body(self, t: float) -> F64:
         """(3,) m/s^2: what an accelerometer feels."""
-        return self.pose(t).rotation.T @ (self.acceleration_world(t) + [0.0, 0.0, GRAVITY])
+        return np.asarray(self.pose(t).rotation.T @ (self.acceleration_world(t) + UPWARDS))
+
+
+def _cross(a: F64, b: F64) -> F64:
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _leg(length: float, start: float, end: float, limits: Limits) -> tuple[F64, F64]:
@@ -87,7 +98,7 @@ def _timed_line(points: F64, limits: Limits, rolling: bool) -> tuple[F64, F64]:
     legs = np.diff(points, axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     units = legs / lengths[:, None]
-    turn = [0.5 * math.acos(float(np.clip(a @ b, -1, 1))) for a, b in zip(units[:-1], units[1:], strict=True)]
+    turn = [0.5 * math.acos(float(np.clip(a @ b, -1, 1))) for a, b in pairwise(units)]
     bend = [min(limits.speed, limits.acceleration * KNOT / max(2.0 * math.sin(half), 1e-9)) for half in turn]
     edge = limits.speed if rolling else 0.0
     speeds = np.array([edge, *bend, edge])
@@ -124,7 +135,7 @@ def fly_through(
         raise ValueError("a flight needs two way-points or more, each apart from the one before")
     t, places = _timed_line(points, limits, rolling)
     duration = float(t[-1])
-    centres = KNOT * np.arange(-DEGREE - 3, math.ceil(duration / KNOT) + DEGREE + 4)  # room before and after
+    centres: F64 = KNOT * np.arange(-DEGREE - 3.0, math.ceil(duration / KNOT) + DEGREE + 4.0)  # room before and after
     control = np.column_stack([np.interp(centres, t, places[:, k]) for k in range(3)])
     if rolling:
         for outside, place, side in ((centres < 0, points[0], 0), (centres > duration, points[-1], -1)):

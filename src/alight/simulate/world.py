@@ -77,7 +77,7 @@ class World:
 
     def height_at(self, east: float, north: float) -> float:
         """Height of the surface, metres above the origin; NaN outside the world."""
-        r, c = (float(v) for v in self.grid.index(np.float64(east), np.float64(north)))
+        r, c = (float(v) for v in self.grid.index(np.array(east), np.array(north)))
         rows, cols = self.grid.shape
         if not (0 <= r <= rows - 1 and 0 <= c <= cols - 1):
             return math.nan
