@@ -14,21 +14,32 @@ UNIT_STD = 5.65  # largest lattice slope: brings the noise below to a standard d
 
 
 @kernel
+def _hash_column(i: int, seed: int) -> int:
+    h = ((i & MASK) * 0x2DA6B343 + ((seed & MASK) * 0x4B1AB31F & MASK)) & MASK
+    h ^= h >> 16
+    h = (h * 0x21F0AAAD) & MASK
+    return h ^ (h >> 15)
+
+
+@kernel
+def _hash_point(column: int, j: int) -> int:
+    h = (column + (j & MASK) * 0x58163841) & MASK
+    h ^= h >> 16
+    h = (h * 0x21F0AAAD) & MASK
+    h ^= h >> 15
+    h = (h * 0x735A2D97) & MASK
+    return h ^ (h >> 15)
+
+
+@kernel
 def hash3(i: int, j: int, seed: int) -> int:
     """Return 32 well mixed bits of two lattice indices and a seed.
 
     Multiply-xorshift rounds (Wellons' lowbias32), one index after the other: combining the indices first, by XOR of
     their multiples, gave one lattice point in six the bits of another.
     """
-    h = ((i & MASK) * 0x2DA6B343 + ((seed & MASK) * 0x4B1AB31F & MASK)) & MASK
-    h ^= h >> 16
-    h = (h * 0x21F0AAAD) & MASK
-    h = ((h ^ (h >> 15)) + (j & MASK) * 0x58163841) & MASK
-    h ^= h >> 16
-    h = (h * 0x21F0AAAD) & MASK
-    h ^= h >> 15
-    h = (h * 0x735A2D97) & MASK
-    return h ^ (h >> 15)
+    h: int = _hash_point(_hash_column(i, seed), j)
+    return h
 
 
 @kernel
@@ -39,8 +50,9 @@ def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
     """
     i, j = math.floor(x), math.floor(y)
     u, v = x - i, y - j
-    h00, h10 = hash3(i, j, seed), hash3(i + 1, j, seed)
-    h01, h11 = hash3(i, j + 1, seed), hash3(i + 1, j + 1, seed)
+    left, right = _hash_column(i, seed), _hash_column(i + 1, seed)
+    h00, h10 = _hash_point(left, j), _hash_point(right, j)
+    h01, h11 = _hash_point(left, j + 1), _hash_point(right, j + 1)
     s = UNIT_STD / 32768.0
     ax, ay = (h00 & 0xFFFF) * s - UNIT_STD, (h00 >> 16) * s - UNIT_STD
     bx, by = (h10 & 0xFFFF) * s - UNIT_STD, (h10 >> 16) * s - UNIT_STD

@@ -73,12 +73,12 @@ def _clip(origin: F64, ray: F64, shape: tuple[int, int], top: float) -> tuple[fl
 
 
 @kernel
-def _exit(position: float, rate: float, low: int, high: int) -> float:
-    """Return the parameter at which one coordinate leaves [low, high]."""
-    if rate > 0.0:
-        return (high - position) / rate
-    if rate < 0.0:
-        return (low - position) / rate
+def _exit(position: float, inverse: float, low: int, high: int) -> float:
+    """Return the parameter at which one coordinate leaves [low, high]; `inverse`: of its rate, 0 for standing still."""
+    if inverse > 0.0:
+        return (high - position) * inverse
+    if inverse < 0.0:
+        return (low - position) * inverse
     return math.inf
 
 
@@ -96,11 +96,13 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
         return MISS
     ix = min(max(math.floor(origin[0] + t * ray[0]), 0), cols - 2)
     iy = min(max(math.floor(origin[1] + t * ray[1]), 0), rows - 2)
+    per_x = 1.0 / ray[0] if ray[0] != 0.0 else 0.0
+    per_y = 1.0 / ray[1] if ray[1] != 0.0 else 0.0
     level = last
     while True:
         nx, ny = ix >> level, iy >> level
         x0, y0, x1, y1 = nx << level, ny << level, (nx + 1) << level, (ny + 1) << level
-        tx, ty = _exit(origin[0], ray[0], x0, x1), _exit(origin[1], ray[1], y0, y1)
+        tx, ty = _exit(origin[0], per_x, x0, x1), _exit(origin[1], per_y, y0, y1)
         t1 = max(t, min(tx, ty, t_end))
         low = origin[2] + min(t * ray[2], t1 * ray[2])
         if low <= pyramid[offsets[level] + ny * widths[level] + nx] + 1e-9:

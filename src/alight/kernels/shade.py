@@ -90,9 +90,8 @@ def _albedo(
 ) -> tuple[float, float]:
     """Fill `out` (3,) with the colour at a place; return the slopes of its micro-relief."""
     large, _, _ = gradient_noise(x / 9.0, y / 9.0, seed + 1)
-    mid, _, _ = gradient_noise(x / 1.7, y / 1.7, seed + 2)
     value, slope_x, slope_y = _detail(x, y, footprint, amplitudes, seed + 3)
-    mix = _smooth(0.0, 1.0, 0.5 + 0.28 * large + 0.14 * mid + 0.1 * value)
+    mix = _smooth(0.0, 1.0, 0.5 + 0.28 * large + 0.16 * value)
     gain = 1.0 + material[CONTRAST] * value
     if material[FLECKS] > 0.0:
         spot = _flecks(x, y, footprint, material[FLECK_SIZE], material[FLECKS], seed + 5)
