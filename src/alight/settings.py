@@ -49,7 +49,7 @@ class Filter(_Model):
 
     points: int = Field(80, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
-    pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track")
+    pixel_sigma: Positive = Field(0.3, description="px, 1-sigma of a track")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
     keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
     nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")

@@ -32,29 +32,45 @@ class BlockTridiagonal:
             self._below[block][np.ix_(local[high] - n, local[low])] += A[np.ix_(high, low)]
             self._diagonal[block + 1][np.ix_(local[high] - n, local[high] - n)] += A[np.ix_(high, high)]
 
-    def solve(self) -> tuple[F64, F64]:
-        """Return x, and the (blocks, size, size) diagonal blocks of the inverse of A.
+    def factorise(self) -> Factors:
+        """Return the block Cholesky factors.
 
         Raises:
             numpy.linalg.LinAlgError: A is not positive definite.
         """
-        factors, gains, y = [], [], self.g.reshape(-1, self.size).copy()
+        factors, gains = [], []
         S = self._diagonal[0]
         for b in range(len(self._diagonal)):
-            factors.append(cho_factor(S, lower=True))
+            factors.append(cho_factor(S, lower=True, check_finite=False))
             if b < len(self._below):
-                E = self._below[b]
-                gains.append(cho_solve(factors[b], E.T))
-                S = self._diagonal[b + 1] - E @ gains[b]
-                y[b + 1] -= gains[b].T @ y[b]
-        return self._back(factors, gains, y)
+                gains.append(cho_solve(factors[b], self._below[b].T, check_finite=False))
+                S = self._diagonal[b + 1] - self._below[b] @ gains[b]
+        return Factors(factors, gains, self.g.reshape(-1, self.size))
 
-    def _back(self, factors: list[tuple[F64, bool]], gains: list[F64], y: F64) -> tuple[F64, F64]:
-        x, covariance = np.empty_like(y), np.empty_like(self._diagonal)
-        for b in reversed(range(len(factors))):
-            x[b] = cho_solve(factors[b], y[b])
-            covariance[b] = cho_solve(factors[b], np.eye(self.size))
-            if b < len(gains):
-                x[b] -= gains[b] @ x[b + 1]
-                covariance[b] += gains[b] @ covariance[b + 1] @ gains[b].T
-        return x.ravel(), covariance
+
+class Factors:
+    """What `BlockTridiagonal.factorise` leaves: solves, and gives the covariance only when asked."""
+
+    def __init__(self, factors: list[tuple[F64, bool]], gains: list[F64], g: F64) -> None:
+        self._factors, self._gains, self._g = factors, gains, g
+
+    def solution(self) -> F64:
+        """The unknowns x."""
+        x = self._g.copy()
+        for b, gain in enumerate(self._gains):
+            x[b + 1] -= gain.T @ x[b]
+        for b in reversed(range(len(self._factors))):
+            x[b] = cho_solve(self._factors[b], x[b], check_finite=False)
+            if b < len(self._gains):
+                x[b] -= self._gains[b] @ x[b + 1]
+        return x.ravel()
+
+    def covariance(self) -> F64:
+        """(blocks, size, size): the diagonal blocks of the inverse of A."""
+        size = self._g.shape[1]
+        out = np.empty((len(self._factors), size, size))
+        for b in reversed(range(len(self._factors))):
+            out[b] = cho_solve(self._factors[b], np.eye(size), check_finite=False)
+            if b < len(self._gains):
+                out[b] += self._gains[b] @ out[b + 1] @ self._gains[b].T
+        return out

@@ -27,7 +27,7 @@ from alight.motion.inertial import Preintegral, preintegrate, segments
 from alight.motion.navigation import initial_state, measurements, rate_measurement, sigmas
 from alight.motion.points import Gate, Sight, measure, take_up
 from alight.motion.smoother import Recording, smooth
-from alight.motion.state import ACC, ATT, CORE, GYRO, NAV_POS, POS, VEL, State
+from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, POS, VEL, State
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import Filter
 
@@ -89,7 +89,7 @@ class MotionFilter:
         self._measure_nav(self._state, sample, sigma)
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
-        """Take the features of one exposure and return the motion; None before the first GPS/INS row or out of order."""
+        """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
         state = self._state
         if state is None or tracks.t_ns < state.t_ns or tracks.t_ns <= self._last_exposure_ns:
             return None
@@ -101,13 +101,29 @@ class MotionFilter:
             self._recording.exposures.append((motion, tracks, self._snapshot(state)))
         return motion
 
+    def ring(self) -> tuple[Motion, ...]:
+        """The keyframes held, as the present state sees them: consistent, unlike motions given out at different times.
+
+        Their covariances are marginals; GPS/INS corrections move all of them together.
+        """
+        s = self._state
+        if s is None:
+            return ()
+        return tuple(self._held(s, i) for i in range(len(s.clones)))
+
+    def _held(self, s: State, i: int) -> Motion:
+        c, order = s.clones[i], np.arange(len(s.P))[s.clone_at(i)][[3, 4, 5, 0, 1, 2]]
+        rig = Pose(c.R, c.p)
+        body = Pose(c.R @ so3_exp(s.core[MOUNT]).T, c.p)
+        return Motion(c.t_ns, body, tuple(rig @ x for x in self._cams), s.P[np.ix_(order, order)].copy())
+
     def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
         """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
         s = self._state
         if s is None:
             return None
         step, _ = self._step(s, max(t_ns, s.t_ns))
-        rig = Pose(step.R @ so3_exp(s.core[24:27]), step.position)
+        rig = Pose(step.R @ so3_exp(s.core[MOUNT]), step.position)
         return tuple(rig @ c for c in self._cams)
 
     def smoothed(self) -> list[Motion]:
@@ -235,11 +251,10 @@ class MotionFilter:
 
     def _take_up(self, state: State) -> int:
         """Fill the free places, oldest features first."""
-        s, taken, tried = self._settings, 0, 0
-        for i in sorted(i for i, seen in self._waiting.items() if len(seen) >= 3):
-            if len(state.points) >= s.points or tried >= s.points:
+        s, taken = self._settings, 0
+        for i in sorted(i for i, seen in self._waiting.items() if len(seen) >= 3)[: s.points]:
+            if len(state.points) >= s.points:
                 break
-            tried += 1
             if take_up(state, i, self._waiting[i], self._cams, self._sigma, s.depth_share, self._gate):
                 taken += 1
                 del self._waiting[i]

@@ -1,4 +1,4 @@
-"""What GPS/INS measures: the state plus a slowly varying error plus a small white one (docs/method-motion.md, M14-M16)."""
+"""What GPS/INS measures: the state, a slowly varying error, a small white one (docs/method-motion.md, M14-M16)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.settings import Filter
 
 
 def sigmas(sample: NavSample, noise: Filter) -> F64:
-    """Return the (9,) bound of position, attitude (in the world) and velocity error that a row claims, or the default."""
+    """Return the (9,) bound of position, attitude (in the world), velocity error of a row; defaults where it has none."""
     position = _or(sample.sigma_position, noise.position_sigma)
     attitude = _or(sample.sigma_attitude, noise.attitude_sigma)
     if sample.world_from_body is not None:  # roll, pitch, yaw are about the body's axes
@@ -47,20 +47,23 @@ def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
     else:
         core[VEL] = sample.velocity_world
     P[range(24, 27), range(24, 27)] = noise.mounting_sigma**2
-    state = State(sample.t_ns, np.array(sample.world_from_body), core, P)
-    return state
+    return State(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 
 def measurements(state: State, sample: NavSample, sigma: F64, noise: Filter) -> list[tuple[F64, F64, F64]]:
     """Return (residual, H, variance), each of 3 rows: position (M14), attitude (M15), velocity (M16) where measured."""
     white, out = whites(sigma, noise) ** 2, []
     if sample.position_world is not None:
-        out.append((sample.position_world - state.core[POS] - state.core[NAV_POS], _H(state, POS, NAV_POS), white[0:3]))
+        out.append(
+            (sample.position_world - state.core[POS] - state.core[NAV_POS], _selector(state, POS, NAV_POS), white[0:3])
+        )
     if sample.world_from_body is not None:
         expected = so3_exp(state.core[NAV_ATT]) @ state.R
-        out.append((so3_log(sample.world_from_body @ expected.T), _H(state, ATT, NAV_ATT), white[3:6]))
+        out.append((so3_log(sample.world_from_body @ expected.T), _selector(state, ATT, NAV_ATT), white[3:6]))
     if sample.velocity_world is not None:
-        out.append((sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _H(state, VEL, NAV_VEL), white[6:9]))
+        out.append(
+            (sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _selector(state, VEL, NAV_VEL), white[6:9])
+        )
     return out
 
 
@@ -69,10 +72,10 @@ def rate_measurement(state: State, sample: NavSample, noise: Filter) -> tuple[F6
     if sample.angular_velocity_body is None:
         return None
     variance = np.full(3, noise.nav_rate_white**2)
-    return sample.angular_velocity_body - state.core[GYRO], _H(state, GYRO), variance
+    return sample.angular_velocity_body - state.core[GYRO], _selector(state, GYRO), variance
 
 
-def _H(state: State, *parts: slice) -> F64:
+def _selector(state: State, *parts: slice) -> F64:
     H = np.zeros((3, len(state.P)))
     for part in parts:
         H[:, part] = np.eye(3)

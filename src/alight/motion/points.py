@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from alight.geometry import Pose
-from alight.motion.state import State
-from alight.motion.state import Point as StatePoint
-from alight.motion.vision import Ray, depth, jacobians, project, triangulate
+from alight.motion.state import Clone, Point, State
+from alight.motion.vision import Ray, depths, jacobians, project, triangulate
 from alight.records import F64
 
 
@@ -27,57 +27,89 @@ class Gate:
 
     def __init__(self, probability: float) -> None:
         self._probability = probability
-        self._limits: dict[int, float] = {}
+        self._limits: dict[int, float] = {0: 0.0}
+
+    def limit(self, rows: int) -> float:
+        """The largest squared distance that passes (chi-square)."""
+        if rows not in self._limits:
+            self._limits[rows] = float(chi2.ppf(self._probability, rows))
+        return self._limits[rows]
 
     def passes(self, residual: F64, S: F64) -> bool:
         """Whether a residual with covariance `S` is inside."""
-        m = len(residual)
-        limit = self._limits.setdefault(m, float(chi2.ppf(self._probability, m)))
-        return bool(residual @ np.linalg.solve(S, residual) <= limit)
+        return bool(residual @ np.linalg.solve(S, residual) <= self.limit(len(residual)))
 
 
-def point_rows(state: State, clone: int, index: int, sight: F64, cams: tuple[Pose, ...]) -> tuple[F64, F64, F64] | None:
-    """Residual (m,), Jacobian (m, 6) by the clone and (m, 3) by the point, first estimates in the Jacobians (M11)."""
-    c, x = state.clones[clone], state.points[index]
-    seen = [i for i in range(len(cams)) if np.isfinite(sight[i, 0]) and depth(c.R, c.p, cams[i], x.x) > 0.1]
-    if not seen:
-        return None
-    residual = np.concatenate([sight[i] - project(c.R, c.p, cams[i], x.x) for i in seen])
-    pairs = [jacobians(c.first_R, c.first_p, cams[i], x.first_x) for i in seen]
-    return residual, np.vstack([a for a, _ in pairs]), np.vstack([b for _, b in pairs])
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Linearised sights of N points from one clone, 2 rows a camera; rows that nobody saw are zero."""
+
+    residual: F64  # (N, m)
+    by_clone: F64  # (N, m, 6)
+    by_point: F64  # (N, m, 3)
+    seen: NDArray[np.bool_]  # (N, m)
+
+
+def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: tuple[Pose, ...]) -> Rows:
+    """Residuals at the estimates and Jacobians at the first estimates (M11) of (N, 3) points seen at `sights` (N, cameras, 2)."""
+    n, m = len(x), 2 * len(cams)
+    residual, seen = np.zeros((n, m)), np.zeros((n, m), bool)
+    by_clone, by_point = np.zeros((n, m, 6)), np.zeros((n, m, 3))
+    for i, cam in enumerate(cams):
+        rows = slice(2 * i, 2 * i + 2)
+        ok = np.isfinite(sights[:, i, 0]) & (depths(clone.R, clone.p, cam, x) > 0.1)
+        ok &= depths(clone.first_R, clone.first_p, cam, first_x) > 0.1
+        residual[ok, rows] = sights[ok, i] - project(clone.R, clone.p, cam, x[ok])
+        by_clone[ok, rows], by_point[ok, rows] = jacobians(clone.first_R, clone.first_p, cam, first_x[ok])
+        seen[ok, rows] = True
+    return Rows(residual, by_clone, by_point, seen)
 
 
 def measure(
     state: State, clone: int, sights: dict[int, F64], cams: tuple[Pose, ...], sigma: float, gate: Gate
 ) -> tuple[int, int]:
     """Correct the state by the points seen at one clone; return how many passed the gate, and how many were tried."""
-    at, rows, tried = state.clone_at(clone), [], 0
-    for i, point in enumerate(state.points):
-        found = point_rows(state, clone, i, sights[point.id], cams) if point.id in sights else None
-        if found is None:
-            continue
-        tried += 1
-        r, Hc, Hx = found
-        where = np.r_[at, state.point_at(i)]
-        H = np.hstack([Hc, Hx])
-        S = H @ state.P[np.ix_(where, where)] @ H.T + np.eye(len(r)) * sigma**2
-        passed = gate.passes(r, S)
-        point.misses = 0 if passed else point.misses + 1
-        if passed:
-            rows.append((r, H, where))
-    if rows:
-        _correct(state, rows, sigma)
-    return len(rows), tried
+    index = np.array([i for i, x in enumerate(state.points) if x.id in sights], dtype=int)
+    if not len(index):
+        return 0, 0
+    points = [state.points[i] for i in index]
+    x, first = np.array([q.x for q in points]), np.array([q.first_x for q in points])
+    rows = point_rows(state.clones[clone], x, first, np.array([sights[q.id] for q in points]), cams)
+    tried = rows.seen.any(axis=1)
+    passed = tried & _inside(state, clone, index, rows, sigma, gate)
+    for q, bad in zip(points, tried & ~passed, strict=True):
+        q.misses = q.misses + 1 if bad else 0
+    if passed.any():
+        _correct(state, clone, index[passed], _only(rows, passed), sigma)
+    return int(passed.sum()), int(tried.sum())
 
 
-def _correct(state: State, rows: list[tuple[F64, F64, F64]], sigma: float) -> None:
-    m = sum(len(r) for r, _, _ in rows)
-    residual, H, k = np.empty(m), np.zeros((m, len(state.P))), 0
-    for r, h, where in rows:
-        residual[k : k + len(r)] = r
-        H[k : k + len(r), where] = h
-        k += len(r)
-    state.update(residual, H, np.full(m, sigma**2))
+def _only(rows: Rows, which: NDArray[np.bool_]) -> Rows:
+    return Rows(rows.residual[which], rows.by_clone[which], rows.by_point[which], rows.seen[which])
+
+
+def _inside(
+    state: State, clone: int, index: NDArray[np.int64], rows: Rows, sigma: float, gate: Gate
+) -> NDArray[np.bool_]:
+    """Gate every point by the covariance of its own rows."""
+    at = np.arange(len(state.P))[state.clone_at(clone)]
+    own = np.array([np.arange(len(state.P))[state.point_at(i)] for i in index])  # (N, 3)
+    where = np.hstack([np.broadcast_to(at, (len(index), len(at))), own])  # (N, 9)
+    H = np.concatenate([rows.by_clone, rows.by_point], axis=2)
+    S = H @ state.P[where[:, :, None], where[:, None, :]] @ H.transpose(0, 2, 1)
+    S += np.eye(S.shape[1]) * sigma**2
+    distance = np.einsum("nm,nm->n", rows.residual, np.linalg.solve(S, rows.residual[..., None])[..., 0])
+    return np.asarray(distance <= np.array([gate.limit(int(k)) for k in rows.seen.sum(axis=1)]))
+
+
+def _correct(state: State, clone: int, index: NDArray[np.int64], rows: Rows, sigma: float) -> None:
+    n, m = rows.residual.shape
+    H = np.zeros((n, m, len(state.P)))
+    H[:, :, state.clone_at(clone)] = rows.by_clone
+    for k, i in enumerate(index):
+        H[k, :, state.point_at(i)] = rows.by_point[k]
+    seen = rows.seen.ravel()
+    state.update(rows.residual.ravel()[seen], H.reshape(n * m, -1)[seen], np.full(int(seen.sum()), sigma**2))
 
 
 def take_up(
@@ -89,27 +121,33 @@ def take_up(
     the clones. The others are a measurement of the poses, used and gated; the three give the point with its exact
     covariance with everything else. No sight is used twice.
     """
-    index = {c.t_ns: i for i, c in enumerate(state.clones)}
-    sights = [(index[s.t_ns], cam, s.normalised[cam]) for s in history if s.t_ns in index for cam in range(len(cams))]
-    sights = [s for s in sights if np.isfinite(s[2][0])]
-    clones = [state.clones[i] for i, _, _ in sights]
-    found = (
-        triangulate([Ray(c.R, c.p, cams[cam], z) for c, (_, cam, z) in zip(clones, sights, strict=True)], sigma)
-        if len(sights) > 2
-        else None
-    )
+    sights = _at_clones(state, history)
+    rays = [Ray(c.R, c.p, cams[cam], z) for _, c, cam, z in sights]
+    found = triangulate(rays, sigma) if len(rays) > 2 else None
     if found is None:
         return False
     x, covariance = found
-    ray = x - clones[-1].p
-    if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > share * np.linalg.norm(ray):
+    if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > share * np.linalg.norm(x - rays[-1].p):
         return False
     Hc, Hx = np.zeros((2 * len(sights), len(state.P))), np.zeros((2 * len(sights), 3))
     r = np.empty(2 * len(sights))
-    for k, ((i, cam, z), c) in enumerate(zip(sights, clones, strict=True)):
-        r[2 * k : 2 * k + 2] = z - project(c.R, c.p, cams[cam], x)
-        Hc[2 * k : 2 * k + 2, state.clone_at(i)], Hx[2 * k : 2 * k + 2] = jacobians(c.first_R, c.first_p, cams[cam], x)
+    for k, (i, c, cam, z) in enumerate(sights):
+        rows = slice(2 * k, 2 * k + 2)
+        r[rows] = z - project(c.R, c.p, cams[cam], x)
+        Hc[rows, state.clone_at(i)], Hx[rows] = jacobians(c.first_R, c.first_p, cams[cam], x)
     return _initialise(state, id_, x, (r, Hc, Hx), sigma, gate)
+
+
+def _at_clones(state: State, history: list[Sight]) -> list[tuple[int, Clone, int, F64]]:
+    """The sights whose clone is still there: its index, the clone, the camera, (2,) where."""
+    index = {c.t_ns: i for i, c in enumerate(state.clones)}
+    return [
+        (index[s.t_ns], state.clones[index[s.t_ns]], cam, z)
+        for s in history
+        if s.t_ns in index
+        for cam, z in enumerate(s.normalised)
+        if np.isfinite(z[0])
+    ]
 
 
 def _initialise(state: State, id_: int, x: F64, rows: tuple[F64, F64, F64], sigma: float, gate: Gate) -> bool:
@@ -122,6 +160,6 @@ def _initialise(state: State, id_: int, x: F64, rows: tuple[F64, F64, F64], sigm
     cross = -T @ Hc[:3] @ state.P
     own = T @ (Hc[:3] @ state.P @ Hc[:3].T + np.eye(3) * sigma**2) @ T.T
     x = x + T @ r[:3]
-    state.add_point(StatePoint(id_, x, x), cross, own)
+    state.add_point(Point(id_, x, x), cross, own)
     state.update(r[3:], np.hstack([Hc[3:], np.zeros((len(r) - 3, 3))]), np.full(len(r) - 3, sigma**2))
     return True

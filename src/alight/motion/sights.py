@@ -50,7 +50,7 @@ class Sights:
             A = np.eye(3) - u[:, :, None] * u[:, None, :]
             np.add.at(N, self.piece[at], A)
             np.add.at(y, self.piece[at], np.einsum("nij,nj->ni", A, pa + Ra @ pose.translation))
-        self.points = np.linalg.solve(N + 1e-9 * np.eye(3), y[..., None])[..., 0]
+        self.points = np.asarray(np.linalg.solve(N + 1e-9 * np.eye(3), y[..., None])[..., 0])
 
     def residuals(self, R: F64, p: F64) -> F64:
         """(M, 2) seen minus expected; NaN where a point lies behind the camera."""
@@ -106,7 +106,7 @@ class Linear:
         self._y = y
 
     def reduced(self, start: int, stop: int, span: int) -> tuple[F64, F64]:
-        """Normal equations of the poses of exposures [start, start + 2 span) from pieces that begin in [start, stop)."""
+        """Normal equations of the poses from `start` on, 2 span of them, from pieces that begin in [start, stop)."""
         s = self._s
         pieces = np.flatnonzero((s.first >= start) & (s.first < stop))
         n = 12 * span

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.blocks import BlockTridiagonal
+from alight.motion.blocks import BlockTridiagonal, Factors
 from alight.motion.dynamics import (
     Step,
     bias_walk,
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 _SIZE = 24  # unknowns an exposure: the core of the filter's state without the mounting
 _ITERATIONS = 12
-_ENOUGH = 1e-5  # rad, m: a step of the poses below which it has converged
+_ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
 @dataclass(eq=False)
@@ -110,24 +110,26 @@ class _Batch:
         self._sights.meet(*self._rigs())
         for i in range(_ITERATIONS):
             rms = self._sights.reweigh(*self._rigs(), self._sigma)
-            step, covariance = self._iterate()
+            factors = self._iterate()
+            step = self._step(factors)
             log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms / self._sigma, np.abs(step[:, :6]).max())
-            if np.abs(step[:, :6]).max() < _ENOUGH:
+            if (np.abs(step[:, :6]) < _ENOUGH).all():
                 break
-        return [self._motion(k, covariance[k]) for k in range(len(self._t))]
+        covariance, span = factors.covariance(), self._settings.track_span
+        return [self._motion(k, _own(covariance, k, span)) for k in range(len(self._t))]
 
     def _rigs(self) -> tuple[F64, F64]:
         return self._R @ self._mount, self._x[:, POS]
 
-    def _iterate(self) -> tuple[F64, F64]:
-        """One step; returns it, (K, 24), and the (K, 24, 24) covariances."""
+    def _iterate(self) -> Factors:
+        """The normal equations at the present values, factorised."""
         span, K = self._settings.track_span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
-        linear = self._sights.linearise(*self._rigs(), self._sigma)
+        self._linear = self._sights.linearise(*self._rigs(), self._sigma)
         for b in range(blocks):
             last = b == blocks - 1  # the unknowns of a last block that the flight does not fill are held at zero
-            H, g = linear.reduced(b * span, (b + 1) * span, span)
+            H, g = self._linear.reduced(b * span, (b + 1) * span, span)
             rows = (np.arange(b * span, (b + 2) * span)[:, None] * _SIZE + np.arange(6)).ravel()
             keep = slice(0, 6 * span if last else None)
             system.add(rows[keep], H[keep, keep], g[keep])
@@ -135,15 +137,15 @@ class _Batch:
         self._add_motion(system)
         for row in self._rows:
             self._add_nav(system, row)
-        x, covariance = system.solve()
-        step = x.reshape(-1, _SIZE)[:K]
-        linear.move_points(step[:, :6])
-        self._move(step)
-        return step, np.array([_own(covariance, k, span) for k in range(K)])
+        return system.factorise()
 
-    def _move(self, step: F64) -> None:
+    def _step(self, factors: Factors) -> F64:
+        """Take the (K, 24) step, points included."""
+        step = factors.solution().reshape(-1, _SIZE)[: len(self._t)]
+        self._linear.move_points(step[:, :6])
         self._R = np.array([so3_exp(s[ATT]) @ R for s, R in zip(step, self._R, strict=True)])
         self._x[:, 3:] += step[:, 3:]
+        return step
 
     def _add_priors(self, system: BlockTridiagonal, padded: int) -> None:
         s, information = self._settings, np.zeros(_SIZE)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from alight.geometry import so3_exp
 from alight.records import F64
@@ -34,7 +35,7 @@ class Clone:
     t_ns: int
     R: F64  # (3, 3) world_from_rig
     p: F64  # (3,) m
-    first_R: F64
+    first_R: F64  # noqa: N815
     first_p: F64
 
 
@@ -100,13 +101,16 @@ class State:
         self.points = [x for i, x in enumerate(self.points) if i not in set(points)]
 
     def update(self, residual: F64, H: F64, noise: F64) -> None:
-        """Correct by a measurement `residual = H error + noise`; `noise` (m,) variances or (m, m)."""
-        PHt = self.P @ H.T
-        S = H @ PHt + (np.diag(noise) if noise.ndim == 1 else noise)
-        K = np.linalg.solve(S, PHt.T).T
-        self.P -= K @ PHt.T
-        self.P = (self.P + self.P.T) / 2.0
-        self._correct(K @ residual)
+        """Correct by a measurement `residual = H error + noise`; `noise` (m,) variances."""
+        used = np.flatnonzero(H.any(axis=0))  # a row touches few of the unknowns
+        PHt = self.P[:, used] @ H[:, used].T
+        S = H[:, used] @ PHt[used] + np.diag(noise)
+        both = solve_triangular(
+            np.linalg.cholesky(S), np.column_stack([PHt.T, residual]), lower=True, check_finite=False
+        )
+        half, whitened = both[:, :-1], both[:, -1]  # S^-1/2 H P, S^-1/2 r
+        self.P -= half.T @ half  # symmetric by construction
+        self._correct(half.T @ whitened)
 
     def _correct(self, error: F64) -> None:
         self.R = so3_exp(error[ATT]) @ self.R

@@ -1,4 +1,4 @@
-"""What a camera of the rig measures of a point, its Jacobians, and points out of rays (docs/method-motion.md, M11-M13)."""
+"""What a camera measures of a point, its Jacobians, and points out of rays (docs/method-motion.md, M11-M12)."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def skews(v: F64) -> F64:
     return out
 
 
-def depth(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> float:
-    """Return the distance along the optical axis, metres."""
-    return float((((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation)[2])
+def depths(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
+    """Return the (...) distances of (..., 3) points along the optical axis, metres."""
+    return np.asarray((((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation)[..., 2])
 
 
 def triangulate(rays: Sequence[Ray], sigma: float, iterations: int = 4) -> tuple[F64, F64] | None:
@@ -65,7 +65,7 @@ def triangulate(rays: Sequence[Ray], sigma: float, iterations: int = 4) -> tuple
     """
     x = _meet(rays)
     for _ in range(iterations):
-        if x is None or any(depth(r.R, r.p, r.rig_from_cam, x) < 0.1 for r in rays):
+        if x is None or any(depths(r.R, r.p, r.rig_from_cam, x) < 0.1 for r in rays):
             return None
         H = np.vstack([jacobians(r.R, r.p, r.rig_from_cam, x)[1] for r in rays])
         e = np.concatenate([r.normalised - project(r.R, r.p, r.rig_from_cam, x) for r in rays])
@@ -73,7 +73,7 @@ def triangulate(rays: Sequence[Ray], sigma: float, iterations: int = 4) -> tuple
         if np.linalg.cond(N) > 1e10:
             return None
         x = x + np.linalg.solve(N, H.T @ e)
-    return None if x is None else (x, np.linalg.inv(N) * sigma**2)
+    return None if x is None else (x, np.asarray(np.linalg.inv(N) * sigma**2))
 
 
 def _meet(rays: Sequence[Ray]) -> F64 | None:
@@ -85,4 +85,4 @@ def _meet(rays: Sequence[Ray]) -> F64 | None:
         A = np.eye(3) - np.outer(u, u)
         N += A
         y += A @ (r.R @ r.rig_from_cam.translation + r.p)
-    return np.linalg.solve(N, y) if np.linalg.cond(N) < 1e10 else None
+    return np.asarray(np.linalg.solve(N, y)) if np.linalg.cond(N) < 1e10 else None
