@@ -1,0 +1,31 @@
+"""Compare a run with the truth: a flight with `truth/`, or a structure-from-motion reference of photos."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from alight.evaluate.flight import against_flight
+from alight.evaluate.photos import against_photos
+from alight.evaluate.report import Evaluation, nmad
+from alight.outputs import read_run
+from alight.records import InputError
+
+__all__ = ["Evaluation", "evaluate", "nmad"]
+
+
+def evaluate(out: Path, truth: Path) -> Evaluation:
+    """Compare the run in `out` with what is true.
+
+    Args:
+        out: folder that a run left.
+        truth: a flight with `truth/`, or a folder with `sfm_reference.npz`.
+
+    Raises:
+        InputError: `out` is no run, or `truth` holds neither.
+    """
+    run = read_run(out)
+    if (truth / "truth").is_dir():
+        return against_flight(run, truth)
+    if (truth / "sfm_reference.npz").is_file():
+        return against_photos(run, truth)
+    raise InputError(f"{truth}: no truth in it; give a flight with truth/ or a folder with sfm_reference.npz")

@@ -1,0 +1,134 @@
+"""A run over photos against a structure-from-motion reference: `sfm_reference.npz`, and `slab_plane.npz` where there is one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from alight.evaluate.report import Evaluation, nmad, rms
+from alight.geometry import Grid, LocalFrame
+from alight.outputs import Run, world_up
+from alight.records import F64, Flag, InputError
+from alight.sources import read_tum
+
+LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
+BAD_SHARE = 0.01  # of the height above ground
+
+
+def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
+    """Heights between cell centres, bilinear; the nearest cell where a neighbour is missing."""
+    r, c = (i.astype(np.float32) for i in grid.index(east, north))
+    source = height.astype(np.float64)
+    linear = cv2.remap(source, c, r, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan).ravel()
+    nearest = cv2.remap(source, c, r, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan).ravel()
+    return np.asarray(np.where(np.isnan(linear), nearest, linear))
+
+
+def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
+    """Least-squares plane of the errors over east and north, outliers left out twice: (a, b, c), errors less it."""
+    X = np.c_[points[:, :2], np.ones(len(points))]
+    use = np.abs(errors - np.median(errors)) < max(5 * nmad(errors), 0.05)
+    for _ in range(2):
+        plane = np.linalg.lstsq(X[use], errors[use], rcond=None)[0]
+        left = errors - X @ plane
+        use = np.abs(left) < 5 * nmad(left[use])
+    return plane, left
+
+
+def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
+    """The cells of a flat slab: what its points fill, closed over 1 m gaps."""
+    r, c = (np.rint(i).astype(int) for i in grid.index(points[inlier, 0], points[inlier, 1]))
+    inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
+    mask = np.zeros(grid.shape, np.uint8)
+    mask[r[inside], c[inside]] = 1
+    k = round(0.5 / grid.cell) * 2 + 1
+    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (k, k))
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
+    return cv2.erode(closed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))).astype(bool)
+
+
+def high_pass(height: F64, cell: float) -> F64:
+    """Heights less their mean over 1 m."""
+    known = np.isfinite(height)
+    k = (round(1.0 / cell) | 1,) * 2
+    weight = cv2.blur(known.astype(np.float64), k)
+    return np.asarray(height - cv2.blur(np.where(known, height, 0.0), k) / np.maximum(weight, 1e-9))
+
+
+def against_photos(run: Run, folder: Path) -> Evaluation:
+    """Compare heights and camera centres with a reference.
+
+    Raises:
+        InputError: the run has no place on Earth.
+    """
+    if run.local is None:
+        raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
+    ref = np.load(folder / "sfm_reference.npz", allow_pickle=False)
+    frame = LocalFrame(*ref["origin_llh"])
+    out = Evaluation(f"{run.folder} against the reference of {folder}")
+    believed = (ref["points_track"] >= LEAST_TRACK) & (ref["points_err"] < MOST_ERROR)
+    points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][believed]))
+    _heights(run, points, out)
+    if (folder / "slab_plane.npz").exists():
+        slab = np.load(folder / "slab_plane.npz")
+        _slab(run, run.local.to_enu(*frame.to_geodetic(slab["points"])), slab["inlier"], out)
+    _centres(run, run.local.to_enu(*frame.to_geodetic(ref["centers_enu"])), out)
+    return out
+
+
+def _heights(run: Run, points: F64, out: Evaluation) -> None:
+    if run.height is None or run.grid is None or run.flags is None or run.local is None or run.sigma is None:
+        out.put("heights", "the run has no dem.tif")
+        return
+    up = world_up(run.height, run.grid, run.local)
+    above = float(run.info["height_above_ground_m"])
+    error = interpolated(up, run.grid, points[:, 0], points[:, 1]) - points[:, 2]
+    given = np.isfinite(error)
+    plane, left = plane_of(points[given], error[given])
+    sigma = interpolated(run.sigma, run.grid, points[given, 0], points[given, 1])
+    known = np.isfinite(sigma)
+    total = np.sqrt(sigma[known] ** 2 + 0.028**2)
+    out.put("height above ground, m", above)
+    out.put("points compared", f"{given.sum()} of {len(points)}")
+    out.put("NMAD less a plane, m", nmad(left))
+    out.put("P95 of |error| less a plane, m", float(np.percentile(np.abs(left), 95)))
+    out.put("bias (median), m", float(np.median(error[given])))
+    out.put("tilt, mrad", float(1e3 * np.hypot(*plane[:2])))
+    out.put(
+        "off by more than 1 % of height and given out, % of all points",
+        100 * float((np.abs(left) > BAD_SHARE * above).sum() / len(points)),
+    )
+    out.put(
+        "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))
+    )
+    seen = (run.flags & np.uint16(Flag.UNSEEN)) == 0
+    out.put("accepted of cells seen, %", 100 * float(np.isfinite(run.height)[seen].mean()))
+
+
+def _slab(run: Run, points: F64, inlier: NDArray[np.bool_], out: Evaluation) -> None:
+    if run.height is None or run.grid is None:
+        return
+    slab = slab_of(points, inlier, run.grid)
+    given = np.isfinite(run.height)
+    out.put("accepted on the slab, %", 100 * float(given[slab].mean()))
+    out.put(
+        "slab flatness (NMAD after 1 m high-pass), m",
+        nmad(high_pass(run.height.astype(np.float64), run.grid.cell)[slab & given]),
+    )
+
+
+def _centres(run: Run, centres: F64, out: Evaluation) -> None:
+    path = run.folder / "trajectory.tum"
+    if not path.exists() or run.local is None:
+        return
+    own = np.array([p.translation for p in read_tum(path, run.local)[1]])
+    distance, index = cKDTree(centres).query(own)
+    if len(set(index.tolist())) < len(own):
+        out.put("camera centres", "cannot be told apart: two are nearest to the same reference")
+        return
+    out.put("camera centres compared", f"{len(own)} of {len(centres)}")
+    out.put("camera centres RMS, m", rms(distance))

@@ -1,0 +1,38 @@
+"""The numbers of a comparison, in order, with their words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def nmad(errors: ArrayLike) -> float:
+    """Normalised median absolute deviation: the sigma of the core of a distribution, blind to its tails."""
+    e = np.asarray(errors, dtype=np.float64)
+    return float(1.4826 * np.median(np.abs(e - np.median(e)))) if e.size else float("nan")
+
+
+def rms(errors: ArrayLike) -> float:
+    """Root mean square."""
+    e = np.asarray(errors, dtype=np.float64)
+    return float(np.sqrt(np.mean(e * e))) if e.size else float("nan")
+
+
+@dataclass
+class Evaluation:
+    """Named numbers with units; `lines` prints them."""
+
+    title: str
+    values: dict[str, float | str] = field(default_factory=dict)
+
+    def put(self, name: str, value: float | str) -> None:
+        """Add one number (NaN where it could not be measured)."""
+        self.values[name] = value
+
+    def lines(self) -> list[str]:
+        """One line a number."""
+        width = max((len(k) for k in self.values), default=0)
+        shown = {k: v if isinstance(v, str) else f"{v:.4g}" for k, v in self.values.items()}
+        return [self.title, *(f"  {k:<{width}}  {v}" for k, v in shown.items())]
