@@ -112,7 +112,7 @@ def why_none(hazards: HazardMap, elevation: ElevationMap, settings: SitesSetting
     seen = elevation.trusted
     if not seen.any():
         return "no safe site: no ground was seen well enough to know its height"
-    if not (hazards.reasons[seen] & ~np.uint8(Hazard.EDGE)).any() and (hazards.reasons[seen] != 0).all():
+    if ((hazards.reasons[seen] & Hazard.EDGE) != 0).all():
         return "no safe site: the map is smaller than the footprint"
     safe = seen & (hazards.reasons == 0)
     if safe.any():

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from alight.kernels.compiler import inline, kernel, parallel_kernel, prange
+from alight.kernels.compiler import kernel, parallel_kernel, prange
 
 
 @parallel_kernel
@@ -31,7 +31,7 @@ def row_sums(height, sums):
             sums[3, r, c + 1], sums[4, r, c + 1] = sh, sch
 
 
-@inline
+@kernel
 def _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh):
     """Solve the plane of G1 from its sums about the centre; return (level, gradient x, gradient y), NaN if none."""
     mx, my, mh = sx / n, sy / n, sh / n
@@ -186,7 +186,7 @@ def highest_above(height, level, grad_c, grad_r, inner, outer, out):
                     top[c] = e if e > top[c] else top[c]
 
 
-@inline
+@kernel
 def _contact(height, r, c, offsets, first, last):
     """Highest ground under one foot; NaN if any cell of it is unknown or off the map."""
     rows, cols = height.shape
@@ -199,7 +199,7 @@ def _contact(height, r, c, offsets, first, last):
     return top
 
 
-@inline
+@kernel
 def _rise(height, r, c, spans, a, gx, gy, spare):
     """Largest rise of known ground in the disc above a plane; the first one above `spare` found ends the search."""
     rows, cols = height.shape
@@ -218,7 +218,7 @@ def _rise(height, r, c, spans, a, gx, gy, spare):
     return top
 
 
-@inline
+@kernel
 def _belly(height, r, c, spans, plane, a, gx, gy, spare):
     """Rise of the ground above a contact plane, or a bound below -`spare` where that settles it without a search.
 
@@ -313,16 +313,37 @@ def rail_support(along, profile):
     return profile[left] - slope * along[left], slope
 
 
-@inline
+@kernel
 def _clear_over(along, profile, slope):
-    """Lowest height over s = 0 of a rail with a given slope that stays on or above its profile."""
-    top = -math.inf
+    """Lowest height over s = 0 of a rail of a given slope that stays on or above its profile, and where it touches."""
+    top, at = -math.inf, 0.0
     for i in range(along.size):
-        top = max(top, profile[i] - slope * along[i])
-    return top
+        level = profile[i] - slope * along[i]
+        if level > top:
+            top, at = level, along[i]
+    return top, at
 
 
-@inline
+@kernel
+def _pitch_range(along, left, right, low, high):
+    """Halve the range of the common pitch of both rails until it is a milliradian wide (G5).
+
+    The height over the middle, f_l + f_r, is convex in the pitch with the gradient -(s_l + s_r) where the rails touch.
+    Where they touch at mirrored places it is level: the lander rocks there, and the whole range counts.
+    """
+    while high - low > 1e-3:
+        pitch = 0.5 * (low + high)
+        touch = _clear_over(along, left, pitch)[1] + _clear_over(along, right, pitch)[1]
+        if touch == 0.0:
+            break
+        if touch > 0.0:
+            low = pitch
+        else:
+            high = pitch
+    return low, high
+
+
+@kernel
 def _profile(height, r, c, offsets, first, out):
     """Read a rail's profile; False if any cell is unknown or off the map."""
     rows, cols = height.shape
@@ -366,11 +387,12 @@ def skid_contact(height, skip, level, grad_c, grad_r, largest, axes, offsets, al
                     break
                 pitch_l = rail_support(along, left)[1]
                 pitch_r = rail_support(along, right)[1]
+                low, high = _pitch_range(along, left, right, min(pitch_l, pitch_r), max(pitch_l, pitch_r))
                 ax, ay = axes[k, 0], axes[k, 1]
                 worst_roll = worst_pitch = 0.0
                 for side in range(2):
-                    pitch = pitch_l if side == 0 else pitch_r
-                    over_l, over_r = _clear_over(along, left, pitch), _clear_over(along, right, pitch)
+                    pitch = low if side == 0 else high
+                    over_l, over_r = _clear_over(along, left, pitch)[0], _clear_over(along, right, pitch)[0]
                     roll = (over_l - over_r) / gauge  # rise towards the left
                     worst_roll, worst_pitch = max(worst_roll, abs(roll)), max(worst_pitch, abs(pitch))
                     if worst_rise <= spare < math.inf:  # left of forward (ax, ay) in (column, row) is (ay, -ax)

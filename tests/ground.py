@@ -1,0 +1,42 @@
+"""Small maps of ground for the tests of terrain, hazards, sites and route."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from alight.geometry import Grid
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap
+
+GREY, GREEN, BROWN, POND = (128, 128, 128), (90, 130, 60), (150, 120, 90), (70, 85, 90)
+
+
+def ground(
+    height: ArrayLike, cell: float = 0.1, sigma: float = 0.0, rgb: tuple[int, int, int] | NDArray[np.uint8] = GREY
+) -> ElevationMap:
+    """A map of these heights (NaN = unseen); its south-western cell is at (0, 0)."""
+    h = np.asarray(height, dtype=np.float32)
+    colour = np.broadcast_to(np.asarray(rgb, dtype=np.uint8), (*h.shape, 3)).copy()
+    unseen = np.isnan(h)
+    flags = np.where(unseen, np.uint16(Flag.UNSEEN), np.uint16(0))
+    views = np.where(unseen, 0, 9).astype(np.uint8)
+    grid = Grid(0.0, (h.shape[0] - 1) * cell, cell, *h.shape)
+    return ElevationMap(grid, h, np.full(h.shape, sigma, np.float32), flags, views, colour, np.zeros_like(h))
+
+
+def plane(rows: int, cols: int, east_slope: float, north_slope: float, cell: float = 0.1) -> NDArray[np.float64]:
+    """Heights of a plane, slopes as tangents."""
+    r, c = np.mgrid[:rows, :cols]
+    return cell * (east_slope * c - north_slope * r)
+
+
+def covered(elevation: ElevationMap, landable: ArrayLike, label: Terrain = Terrain.SHORT_GRASS) -> TerrainMap:
+    """A cover with these probabilities."""
+    p = np.broadcast_to(np.asarray(landable, dtype=np.float32), elevation.grid.shape).copy()
+    return TerrainMap(elevation.grid, np.full(elevation.grid.shape, label, np.uint8), p)
+
+
+def textured(colour: tuple[int, int, int], shape: tuple[int, int], contrast: float, seed: int) -> NDArray[np.uint8]:
+    """That colour with a relative brightness noise of `contrast` from cell to cell."""
+    noise = np.random.default_rng(seed).normal(1.0, contrast, shape)
+    return np.clip(np.asarray(colour) * noise[..., None], 1, 255).astype(np.uint8)

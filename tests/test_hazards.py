@@ -1,0 +1,247 @@
+"""Hazards against closed forms, and against the truth of a rendered scene."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from ground import covered, ground, plane
+from numpy.testing import assert_allclose
+
+from alight.hazards import assess
+from alight.records import Flag, Hazard, HazardMap
+from alight.settings import Hazards, Lander
+
+EXACT = Hazards(tilt_sigma=0.0)
+MID = (40, 40)
+
+
+def judge(height: np.ndarray, lander: Lander | None = None, settings: Hazards = EXACT) -> HazardMap:
+    return assess(ground(height), None, lander or Lander(radius=1.0), settings)
+
+
+def refused(h: HazardMap, at: tuple[int, int] = MID) -> Hazard:
+    return Hazard(int(h.reasons[at]))
+
+
+def flat() -> np.ndarray:
+    return np.zeros((81, 81))
+
+
+@pytest.mark.parametrize(("east", "north"), [(0.0, 0.0), (0.1, 0.0), (0.0, -0.15), (0.1, 0.12), (0.3, 0.2)])
+def test_a_plane_has_its_slope_and_no_roughness(east: float, north: float) -> None:
+    h = judge(plane(81, 81, east, north))
+    inside = (h.reasons & Hazard.EDGE) == 0
+    assert_allclose(h.slope[inside], math.atan(math.hypot(east, north)), atol=1e-5)
+    assert_allclose(h.roughness[inside], 0.0, atol=1e-5)
+    steep = math.hypot(east, north) > math.tan(math.radians(10))
+    assert (refused(h) == Hazard.SLOPE) if steep else (refused(h) == Hazard(0))
+    assert_allclose(h.p_safe[MID], 0.0 if steep else 1.0)
+
+
+def test_a_single_rock_deviates_by_its_height_less_what_the_plane_takes() -> None:
+    z = flat()
+    z[MID] = 0.2
+    h = judge(z)
+    n = 317  # cells within 10 cells
+    assert_allclose(h.roughness[MID], 0.2 * (1 - 1 / n), atol=1e-5)
+    assert refused(h) == Hazard.ROUGHNESS
+    r, c = np.mgrid[:81, :81]
+    inside = (h.reasons & Hazard.EDGE) == 0
+    rocky = np.hypot(r - 40, c - 40) <= 10
+    assert (((h.reasons & Hazard.ROUGHNESS) > 0) == rocky)[inside].all()
+
+
+def test_a_step_is_as_high_as_it_is() -> None:
+    z = flat()
+    z[:, 41:] = 0.12
+    lander = Lander(radius=1.0, max_step=0.1)
+    h = judge(z, lander)
+    assert_allclose(h.step[MID], 0.12, atol=1e-6)
+    assert Hazard.STEP in refused(h)
+    assert_allclose(h.step[40, 20], 0.0, atol=1e-6)
+    assert refused(h, (40, 20)) == Hazard(0)
+
+
+def test_a_crater_is_refused_on_its_wall_and_rim_and_not_far_away() -> None:
+    r, c = np.mgrid[:201, :201]
+    away = np.hypot(r - 100, c - 100) * 0.1
+    z = np.where(away < 4, -1.0 * (1 - (away / 4) ** 2), 0.0)  # paraboloid: wall slope 2 d / R^2 x = 0.5 at the rim
+    h = judge(z)
+    assert_allclose(
+        h.slope[100, 130], math.atan(2 * 1.0 * 3.0 / 16), atol=2e-3
+    )  # slope of the paraboloid at its middle
+    assert Hazard.SLOPE in refused(h, (100, 130))
+    assert refused(h, (100, 100)) == Hazard(0)  # the bottom bends by d (r / R)^2 = 0.0625 m only
+    assert_allclose(h.roughness[100, 100], 0.5 * 1.0 * (1.0 / 4) ** 2, rtol=0.06)
+    assert refused(h, (100, 160)) == Hazard(0)
+
+
+def test_unknown_ground_is_never_safe() -> None:
+    z = flat()
+    z[MID] = np.nan
+    none = judge(z, settings=Hazards(tilt_sigma=0.0, unknown_share=0.0))
+    r, c = np.mgrid[:81, :81]
+    near = np.hypot(r - 40, c - 40) <= 10
+    inside = (none.reasons & Hazard.EDGE) == 0
+    assert (((none.reasons & Hazard.UNKNOWN) > 0) == near)[inside].all()
+    few = judge(z, settings=Hazards(tilt_sigma=0.0, unknown_share=0.02))
+    assert refused(few) == Hazard.UNKNOWN  # the cell itself
+    assert refused(few, (40, 41)) == Hazard(0)  # one unknown cell of 317 beside the centre is allowed
+    assert (judge(np.full((81, 81), np.nan)).reasons != 0).all()
+    assert np.isnan(judge(np.full((81, 81), np.nan)).p_safe).all()
+
+
+@pytest.mark.parametrize("flag", [Flag.MOVING, Flag.UNSEEN, Flag.RANGE, Flag.SATURATED, Flag.AMBIGUOUS])
+def test_a_height_that_a_flag_refuses_is_unknown(flag: Flag) -> None:
+    e = ground(flat())
+    e.flags[30:50, 30:50] = flag
+    assert Hazard.UNKNOWN in refused(assess(e, None, Lander(radius=1.0), EXACT))
+
+
+def test_a_narrow_doubtful_gap_counts_as_known_only_if_it_agrees() -> None:
+    agrees, differs, moves = (ground(flat()) for _ in range(3))
+    for e in (agrees, differs):
+        e.flags[38:40, 30:50] = Flag.AMBIGUOUS
+    moves.flags[38:40, 30:50] = Flag.MOVING
+    differs.height[38:40, 30:50] = 0.1
+    lander = Lander(radius=1.0)
+    assert refused(assess(agrees, None, lander, EXACT)) == Hazard(0)
+    assert Hazard.UNKNOWN in refused(assess(differs, None, lander, EXACT))
+    assert Hazard.UNKNOWN in refused(assess(moves, None, lander, EXACT))
+    assert Hazard.UNKNOWN in refused(assess(agrees, None, lander, Hazards(tilt_sigma=0.0, bridge=0.0)))
+
+
+def test_the_footprint_must_lie_on_the_map() -> None:
+    h = judge(flat())
+    edge = (h.reasons & Hazard.EDGE) > 0
+    assert not edge[10:-10, 10:-10].any()
+    assert edge.sum() == 81 * 81 - 61 * 61
+    assert_allclose(h.clearance[MID], 3.05, atol=1e-5)  # 31 cells to the nearest refused centre, less half a cell
+
+
+def test_what_rises_under_the_rotor_is_refused() -> None:
+    z = flat()
+    z[40, 58] = 1.0  # 1.8 m away
+    assert refused(judge(z, Lander(radius=1.0))) == Hazard(0)
+    assert refused(judge(z, Lander(radius=1.0, rotor_radius=1.9))) == Hazard.CLEARANCE
+    assert refused(judge(z, Lander(radius=1.0, rotor_radius=1.7))) == Hazard(0)
+    assert refused(judge(z, Lander(radius=1.0, rotor_radius=1.9, rotor_rise=1.1))) == Hazard(0)
+
+
+def test_cover_may_refuse_and_never_permit() -> None:
+    steep = ground(plane(81, 81, 0.3, 0.0))
+    assert Hazard.SLOPE in refused(assess(steep, covered(steep, 1.0), Lander(radius=1.0), EXACT))
+    e = ground(flat())
+    p = np.ones((81, 81))
+    p[40, 48] = 0.1
+    cover = covered(e, p)
+    assert refused(assess(e, cover, Lander(radius=1.0), EXACT)) == Hazard.TERRAIN
+    assert refused(assess(e, cover, Lander(radius=0.7), EXACT)) == Hazard(0)
+    assert refused(assess(e, covered(e, np.nan), Lander(radius=1.0), EXACT)) == Hazard(0)  # no evidence, no veto
+
+
+FEET = ((0.6, 0.6), (0.6, -0.6), (-0.6, 0.6), (-0.6, -0.6))
+
+
+def test_a_belly_on_a_rock_is_refused_and_beside_it_is_not() -> None:
+    z = flat()
+    z[MID] = 0.3
+    lander = Lander(radius=0.9, feet=FEET, belly_clearance=0.25)
+    h = judge(z, lander)
+    assert refused(h) == Hazard.CLEARANCE
+    assert refused(h, (40, 50)) == Hazard(0)
+    taller = Lander(radius=0.9, feet=FEET, belly_clearance=0.35)
+    assert refused(judge(z, taller)) == Hazard(0)
+
+
+def test_a_foot_on_a_rock_tilts_the_lander_by_the_closed_form() -> None:
+    z = flat()
+    z[34, 46] = 0.2  # exactly under the north-eastern foot at heading north
+    lander = Lander(radius=0.9, feet=FEET, headings=1, max_slope=math.radians(5))
+    h = judge(z, lander)
+    # of the four triples the steepest has the rock's foot at a right angle's end: gradient 0.2 / 1.2 along both legs
+    assert_allclose(h.slope[MID], math.atan(0.2 / 1.2 * math.sqrt(2)), atol=1e-4)
+    assert Hazard.SLOPE in refused(h)
+
+
+@pytest.mark.parametrize("gear", [{"feet": FEET}, {"skids": (1.2, 1.0)}])
+def test_gear_on_a_plane_tilts_with_it(gear: dict[str, object]) -> None:
+    h = judge(plane(81, 81, 0.1, 0.05), Lander(radius=0.9, headings=4, **gear))  # type: ignore[arg-type]
+    assert_allclose(h.slope[MID], math.atan(math.hypot(0.1, 0.05)), atol=1e-4)
+
+
+def test_a_skid_on_an_edge_rolls_by_step_over_gauge() -> None:
+    z = flat()
+    z[:, 41:] = 0.1  # the right rail of a lander that looks north stands on it
+    h = judge(z, Lander(radius=0.9, skids=(1.2, 1.0), headings=1))
+    assert_allclose(h.slope[MID], math.atan(0.1 / 1.0), atol=1e-4)
+    along = judge(z, Lander(radius=0.9, skids=(1.2, 1.0), headings=2))
+    assert_allclose(along.slope[MID], math.atan(0.1 / 1.0), atol=1e-4)  # south: the other rail
+
+
+def test_a_skid_across_an_edge_pitches_on_it() -> None:
+    z = flat()
+    z[:37] = 0.1  # rows 34 to 36 of each rail (rows 34 to 46) are high: it rests on row 36 and on its rear end
+    h = judge(z, Lander(radius=0.9, skids=(1.2, 1.0), headings=1))
+    assert_allclose(h.slope[MID], math.atan(0.1 / 1.0), atol=1e-4)
+
+
+def test_noise_makes_doubt_and_not_refusal() -> None:
+    noise = np.random.default_rng(0).normal(0, 0.035, (81, 81))
+    sure = assess(ground(flat(), sigma=0.01), None, Lander(radius=1.0), Hazards())
+    unsure = assess(ground(noise, sigma=0.035), None, Lander(radius=1.0), Hazards())
+    assert sure.p_safe[MID] > 0.99
+    assert refused(sure) == Hazard(0)
+    assert 0.3 < unsure.p_safe[MID] < 0.99
+    assert refused(unsure) == Hazard.DOUBT
+
+
+def test_a_slope_at_the_limit_is_even_odds() -> None:
+    tan = math.tan(math.radians(10) - 1e-4)
+    h = assess(ground(plane(81, 81, tan, 0.0), sigma=0.02), None, Lander(radius=1.0), Hazards())
+    assert_allclose(h.p_safe[MID], 0.51, atol=0.02)
+
+
+def test_quality_falls_with_slope_roughness_cover_and_doubt() -> None:
+    lander = Lander(radius=1.0)
+    e = ground(flat())
+    best = assess(e, covered(e, 1.0), lander, EXACT).quality[MID]
+    assert_allclose(best, 0.0, atol=1e-6)
+    tilted = assess(ground(plane(81, 81, math.tan(math.radians(5)), 0.0)), None, lander, EXACT).quality[MID]
+    assert_allclose(tilted, -0.25, atol=1e-3)
+    assert_allclose(assess(e, covered(e, 0.8), lander, EXACT).quality[MID], -0.2, atol=1e-5)
+    doubtful = assess(ground(flat(), sigma=0.075), None, lander, EXACT).quality[MID]
+    assert_allclose(doubtful, -0.25, atol=1e-4)
+
+
+def test_maps_of_two_grids_are_refused() -> None:
+    e = ground(flat())
+    with pytest.raises(ValueError, match="one grid"):
+        assess(e, covered(ground(np.zeros((5, 5))), 1.0), Lander(), EXACT)
+
+
+def test_landers_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="not both"):
+        Lander(feet=FEET, skids=(1.0, 1.0))
+    with pytest.raises(ValueError, match="one line"):
+        Lander(feet=((0, 0), (1, 1), (2, 2)))
+    with pytest.raises(ValueError, match="above 0"):
+        Lander(skids=(1.0, 0.0))
+
+
+def test_the_rule_of_the_rendered_scene_is_reproduced(shared_data: Path) -> None:
+    truth = shared_data / "sample" / "truth"
+    with rasterio.open(truth / "dem.tif") as d, rasterio.open(truth / "class.tif") as c:
+        height, classes = d.read(1), c.read(1)
+    e = ground(height - 301)
+    h = assess(e, covered(e, np.isin(classes, [1, 2, 7])), Lander(), EXACT)
+    # scene.yaml says 0.196248 of 2,250,000 cells: six decimals, cut (441,560 cells are 0.1962489)
+    assert abs((h.reasons == 0).mean() - 0.196248) < 1e-6
+    row, col = 834, 921  # its best site, east 17.15 north -8.45
+    assert_allclose(h.clearance[row, col], 6.47, atol=0.005)
+    assert_allclose(math.degrees(h.slope[row, col]), 0.97, atol=0.005)
+    assert_allclose(h.roughness[row, col], 0.043, atol=0.0005)

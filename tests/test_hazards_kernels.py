@@ -1,0 +1,206 @@
+"""The kernels of hazards and terrain against plain NumPy, on random, planar and holed ground."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import linprog
+
+from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
+from alight.hazards.footprint import disc_mask, disc_spans, feet_of, skids_of
+from alight.kernels.hazards import rail_support
+from alight.kernels.terrain import fill_basins
+from alight.settings import Lander
+
+CELL = 0.1
+SHAPE = (23, 29)
+
+
+def rough_ground(seed: int, holes: float) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    r, c = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    h = (0.02 * c - 0.01 * r + rng.normal(0, 0.05, SHAPE)).astype(np.float32)
+    h[rng.random(SHAPE) < holes] = np.nan
+    return h
+
+
+def cells_in_disc(r: int, c: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    rr, cc = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    return np.nonzero(np.hypot(rr - r, cc - c) * CELL <= radius + 1e-9)
+
+
+def brute_plane(h: np.ndarray, r: int, c: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Plane coefficients (level, per column, per row) and the deviations of the known cells, by lstsq."""
+    rr, cc = cells_in_disc(r, c, radius)
+    known = np.isfinite(h[rr, cc])
+    rr, cc = rr[known], cc[known]
+    A = np.column_stack([np.ones(len(rr)), cc - c, rr - r])
+    p = np.linalg.lstsq(A, h[rr, cc].astype(np.float64), rcond=None)[0]
+    return p, h[rr, cc] - A @ p
+
+
+@pytest.mark.parametrize(("seed", "holes"), [(0, 0.0), (1, 0.1), (2, 0.5)])
+def test_the_footprint_agrees_with_least_squares_cell_by_cell(seed: int, holes: float) -> None:
+    h = rough_ground(seed, holes)
+    got = footprint_of(h, 0.5, CELL)
+    for r in range(SHAPE[0]):
+        for c in range(SHAPE[1]):
+            p, dev = brute_plane(h, r, c, 0.5)
+            inside = disc_mask(disc_spans(5.0)).sum()
+            assert got.count[r, c] == len(dev)
+            assert_allclose(got.unknown[r, c], 1 - len(dev) / inside, atol=1e-6)
+            assert_allclose([got.level[r, c], got.grad_c[r, c], got.grad_r[r, c]], p, atol=2e-5)
+            assert_allclose(got.roughness[r, c], np.abs(dev).max(), atol=2e-5)
+            assert_allclose(got.scatter[r, c], math.sqrt((dev**2).sum() / max(len(dev) - 3, 1)), atol=2e-5)
+
+
+def test_too_few_cells_or_cells_in_a_line_make_no_plane() -> None:
+    h = np.full(SHAPE, np.nan, np.float32)
+    h[10, :] = 1.0
+    got = footprint_of(h, 0.5, CELL)
+    assert np.isnan(got.level).all()
+    assert np.isnan(got.roughness).all()
+
+
+@pytest.mark.parametrize("holes", [0.0, 0.3])
+def test_steps_and_rotor_rise_agree_with_a_search(holes: float) -> None:
+    h = rough_ground(3, holes)
+    step = step_of(h, 0.4, CELL)
+    lander = Lander(radius=0.3, rotor_radius=0.6)
+    fp = footprint_of(h, 0.3, CELL)
+    rise = rotor_rise(h, fp, lander, CELL)
+    pad = np.pad(h, 1, constant_values=np.nan)
+    around = np.stack([pad[:-2, 1:-1], pad[2:, 1:-1], pad[1:-1, :-2], pad[1:-1, 2:]])
+    local = np.where(np.isnan(h), np.nan, np.fmax.reduce(np.abs(around - h), axis=0, initial=0.0))
+    for r, c in [(0, 0), (11, 14), (22, 28), (5, 27), (17, 3)]:
+        rr, cc = cells_in_disc(r, c, 0.4)
+        assert_allclose(step[r, c], np.nanmax(local[rr, cc]), atol=1e-6)
+        rr, cc = cells_in_disc(r, c, 0.6)
+        ring = np.hypot(rr - r, cc - c) * CELL > 0.3 + 1e-9
+        rr, cc = rr[ring], cc[ring]
+        over = h[rr, cc] - (fp.level[r, c] + fp.grad_c[r, c] * (cc - c) + fp.grad_r[r, c] * (rr - r))
+        assert_allclose(rise[r, c], np.nanmax(over), atol=1e-5)
+
+
+def brute_feet(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, float]:
+    """Worst tilt and worst rise over headings and triples, straight from the definition; NaN if a foot is unknown."""
+    feet = feet_of(lander, CELL)
+    tilts, rises = [], []
+    rr, cc = cells_in_disc(r, c, lander.radius)
+    for k in range(lander.headings):
+        points = []
+        for f in range(len(lander.feet or ())):
+            under = np.array([r, c]) + feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]]
+            if (under < 0).any() or (under >= SHAPE).any() or np.isnan(h[tuple(under.T)]).any():
+                return math.nan, math.nan
+            points.append([*feet.xy[k, f] * CELL, h[tuple(under.T)].max()])
+        for three in combinations(points, 3):
+            A = np.array(three)
+            gx, gy, a = np.linalg.solve(np.column_stack([A[:, :2], np.ones(3)]), A[:, 2])
+            tilts.append(math.atan(math.hypot(gx, gy)))
+            rises.append(np.nanmax(h[rr, cc] - a - gx * (cc - c) * CELL - gy * (rr - r) * CELL))
+    return max(tilts), max(rises)
+
+
+def test_feet_agree_with_the_definition_at_every_heading() -> None:
+    h = rough_ground(4, 0.004)
+    square = ((0.3, 0.3), (0.3, -0.3), (-0.3, 0.3), (-0.3, -0.3))
+    lander = Lander(radius=0.4, feet=square, foot_radius=0.11, belly_clearance=0.12, headings=5)
+    fp = footprint_of(h, lander.radius, CELL)
+    tilt, rise = gear_contact(h, fp, np.zeros(SHAPE, bool), lander, CELL)
+    judged = 0
+    for r in range(SHAPE[0]):
+        for c in range(SHAPE[1]):
+            want_tilt, want_rise = brute_feet(h, r, c, lander)
+            assert_allclose(tilt[r, c], want_tilt, atol=1e-4)
+            if math.isfinite(want_rise):
+                judged += 1
+                assert (rise[r, c] > 0.12) == (want_rise > 0.12) or abs(want_rise - 0.12) < 1e-5
+    assert judged > 50
+
+
+def resting_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> float:
+    """Tilt of the lowest plane over the centre that stays above both rails: a linear programme."""
+    s = skids_of(lander, CELL)
+    left = np.array([s.axes[0, 1], -s.axes[0, 0]])
+    rows = []
+    for side, sign in ((0, 1), (1, -1)):
+        for i, (dr, dc) in enumerate(s.offsets[0, side]):
+            xy = s.along[i] * s.axes[0] + sign * s.gauge / 2 * left
+            rows.append([*xy, h[r + dr, c + dc] / CELL])
+    A = np.array(rows)
+    got = linprog(
+        [1, 0, 0], A_ub=-np.column_stack([np.ones(len(A)), A[:, :2]]), b_ub=-A[:, 2], bounds=[(None, None)] * 3
+    )
+    return math.atan(math.hypot(*got.x[1:]))
+
+
+def test_the_tilt_of_skids_bounds_that_of_the_lander_at_rest() -> None:
+    h = rough_ground(5, 0.0)
+    lander = Lander(radius=0.5, skids=(0.8, 0.6), headings=1)
+    tilt, _ = gear_contact(h, footprint_of(h, 0.5, CELL), np.zeros(SHAPE, bool), lander, CELL)
+    rest = [(tilt[r, c], resting_skids(h, r, c, lander)) for r in range(5, 18, 3) for c in range(5, 24, 3)]
+    assert all(t >= s - 1e-4 for t, s in rest)
+    assert np.median([t - s for t, s in rest]) < math.radians(0.2)  # and mostly is it
+    assert np.isnan(tilt[0, 0])  # a rail off the map
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rail_settles_on_the_lowest_line_above_its_profile(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    along, profile = np.linspace(-4, 4, 9), rng.normal(0, 1, 9)
+    level, slope = rail_support(along, profile)
+    got = linprog([1, 0], A_ub=-np.column_stack([np.ones(9), along]), b_ub=-profile, bounds=[(None, None)] * 2)
+    assert_allclose(level, got.x[0], atol=1e-9)
+    assert (level + slope * along >= profile - 1e-9).all()
+
+
+def flooded_by_queue(surface: np.ndarray, outlet: np.ndarray) -> np.ndarray:
+    """Priority flood (Barnes 2014): the same answer by another algorithm."""
+    water = np.full(surface.shape, np.inf)
+    queue = [(float(surface[p]), p) for p in map(tuple, np.argwhere(outlet))]
+    for level, p in queue:
+        water[p] = level
+    heapq.heapify(queue)
+    while queue:
+        level, (r, c) = heapq.heappop(queue)
+        for q in range(max(0, r - 1), min(surface.shape[0], r + 2)):
+            for p in range(max(0, c - 1), min(surface.shape[1], c + 2)):
+                new = max(level, float(surface[q, p]))
+                if new < water[q, p]:
+                    water[q, p] = new
+                    heapq.heappush(queue, (new, (q, p)))
+    return water
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_basins_fill_to_where_they_spill(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    surface = rng.normal(0, 1, (17, 13)).astype(np.float32)
+    surface[rng.random(surface.shape) < 0.05] = np.inf
+    outlet = np.zeros(surface.shape, bool)
+    outlet[0, 3:9] = outlet[-1, ::4] = True
+    outlet &= np.isfinite(surface)
+    water = np.empty_like(surface)
+    fill_basins(surface, outlet, water)
+    assert_allclose(water, flooded_by_queue(surface, outlet))
+
+
+def test_the_disc_holds_every_cell_whose_centre_lies_within_the_radius() -> None:
+    for radius in (0.0, 0.5, 1.0, 3.0, 7.07, 15.0):
+        n = math.floor(radius + 1e-6)
+        r, c = np.mgrid[-n : n + 1, -n : n + 1]
+        assert (disc_mask(disc_spans(radius)) == (np.hypot(r, c) <= radius + 1e-6)).all()
+    assert disc_mask(disc_spans(1.5 / 0.1)).sum() == 709  # the rim's own cells are in, whatever 1.5 / 0.1 rounds to
+
+
+def test_a_mask_spreads_by_the_disc() -> None:
+    mask = np.zeros(SHAPE, bool)
+    mask[10, 10] = True
+    r, c = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    assert (any_near(mask, 0.5, CELL) == (np.hypot(r - 10, c - 10) <= 5)).all()

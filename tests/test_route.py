@@ -1,0 +1,102 @@
+"""The route clears everything mapped by its margin, or says what it crosses."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from ground import ground
+from numpy.testing import assert_allclose
+
+from alight import route
+from alight.records import ElevationMap, Route, Site, Terrain
+from alight.settings import RouteSettings
+
+SETTINGS = RouteSettings(approach_height=10.0, clearance=3.0)
+
+
+def site(east: float, north: float, up: float = 0.0) -> Site:
+    return Site(1, east, north, up, 1.0, 0.0, 0.0, 0.0, 2.0, 3.5, Terrain.BARE, 0.5, 0.02)
+
+
+def path(r: Route, until: str) -> np.ndarray:
+    """Points of the line every few centimetres, up to the way-point of that name."""
+    names = [w.name for w in r.waypoints]
+    corners = [w.position_world for w in r.waypoints[: names.index(until) + 1]]
+    pieces = [a + np.linspace(0, 1, 400)[:, None] * (b - a) for a, b in pairwise(corners)]
+    return np.concatenate(pieces)
+
+
+def least_gap(r: Route, e: ElevationMap, clearance: float, start_climb: bool) -> float:
+    """Smallest height of the line above what lies within `clearance` beside it, until the descent over the site."""
+    line = path(r, "approach")
+    if start_climb:  # the vehicle is where it is: the climb itself is not judged
+        line = line[400:]
+    east, north = e.grid.xy()
+    x, y = np.meshgrid(east, north)
+    top = np.where(e.trusted, e.height + 2 * e.sigma, -np.inf)
+    over_site = np.hypot(line[:, 0] - line[-1, 0], line[:, 1] - line[-1, 1]) < 0.05
+    gaps = [p[2] - top[np.hypot(x - p[0], y - p[1]) <= clearance].max(initial=-np.inf) for p in line[~over_site][::7]]
+    return min(gaps)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_line_clears_everything_mapped(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    z = np.zeros((101, 141))
+    for _ in range(12):
+        r, c = rng.integers(0, 95), rng.integers(20, 135)
+        z[r : r + 6, c : c + 6] = rng.uniform(0, 18)
+    z[40:61, 110:131] = 0.0
+    e = ground(z, cell=0.5, sigma=0.1)
+    start = np.array([5.0, rng.uniform(5, 45), rng.uniform(2, 25)])
+    got = route.plan(site(60.0, 25.0), e, start, SETTINGS)
+    climbs = any(w.name == "climb" for w in got.waypoints)
+    assert least_gap(got, e, SETTINGS.clearance, climbs) >= SETTINGS.clearance - 0.1  # half a cell of sideways rounding
+    assert_allclose(got.waypoints[-1].position_world, [60.0, 25.0, 0.0])
+
+
+def test_from_above_the_line_slopes_straight_to_the_approach() -> None:
+    e = ground(np.zeros((101, 141)), cell=0.5)
+    got = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
+    assert [w.name for w in got.waypoints] == ["start", "approach", "inspect", "touchdown"]
+    assert_allclose([w.position_world[2] for w in got.waypoints], [30.0, 10.0, 5.0, 0.0])
+    assert [w.look for w in got.waypoints] == [False, True, True, False]
+    assert got.warnings == ()
+    length = math.hypot(55.0, 20.0)
+    assert_allclose([w.t for w in got.waypoints], np.array([0, length / 5, length / 5 + 5, length / 5 + 10]))
+    assert_allclose(got.waypoints[1].heading, math.pi / 2)
+    assert_allclose(got.waypoints[-1].heading, 0.5)  # straight down: the site's own heading
+    assert [w.speed for w in got.waypoints] == [0.0, 5.0, 1.0, 1.0]
+
+
+def test_a_tree_on_the_way_keeps_the_line_level() -> None:
+    z = np.zeros((101, 141))
+    z[48:53, 80:84] = 20.0
+    e = ground(z, cell=0.5)
+    got = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
+    assert_allclose(got.waypoints[1].position_world, [60.0, 25.0, 30.0])
+    low = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 8.0]), SETTINGS)
+    assert low.waypoints[1].name == "climb"
+    assert_allclose(low.waypoints[1].position_world, [5.0, 25.0, 23.0])
+    assert "climbs 15.0 m" in low.warnings[0]
+
+
+def test_unknown_ground_may_be_as_high_as_anything_known() -> None:
+    z = np.zeros((101, 141))
+    z[5:8, 5:8] = 40.0  # far off the track
+    z[:, 60:70] = np.nan
+    got = route.plan(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
+    assert any("not mapped" in w for w in got.warnings)
+    assert max(w.position_world[2] for w in got.waypoints) >= 43.0
+
+
+def test_a_vehicle_over_the_site_only_descends() -> None:
+    e = ground(np.zeros((101, 101)), cell=0.5)
+    got = route.plan(site(25.0, 25.0), e, np.array([25.0, 25.0, 20.0]), SETTINGS)
+    heights = [w.position_world[2] for w in got.waypoints]
+    assert heights == sorted(heights, reverse=True)
+    assert all(w.speed == 1.0 for w in got.waypoints[1:])
+    assert_allclose(got.waypoints[-1].t, 20.0)

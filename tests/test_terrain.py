@@ -1,0 +1,161 @@
+"""Terrain: what must be refused is, and what looks like it but is not stays possible."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from ground import BROWN, GREEN, GREY, POND, ground, textured
+from numpy.testing import assert_allclose
+
+from alight.records import ElevationMap, Flag, Terrain
+from alight.settings import TerrainSettings
+from alight.terrain import classify
+from alight.terrain.relief import ground_under, outside, standing_water
+
+SHAPE = (240, 240)
+SETTINGS = TerrainSettings()
+R, C = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+
+def bowl(depth: float, radius_m: float = 6.0, centre: tuple[int, int] = (120, 120)) -> np.ndarray:
+    away = np.hypot(R - centre[0], C - centre[1]) * 0.1
+    return np.where(away < radius_m, -depth * (1 - (away / radius_m) ** 2), 0.0)
+
+
+def noise(sigma: float, seed: int = 0) -> np.ndarray:
+    n = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=SHAPE), (0, 0), 2.0)
+    return n * (sigma / n.std())
+
+
+def scene(height: np.ndarray, inside: np.ndarray, colour: tuple[int, int, int], contrast: float) -> ElevationMap:
+    """Short grass around a patch of another colour and texture."""
+    rgb = textured(GREEN, SHAPE, 0.05, 1)
+    rgb[inside] = textured(colour, SHAPE, contrast, 2)[inside]
+    return ground(height, sigma=0.04, rgb=rgb)
+
+
+def pond(depth: float, centre: tuple[int, int] = (120, 120)) -> tuple[ElevationMap, np.ndarray]:
+    """A pond whose bed was matched: a smooth confident surface below the shore."""
+    water = np.hypot(R - centre[0], C - centre[1]) < 60
+    return scene(bowl(depth, centre=centre) + noise(0.03), water, POND, 0.02), water
+
+
+def test_a_pond_with_a_visible_bed_is_refused() -> None:
+    e, water = pond(0.7)
+    t = classify(e, SETTINGS)
+    assert (t.landable[water] < 0.5).mean() > 0.98
+    assert (t.label[water] == Terrain.WATER).mean() > 0.97
+    shore = np.hypot(R - 120, C - 120) > 70
+    assert (t.landable[shore] > 0.5).mean() > 0.99
+
+
+def test_a_pond_that_the_map_cuts_is_refused_too() -> None:
+    e, water = pond(0.7, centre=(120, 10))
+    t = classify(e, SETTINGS)
+    assert (t.landable[water] < 0.5).mean() > 0.97
+
+
+def test_a_grassy_hollow_is_no_pond() -> None:
+    e = scene(bowl(0.7) + noise(0.03), np.zeros(SHAPE, bool), POND, 0.0)
+    t = classify(e, SETTINGS)
+    assert (t.landable > 0.5).mean() > 0.99
+    assert not (t.label == Terrain.WATER).any()
+
+
+def test_a_grey_flat_slab_stays_possible_in_sun_and_shade() -> None:
+    slab = (np.abs(R - 120) < 60) & (np.abs(C - 120) < 60)
+    for colour in (GREY, (45, 50, 62)):
+        t = classify(scene(noise(0.02), slab, colour, 0.02), SETTINGS)
+        assert (t.landable[slab] > 0.5).mean() > 0.99
+
+
+def test_restless_water_without_a_basin_is_refused() -> None:
+    water = np.hypot(R - 120, C - 120) < 60
+    e = scene(noise(0.03), water, POND, 0.02)
+    e.flags[water & (np.random.default_rng(0).random(SHAPE) < 0.8)] = Flag.MOVING
+    t = classify(e, SETTINGS)
+    core = np.hypot(R - 120, C - 120) < 50
+    assert (t.landable[core] < 0.5).all()
+
+
+def test_tall_grass_is_refused_by_texture_colour_and_height() -> None:
+    tall = np.hypot(R - 120, C - 120) < 40
+    height = np.where(tall, 0.4 + noise(0.12, 3), noise(0.02))
+    t = classify(scene(height, tall, (80, 105, 50), 0.35), SETTINGS)
+    core = np.hypot(R - 120, C - 120) < 36
+    assert (t.landable[core] < 0.5).all()
+    assert (t.label[core] == Terrain.TALL_VEGETATION).mean() > 0.9
+    assert (t.landable[np.hypot(R - 120, C - 120) > 55] > 0.5).mean() > 0.98
+
+
+def test_a_tree_and_a_wall_stand_on_the_ground_and_a_hill_does_not() -> None:
+    height = noise(0.02)
+    tree, wall = np.hypot(R - 60, C - 60) < 20, (np.abs(R - 180) < 3) & (np.abs(C - 120) < 60)
+    height[tree] += 5.0
+    height[wall] += 1.2
+    hill = 1.0 * np.exp(-(((R - 80) ** 2 + (C - 180) ** 2) * 0.01) / 50.0)
+    e = scene(height + hill, wall, BROWN, 0.05)
+    t = classify(e, SETTINGS)
+    assert (t.label[tree] == Terrain.TREE).mean() > 0.95
+    assert (t.landable[tree | wall] < 0.5).mean() > 0.95
+    top = np.hypot(R - 80, C - 180) < 30
+    assert (t.landable[top] > 0.5).all()
+
+
+def test_nothing_seen_is_unknown_and_no_evidence() -> None:
+    height = noise(0.02)
+    height[:, :100] = np.nan
+    e = ground(height, rgb=textured(GREEN, SHAPE, 0.05, 1))
+    t = classify(e, SETTINGS)
+    assert (t.label[:, :100] == Terrain.UNKNOWN).all()
+    assert np.isnan(t.landable[:, :100]).all()
+    assert np.isfinite(t.landable[:, 100:]).all()
+    off = classify(e, TerrainSettings(enabled=False))
+    assert np.isnan(off.landable).all()
+    assert not off.label.any()
+
+
+def test_an_empty_map_is_classified_without_a_complaint() -> None:
+    t = classify(ground(np.full((30, 40), np.nan)), SETTINGS)
+    assert not t.label.any()
+
+
+def test_grey_images_say_nothing_by_colour() -> None:
+    e, _ = pond(0.0)
+    grey = np.repeat(e.rgb.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
+    t = classify(ground(noise(0.02), rgb=grey), SETTINGS)
+    assert (t.landable > 0.5).all()
+
+
+def test_the_ground_under_a_plane_is_the_plane() -> None:
+    z = (0.02 * C - 0.05 * R).astype(np.float32)[:60, :60]
+    rock = z.copy()
+    rock[30, 30] += 2.0
+    inner = (slice(10, 50), slice(10, 50))
+    assert_allclose(ground_under(rock, 8.0)[inner], z[inner], atol=0.06)
+    assert_allclose(ground_under(z, 8.0)[inner], z[inner], atol=1e-5)
+
+
+def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -> None:
+    z = np.ones((21, 21), np.float32)
+    z[5:16, 5:16] = 0.0
+    dry = np.zeros(z.shape, bool)
+    depth, level = standing_water(z, dry)
+    assert_allclose(depth[5:16, 5:16], 1.0)
+    assert_allclose(level, 1.0)
+    open_side = z.copy()
+    open_side[10, :5] = np.nan
+    assert_allclose(standing_water(open_side, dry)[0][5:16, 5:16], 0.0)
+    hole = z.copy()
+    hole[10, 10] = np.nan
+    assert_allclose(np.nan_to_num(standing_water(hole, dry)[0], nan=1.0)[5:16, 5:16], 1.0)
+    cut = z[:, 10:]
+    assert_allclose(standing_water(cut, np.zeros(cut.shape, bool))[0], 0.0)
+    wet = cut < 0.5
+    assert_allclose(standing_water(cut, wet)[0][5:16, :6], 1.0)
+
+
+def test_only_unknown_ground_that_reaches_the_rim_is_outside() -> None:
+    unknown = np.zeros((9, 9), bool)
+    unknown[4, 4] = unknown[0:3, 7] = True
+    assert (outside(unknown) == (unknown & (C[:9, :9] == 7))).all()
