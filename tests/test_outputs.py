@@ -214,6 +214,22 @@ def test_run_json_tells_the_run(out: Path) -> None:
     assert info["answer"]["sites"][0]["east_m"] == 5.0
 
 
+def test_notes_may_hold_arrays_and_unknowns(tmp_path: Path) -> None:
+    notes = {
+        "mounting": np.array([0.5, np.nan]),
+        "gps": {"RTK fixed": np.int64(32)},
+        "file": Path("a"),
+        "focal": "held",
+    }
+    write_run(some_run(notes=notes), tmp_path)
+    assert loaded(tmp_path / "run.json")["notes"] == {
+        "mounting": [0.5, None],
+        "gps": {"RTK fixed": 32},
+        "file": "a",
+        "focal": "held",
+    }
+
+
 def test_what_cannot_be_filled_is_named(tmp_path: Path) -> None:
     empty = some_run(
         sites=Sites((), "nothing looked down"), elevation=None, terrain=None, hazards=None, route=None, motions=(),

@@ -155,6 +155,17 @@ def test_a_mark_lies_on_its_place() -> None:
         )
 
 
+def test_numbers_do_not_hide_other_sites() -> None:
+    """Three sites in a row from south to north: a number above its disc would lie on the next one."""
+    row = Sites(tuple(site(i + 1, 5.0, -2.0 + 3.2 * i) for i in range(3)))
+    run = some_run(sites=row)
+    found = figures.marks(run, canvas.whole(run.elevation))
+    badges = [(m.x + m.aside[0] * (m.r + 21), m.y + m.aside[1] * (m.r + 21)) for m in found]
+    for m, (x, y) in zip(found, badges, strict=True):
+        assert all(math.hypot(x - o.x, y - o.y) > o.r for o in found if o is not m)
+        assert all(math.hypot(x - a, y - b) > 40 for a, b in badges if (a, b) != (x, y))
+
+
 def test_a_footprint_is_drawn_to_scale() -> None:
     run = some_run()
     window = canvas.whole(run.elevation)
@@ -236,11 +247,36 @@ def test_metres(value: float, text: str) -> None:
 @pytest.mark.parametrize(
     ("value", "text"), [(1.0, "100 %"), (0.99999, "> 99.9 %"), (0.0001, "< 0.1 %"), (0.0, "0 %"), (0.625, "62.5 %")]
 )
-def test_percent_claims_no_certainty(value: float, text: str) -> None:
+def test_percent_of_shares(value: float, text: str) -> None:
     assert words.percent(value) == text
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.0042, "4.2 ms"), (1.25, "1.25 s"), (125.0, "2 min 5 s")])
+def test_notes_read_well() -> None:
+    text = render(some_run(notes={"focal": "held", "gps_rms": [0.0227402, 1955.65002], "gps": {"RTK fixed": 32}}))
+    assert "<td>0.02274, 1955.7</td>" in text
+    assert ">gps rms<" in text
+    assert "<td>RTK fixed: 32</td>" in text
+
+
+def test_a_stray_cell_does_not_shrink_the_map() -> None:
+    e = elevation()
+    views = np.zeros_like(e.views)
+    views[40:80, 60:100] = 5
+    views[3, 3] = 5
+    e = replace(e, views=views)
+    assert canvas.whole(e).grid.shape == (40, 40)
+    far = canvas.whole(e, [(GRID.east, GRID.north)])  # but a site is always on it
+    assert far.xy(GRID.east, GRID.north) >= (0.0, 0.0)
+
+
+def test_no_chance_is_certain() -> None:
+    assert words.chance(1.0) == "> 99.9 %"
+    assert words.chance(0.99) == "99.0 %"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(76e-6, "76 µs"), (0.0042, "4.2 ms"), (1.25, "1.25 s"), (125.0, "2 min 5 s")]
+)
 def test_seconds(value: float, text: str) -> None:
     assert words.seconds(value) == text
 

@@ -323,7 +323,7 @@ class RunResult:
     motions: Sequence[Motion] = ()
     height_above_ground: float | None = None  # metres, median over the exposures
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
-    notes: Mapping[str, str] = field(default_factory=dict)  # "focal length": "held at the maker's 3665.8 px"
+    notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
     warnings: Sequence[str] = ()
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from alight.geometry import LocalFrame
 from alight.records import Route, Site, Sites, Waypoint
@@ -144,6 +147,19 @@ def route_plan(route: Route, local: LocalFrame, settings: Settings) -> dict[str,
             "items": items,
         },
     }
+
+
+def plain(thing: Any) -> Any:
+    """What JSON can hold of numbers, words, lists and mappings, arrays included; what is not finite is null."""
+    if isinstance(thing, Mapping):
+        return {str(k): plain(v) for k, v in thing.items()}
+    if isinstance(thing, (list, tuple, np.ndarray)):
+        return [plain(v) for v in thing]
+    if isinstance(thing, np.generic):
+        return plain(thing.item())
+    if isinstance(thing, float):
+        return thing if math.isfinite(thing) else None
+    return thing if isinstance(thing, (str, int, bool, type(None))) else str(thing)
 
 
 def json_bytes(tree: Any) -> bytes:

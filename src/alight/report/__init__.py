@@ -24,7 +24,8 @@ _TEMPLATES = jinja2.Environment(
 def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
     """The overview, what stands beside it and what below."""
     elevation = result.elevation
-    window = canvas.whole(elevation) if elevation is not None else None
+    places = [(s.east, s.north) for s in result.sites.sites]
+    window = canvas.whole(elevation, places) if elevation is not None else None
     if elevation is None or window is None:
         return None, [], []
     overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
@@ -48,6 +49,7 @@ def render(result: RunResult) -> str:
         columns=facts.SITE_COLUMNS,
         rows=facts.site_rows(result),
         facts=facts.run_facts(result),
+        details=facts.details(result),
         times=facts.times(result.timings),
         missing=dict(result.not_written),
         settings=result.settings.to_yaml(),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from alight.records import U8, ElevationMap
 WIDTH = 1000.0  # of every picture, in page units; heights follow
 PIXELS = 1400  # most pixels of a picture's longer side
 QUALITY = 84
+FRINGE = 0.03  # of the fullest row: less is a fringe
 SHORTEST, TALLEST = 0.35, 1.6  # height over width of a picture; the crop grows to fit
 
 
@@ -57,13 +59,21 @@ class Canvas:
         return data_uri(shrink(self.cut(rgba)))
 
 
-def whole(elevation: ElevationMap) -> Canvas | None:
-    """The canvas that shows everything seen; None where nothing was."""
+def whole(elevation: ElevationMap, places: Sequence[tuple[float, float]] = ()) -> Canvas | None:
+    """The canvas that shows what was seen, thin fringes left out, and every place; None where nothing was seen."""
     seen = elevation.views > 0
     if not seen.any():
         return None
-    rows, cols = (np.flatnonzero(seen.any(axis=a)) for a in (1, 0))
+    rows, cols = _thick(seen.sum(1)), _thick(seen.sum(0))
+    at = [elevation.grid.index(np.asarray(e), np.asarray(n)) for e, n in places]
+    rows = np.unique([*rows, *(np.clip(round(float(r)), 0, seen.shape[0] - 1) for r, _ in at)])
+    cols = np.unique([*cols, *(np.clip(round(float(c)), 0, seen.shape[1] - 1) for _, c in at)])
     return _canvas(elevation.grid, int(rows[0]), int(cols[0]), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1)
+
+
+def _thick(count: NDArray[Any]) -> NDArray[np.int64]:
+    """Rows (or columns) that hold more than stray cells."""
+    return np.flatnonzero(count > FRINGE * count.max())
 
 
 def about(grid: Grid, east: float, north: float, radius: float) -> Canvas:

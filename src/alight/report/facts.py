@@ -57,7 +57,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
     """The best site's numbers with the limits they are held against."""
     lander = result.settings.lander
     return [
-        ("Chance of a safe touchdown", words.percent(site.p_safe)),
+        ("Chance of a safe touchdown", words.chance(site.p_safe)),
         ("Slope", f"{words.angle(site.slope)} of {words.angle(lander.max_slope)}"),
         ("Largest bump", f"{words.metres(site.roughness)} of {words.metres(lander.max_roughness)}"),
         ("To the nearest hazard", words.metres(site.clearance)),
@@ -91,7 +91,7 @@ def site_rows(result: RunResult) -> list[tuple[str, ...]]:
     return [
         (
             str(s.rank),
-            words.percent(s.p_safe),
+            words.chance(s.p_safe),
             words.angle(s.slope),
             words.metres(s.roughness),
             words.metres(s.clearance),
@@ -128,7 +128,12 @@ def run_facts(result: RunResult) -> list[tuple[str, str]]:
     lander = result.settings.lander
     facts += _map_facts(result)
     facts.append(("lander", f"{words.metres(lander.radius)} footprint radius"))
-    return facts + list(result.notes.items())
+    return facts + [(words.name(k), v) for k, v in result.notes.items() if isinstance(v, str)]
+
+
+def details(result: RunResult) -> list[tuple[str, str]]:
+    """The notes that are numbers: for who wants to know."""
+    return [(words.name(k), words.value(v)) for k, v in result.notes.items() if not isinstance(v, str)]
 
 
 def times(timings: Mapping[str, Sequence[float]]) -> list[Time]:

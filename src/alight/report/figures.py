@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 from alight.records import ElevationMap, RunResult
 from alight.report import canvas, paint, words
 from alight.report.canvas import Canvas
+
+BADGE = 21.0  # page units, radius of a number
+ASIDE = tuple(
+    (round(math.sin(a), 4), round(-math.cos(a), 4)) for a in np.radians([0, 45, -45, 90, -90, 135, -135, 180])
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class Mark:
     room: float  # largest safe disc
     rank: int
     place: str
+    aside: tuple[float, float] = (0.0, -1.0)  # direction of the number from the disc
 
 
 @dataclass(frozen=True)
@@ -84,11 +90,30 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
     """The sites on a picture, the best one last so that it lies on top."""
     radius = result.settings.lander.radius * c.per_metre
     out = []
-    for s in sorted(result.sites.sites, key=lambda s: -s.rank):
+    for s in sorted(result.sites.sites, key=lambda s: s.rank):
         x, y = c.xy(s.east, s.north)
         room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
         out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s)))
+    return _aside(out, c)[::-1]
+
+
+def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
+    """Put each number beside its disc, where it hides least of other discs and numbers; the best site chooses first."""
+    numbers: list[tuple[float, float, float]] = []
+    out = []
+    for m in found:
+        others = [(o.x, o.y, o.r) for o in found if o is not m] + numbers
+        spots = [(m.x + way[0] * (m.r + BADGE), m.y + way[1] * (m.r + BADGE)) for way in ASIDE]
+        best = min(range(len(spots)), key=[_hidden(x, y, others, c) for x, y in spots].__getitem__)
+        numbers.append((*spots[best], BADGE))
+        out.append(replace(m, aside=ASIDE[best]))
     return out
+
+
+def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
+    """How much a number at (x, y) covers of other things, and how far it leaves the picture."""
+    outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
+    return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
 
 
 def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:

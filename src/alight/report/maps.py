@@ -53,7 +53,7 @@ def p_safe(hazards: HazardMap, c: Canvas) -> Figure:
 
 def heights(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     """Hillshaded heights."""
-    low, high = paint.span(elevation.height[elevation.trusted])
+    low, high = paint.span(elevation.height[elevation.trusted], 1, 96)  # what stands on the ground may saturate
     up = result.local.height if result.georeferenced else 0.0
     reference = "above the WGS84 ellipsoid" if result.georeferenced else "above the origin"
     low_t, mid_t, high_t = (f"{up + h:.1f} m" for h in (low, (low + high) / 2, high))
@@ -62,7 +62,7 @@ def heights(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
         alt=f"Shaded relief, {low_t} to {high_t}",
         uri=c.uri(paint.heights(elevation, low, high)),
         height=round(c.height, 1),
-        scale=Scale(paint.HEIGHT_RAMP, low_t, mid_t, high_t),
+        scale=Scale(paint.HEIGHT_RAMP, low_t, mid_t, f"≥ {high_t}"),
         caption=f"Metres {reference}, lit from the north-west; empty where no height can be trusted.",
     )
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from alight.records import Flag, Hazard, RunResult, Site
 
 UNKNOWN = "unknown"
@@ -52,7 +54,7 @@ def bearing(value: float) -> str:
 
 
 def percent(value: float) -> str:
-    """A share; never rounded up to certainty, nor down to nothing."""
+    """A share; never rounded up to all, nor down to nothing."""
     if not math.isfinite(value):
         return UNKNOWN
     if 0 < value < 0.0005:
@@ -62,8 +64,15 @@ def percent(value: float) -> str:
     return f"{value * 100:.0f} %" if value in (0.0, 1.0) else f"{value * 100:.1f} %"
 
 
+def chance(probability: float) -> str:
+    """A probability for people: none is ever certain."""
+    return "> 99.9 %" if probability > 0.9995 else percent(probability)
+
+
 def seconds(value: float) -> str:
-    """4.2 ms, 1.25 s, 2 min 5 s."""
+    """76 µs, 4.2 ms, 1.25 s, 2 min 5 s."""
+    if value < 1e-3:
+        return f"{value * 1e6:.0f} µs"
     if value < 1:
         return f"{value * 1e3:.3g} ms"
     return f"{value:.3g} s" if value < 99.5 else f"{value // 60:.0f} min {value % 60:.0f} s"
@@ -85,6 +94,22 @@ def geo_uri(result: RunResult, site: Site) -> str:
         return ""
     latitude, longitude, _ = result.local.to_geodetic([site.east, site.north, site.up])
     return f"geo:{float(latitude):.7f},{float(longitude):.7f}"
+
+
+def name(key: str) -> str:
+    """`focal_px` as 'focal px'."""
+    return key.replace("_", " ")
+
+
+def value(thing: object) -> str:
+    """A note's value: four figures, lists with commas, mappings with colons."""
+    if isinstance(thing, Mapping):
+        return ", ".join(f"{k}: {value(v)}" for k, v in thing.items())
+    if isinstance(thing, (list, tuple, np.ndarray)):
+        return ", ".join(value(v) for v in thing)
+    if isinstance(thing, (float, np.floating)):
+        return f"{float(thing):.4g}" if abs(float(thing)) < 1000 else f"{float(thing):.1f}"
+    return str(thing)
 
 
 def ground(name: str) -> str:
