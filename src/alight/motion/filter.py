@@ -11,6 +11,7 @@ from bisect import bisect_left
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Pose, so3_exp
 from alight.motion.dynamics import (
@@ -33,6 +34,8 @@ from alight.settings import Filter
 
 log = logging.getLogger(__name__)
 
+Ints = NDArray[np.int64]
+
 _SUPPORT = 8  # points inside their gates below which the cameras do not hold the motion
 _JUMP = 5  # GPS/INS positions in a row outside the gate that are taken as a jump
 _MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
@@ -51,7 +54,7 @@ class MotionFilter:
         self._inertial = False
         self._state: State | None = None
         self._first: Step | None = None  # the state as last predicted: where Jacobians are taken
-        self._nav_sigma = np.ones(9)
+        self._nav_sigma, self._start_sigma = np.ones(9), np.ones(3)
         self._waiting: dict[int, list[Sight]] = {}  # the sub-filter: features not yet in the state
         self._outside = 0  # GPS/INS positions in a row outside the gate
         self._last_nav_ns = self._last_good_ns = self._last_exposure_ns = -(1 << 62)
@@ -111,11 +114,15 @@ class MotionFilter:
             return ()
         return tuple(self._held(s, i) for i in range(len(s.clones)))
 
+    def _absolute(self, s: State, rows: Ints) -> F64:
+        """(6, 6) covariance of a pose in the world: that against the start, and the GPS/INS error at the start."""
+        return np.asarray(s.P[np.ix_(rows, rows)] + np.diag(np.append(self._start_sigma**2, np.zeros(3))))
+
     def _held(self, s: State, i: int) -> Motion:
         c, order = s.clones[i], np.arange(len(s.P))[s.clone_at(i)][[3, 4, 5, 0, 1, 2]]
         rig = Pose(c.R, c.p)
         body = Pose(c.R @ so3_exp(s.core[MOUNT]).T, c.p)
-        return Motion(c.t_ns, body, tuple(rig @ x for x in self._cams), s.P[np.ix_(order, order)].copy())
+        return Motion(c.t_ns, body, tuple(rig @ x for x in self._cams), self._absolute(s, order))
 
     def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
         """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
@@ -139,7 +146,7 @@ class MotionFilter:
         self._state = initial_state(sample, sigma, self._settings)
         if self._state is None:
             return
-        self._nav_sigma, self._last_nav_ns = sigma, sample.t_ns
+        self._nav_sigma, self._start_sigma, self._last_nav_ns = sigma, sigma[0:3], sample.t_ns
         if self._inertial:
             self._start_biases(self._state)
         else:
@@ -182,7 +189,7 @@ class MotionFilter:
             Q[range(15), range(15)] += bias_walk(dt, self._settings)
         else:
             F, Q = constant_transition(state.R, state.core[GYRO], dt, self._settings)
-        decay, drift = nav_decay(dt, self._nav_sigma, self._settings)
+        decay, drift = nav_decay(dt, self._nav_sigma, self._settings, from_start=True)
         spread(state, F, Q, decay, drift)
         state.R, state.core[POS], state.core[VEL] = after.R, after.position, after.velocity
         state.core[15:24] *= decay
@@ -277,12 +284,11 @@ class MotionFilter:
 
     def _motion(self, state: State, judged: MotionState, support: int) -> Motion:
         rig = Pose(state.rig, state.core[POS])
-        order = np.r_[POS, ATT]
         return Motion(
             state.t_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
-            state.P[np.ix_(order, order)].copy(),
+            self._absolute(state, np.r_[POS, ATT]),
             state.core[VEL].copy(),
             judged,
             support,

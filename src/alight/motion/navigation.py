@@ -11,7 +11,7 @@ from alight.settings import Filter
 
 
 def sigmas(sample: NavSample, noise: Filter) -> F64:
-    """Return the (9,) bound of position, attitude (in the world), velocity error of a row; defaults where it has none."""
+    """Return the (9,) bounds of position, attitude (in the world) and velocity error; defaults where a row has none."""
     position = _or(sample.sigma_position, noise.position_sigma)
     attitude = _or(sample.sigma_attitude, noise.attitude_sigma)
     if sample.world_from_body is not None:  # roll, pitch, yaw are about the body's axes
@@ -31,7 +31,11 @@ def whites(sigma: F64, noise: Filter) -> F64:
 
 
 def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
-    """Make the first state of a row that has position and attitude; None: this row has not."""
+    """Make the first state of a row that has position and attitude; None: this row has not.
+
+    The position is taken as exact and the error of GPS/INS counted from here on (M14b): where the world's origin lies
+    to within that first error is nothing that cameras can tell, and estimating it would only shake the poses.
+    """
     if sample.position_world is None or sample.world_from_body is None:
         return None
     core = np.zeros(CORE)
@@ -42,6 +46,8 @@ def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
         bound, shake = np.diag(sigma[i : i + 3] ** 2), np.diag(white[i : i + 3] ** 2)
         P[value, value], P[drift, drift] = bound + shake, bound  # value = measured - drift - white
         P[value, drift] = P[drift, value] = -bound
+    P[POS, POS], P[POS, NAV_POS], P[NAV_POS, POS] = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    P[NAV_POS, NAV_POS] = np.diag(white[0:3] ** 2)
     if sample.velocity_world is None:
         P[VEL, VEL], P[VEL, NAV_VEL], P[NAV_VEL, VEL] = np.eye(3) * 10.0**2, np.zeros((3, 3)), np.zeros((3, 3))
     else:

@@ -51,7 +51,7 @@ class Rows:
 
 
 def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: tuple[Pose, ...]) -> Rows:
-    """Residuals at the estimates and Jacobians at the first estimates (M11) of (N, 3) points seen at `sights` (N, cameras, 2)."""
+    """Residuals at the estimates, Jacobians at the first ones (M11), of (N, 3) points seen at (N, cameras, 2)."""
     n, m = len(x), 2 * len(cams)
     residual, seen = np.zeros((n, m)), np.zeros((n, m), bool)
     by_clone, by_point = np.zeros((n, m, 6)), np.zeros((n, m, 3))

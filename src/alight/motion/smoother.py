@@ -164,6 +164,7 @@ class _Batch:
         R, x, s = self._R[k], self._x[k], self._settings
         if m is None:
             F, Q = constant_transition(R, x[GYRO], dt, s)
+            Q[ACC, ACC] = np.eye(3)  # there is none: any number that keeps the equations regular
             return constant_step(R, x[POS], x[VEL], x[GYRO], dt), F, Q
         m = corrected(m, x[GYRO], x[ACC])
         after = inertial_step(R, x[POS], x[VEL], m)
