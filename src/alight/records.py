@@ -103,6 +103,7 @@ class Tracks:
     ids: NDArray[np.int64]  # (N,) one number a feature, never used again
     pixels: F64  # (N, cameras, 2) pixels as the image has them; NaN = not seen by that camera
     normalised: F64  # (N, cameras, 2) x/z, y/z with the lens taken out; NaN = not seen by that camera
+    texture: F64 | None = None  # (N,) Shi-Tomasi response a pixel over the SSD window, grey range 1; None: unknown
 
 
 class MotionState(IntEnum):

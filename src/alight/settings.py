@@ -49,7 +49,8 @@ class Filter(_Model):
 
     points: int = Field(80, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
-    pixel_sigma: Positive = Field(0.3, description="px, 1-sigma of a track")
+    pixel_sigma: Positive = Field(0.3, description="px, 1-sigma of a track on ground of the reference texture")
+    texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
     keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
     nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")

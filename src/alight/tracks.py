@@ -97,13 +97,13 @@ class Tracker:
             the features seen; no rows when the left image is missing (the features wait for the next one).
         """
         if frame.images[0] is None:
-            return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)))
+            return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
         ids, pixels, depth = self._take_up(image, ids, pixels, depth)
         seen, depth = self._across(frame, image, pixels, depth)
         self._memory = _Memory(image, prediction, ids, pixels, depth)
-        return self._record(frame.t_ns, ids, seen)
+        return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
 
     def _follow(self, image: U8, prediction: Poses | None) -> tuple[Ids, F32, F64]:
         m = self._memory
@@ -181,11 +181,20 @@ class Tracker:
         found[~good] = np.nan
         return found, z
 
-    def _record(self, t_ns: int, ids: Ids, pixels: F64) -> Tracks:
+    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
         for i, camera in enumerate(self._cameras):
             normalised[:, i] = normalise(camera, pixels[:, i])
-        return Tracks(t_ns, ids, pixels, normalised)
+        return Tracks(t_ns, ids, pixels, normalised, texture)
+
+
+def strength(image: U8, pixels: F32, window_px: int) -> F64:
+    """Return the (N,) Shi-Tomasi response a pixel over the SSD window: how sharp the minimum of the SSD is."""
+    response = cv2.cornerMinEigenVal(image, window_px)
+    height, width = image.shape
+    x = np.clip(np.round(pixels[:, 0]).astype(int), 0, width - 1)
+    y = np.clip(np.round(pixels[:, 1]).astype(int), 0, height - 1)
+    return np.asarray(response[y, x], dtype=np.float64)
 
 
 def _inside(pixels: F32, camera: Camera) -> Mask:

@@ -29,6 +29,7 @@ from alight.motion.navigation import initial_state, measurements, rate_measureme
 from alight.motion.points import Gate, Sight, measure, take_up
 from alight.motion.smoother import Recording, smooth
 from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, POS, VEL, State
+from alight.motion.vision import sight_sigma
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import Filter
 
@@ -48,7 +49,7 @@ class MotionFilter:
     def __init__(self, rig: Rig, settings: Filter) -> None:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
-        self._sigma = settings.pixel_sigma / rig.cameras[0].camera.fu  # of a normalised coordinate
+        self._camera = rig.cameras[0].camera
         self._gate = Gate(settings.gate)
         self._imu: deque[ImuSample] = deque()
         self._inertial = False
@@ -228,11 +229,15 @@ class MotionFilter:
 
     def _see(self, state: State, tracks: Tracks) -> tuple[int, int]:
         """One exposure (M11-M17): forget lost points, measure those held, take up those that became well known."""
-        sights = {int(i): z for i, z in zip(tracks.ids, tracks.normalised, strict=True)}
+        sigma = sight_sigma(tracks, self._camera, self._settings)
+        sights = {
+            int(i): Sight(tracks.t_ns, z, float(s))
+            for i, z, s in zip(tracks.ids, tracks.normalised, sigma, strict=True)
+        }
         lost = [i for i, x in enumerate(state.points) if x.id not in sights or x.misses >= _MISSES]
         state.drop(clones=self._superfluous(state), points=lost)
         state.add_clone()
-        passed, tried = measure(state, len(state.clones) - 1, sights, self._cams, self._sigma, self._gate)
+        passed, tried = measure(state, len(state.clones) - 1, sights, self._cams, self._gate)
         self._wait(state, sights)
         return passed + self._take_up(state), tried
 
@@ -248,12 +253,10 @@ class MotionFilter:
         far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
         return float(np.median(far)) if far else 0.0
 
-    def _wait(self, state: State, sights: dict[int, F64]) -> None:
+    def _wait(self, state: State, sights: dict[int, Sight]) -> None:
         held = {x.id for x in state.points}
         self._waiting = {
-            i: [*self._waiting.get(i, []), Sight(state.t_ns, z)][-2 * self._settings.clones :]
-            for i, z in sights.items()
-            if i not in held
+            i: [*self._waiting.get(i, []), s][-2 * self._settings.clones :] for i, s in sights.items() if i not in held
         }
 
     def _take_up(self, state: State) -> int:
@@ -262,7 +265,7 @@ class MotionFilter:
         for i in sorted(i for i, seen in self._waiting.items() if len(seen) >= 3)[: s.points]:
             if len(state.points) >= s.points:
                 break
-            if take_up(state, i, self._waiting[i], self._cams, self._sigma, s.depth_share, self._gate):
+            if take_up(state, i, self._waiting[i], self._cams, s.depth_share, self._gate):
                 taken += 1
                 del self._waiting[i]
         return taken

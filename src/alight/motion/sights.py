@@ -18,15 +18,17 @@ _LEAST = 3  # exposures that a piece of a track must have
 class Sights:
     """The sights of every track, cut into pieces of at most `span` exposures, one point a piece."""
 
-    def __init__(self, tracks: Sequence[Tracks], cams: tuple[Pose, ...], span: int) -> None:
+    def __init__(self, tracks: Sequence[Tracks], sigma: F64, cams: tuple[Pose, ...], span: int) -> None:
+        """Take all exposures; `sigma` of a normalised coordinate, one a row of the tracks one after the other."""
         exposure, ids, seen = _stack(tracks)
         piece = _pieces(exposure, ids, span)
         good = np.bincount(piece, minlength=1)[piece] >= _LEAST if len(piece) else np.zeros(0, bool)
-        exposure, seen = exposure[good], seen[good]
+        exposure, seen, sigma = exposure[good], seen[good], sigma[good]
         piece = np.unique(piece[good], return_inverse=True)[1]
         row, cam = np.nonzero(np.isfinite(seen[..., 0])) if len(seen) else (np.zeros(0, int), np.zeros(0, int))
         self.exposure, self.piece, self.cam = exposure[row], piece[row], cam
         self.normalised = seen[row, cam] if len(seen) else np.zeros((0, 2))
+        self.sigma = sigma[row]  # (M,) of a normalised coordinate
         self.count = int(piece.max()) + 1 if len(piece) else 0
         self.first = np.full(self.count, len(tracks))
         np.minimum.at(self.first, self.piece, self.exposure)
@@ -62,16 +64,16 @@ class Sights:
                 out[at] = np.where(q[:, 2:] > 0.1, self.normalised[at] - q[:, :2] / q[:, 2:], np.nan)
         return out
 
-    def reweigh(self, R: F64, p: F64, sigma: float) -> float:
+    def reweigh(self, R: F64, p: F64) -> float:
         """Set the weights of the Cauchy cost, by sight and by piece (a point that moves is wrong as a whole).
 
-        Its scale follows the residuals down to twice `sigma`, so that a poor start is not taken for bad sights.
-        Returns the root-mean-square of the weighted residuals.
+        Its scale follows the residuals down to twice sigma, so that a poor start is not taken for bad sights.
+        Returns the root-mean-square of the weighted residuals, in sigma.
         """
-        e = self.residuals(R, p)
+        e = self.residuals(R, p) / self.sigma[:, None]
         square = np.nan_to_num((e**2).sum(axis=1), nan=np.inf)
         typical = float(np.median(square[np.isfinite(square)])) if np.isfinite(square).any() else 0.0
-        scale2 = max(4.0 * sigma**2, 2.0 * typical)
+        scale2 = max(4.0, 2.0 * typical)
         w = 1.0 / (1.0 + square / scale2)
         per_piece = np.bincount(self.piece, w, self.count) / np.maximum(
             np.bincount(self.piece, minlength=self.count), 1
@@ -80,7 +82,7 @@ class Sights:
         used = np.where(np.isfinite(square), square, 0.0)
         return float(np.sqrt((self.weights * used).sum() / max(2 * self.weights.sum(), 1e-12)))
 
-    def linearise(self, R: F64, p: F64, sigma: float) -> Linear:
+    def linearise(self, R: F64, p: F64) -> Linear:
         """The weighted rows of every sight at the present poses and points."""
         e = np.nan_to_num(self.residuals(R, p))
         by_pose, by_point = np.zeros((len(e), 2, 6)), np.zeros((len(e), 2, 3))
@@ -88,7 +90,7 @@ class Sights:
             for at in _runs(np.flatnonzero((self.cam == i) & (self.weights > 0)), self.exposure):
                 k = self.exposure[at[0]]
                 by_pose[at], by_point[at] = jacobians(R[k], p[k], pose, self.points[self.piece[at]])
-        s = np.sqrt(self.weights)[:, None] / sigma
+        s = (np.sqrt(self.weights) / self.sigma)[:, None]
         return Linear(self, e * s, by_pose * s[..., None], by_point * s[..., None])
 
 

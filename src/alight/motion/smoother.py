@@ -27,6 +27,7 @@ from alight.motion.inertial import Preintegral, corrected, preintegrate, segment
 from alight.motion.navigation import sigmas, whites
 from alight.motion.sights import Sights
 from alight.motion.state import ACC, ATT, GYRO, MOUNT, NAV_ATT, NAV_POS, NAV_VEL, POS, VEL
+from alight.motion.vision import sight_sigma
 from alight.records import F64, ImuSample, Motion, NavSample, Rig, Tracks
 from alight.settings import Filter
 
@@ -81,8 +82,9 @@ class _Batch:
         self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
         self._mount = so3_exp(r.exposures[-1][2][MOUNT])
         self._cams = tuple(c.body_from_cam for c in r.rig.cameras)
-        self._sigma = r.settings.pixel_sigma / r.rig.cameras[0].camera.fu
-        self._sights = Sights([t for _, t, _ in r.exposures], self._cams, r.settings.track_span)
+        tracks = [t for _, t, _ in r.exposures]
+        sigma = np.concatenate([sight_sigma(t, r.rig.cameras[0].camera, r.settings) for t in tracks])
+        self._sights = Sights(tracks, sigma, self._cams, r.settings.track_span)
         self._nav_sigma = sigmas(r.nav[-1], r.settings) if r.nav else np.ones(9)
         self._sums = self._summed(r.imu)
         self._rows = [row for s in r.nav if (row := self._row(s, r.imu)) is not None]
@@ -109,10 +111,10 @@ class _Batch:
         """Gauss-Newton on all unknowns; the sights' weights follow the residuals."""
         self._sights.meet(*self._rigs())
         for i in range(_ITERATIONS):
-            rms = self._sights.reweigh(*self._rigs(), self._sigma)
+            rms = self._sights.reweigh(*self._rigs())
             factors = self._iterate()
             step = self._step(factors)
-            log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms / self._sigma, np.abs(step[:, :6]).max())
+            log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms, np.abs(step[:, :6]).max())
             if (np.abs(step[:, :6]) < _ENOUGH).all():
                 break
         covariance, span = factors.covariance(), self._settings.track_span
@@ -126,7 +128,7 @@ class _Batch:
         span, K = self._settings.track_span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
-        self._linear = self._sights.linearise(*self._rigs(), self._sigma)
+        self._linear = self._sights.linearise(*self._rigs())
         for b in range(blocks):
             last = b == blocks - 1  # the unknowns of a last block that the flight does not fill are held at zero
             H, g = self._linear.reduced(b * span, (b + 1) * span, span)
