@@ -34,11 +34,11 @@ class Footprint:
 def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     """Lay the least-squares plane of the footprint about every cell (G1, G2)."""
     spans = disc_spans(radius / cell)
-    sums = np.empty((5, height.shape[0], height.shape[1] + 1))
+    sums = np.empty((6, height.shape[0], height.shape[1] + 1))
     kernels.row_sums(height, sums)
     count, level, grad_c, grad_r, largest, squares = (np.empty_like(height) for _ in range(6))
-    kernels.fit_planes(sums, spans, count, level, grad_c, grad_r)
-    kernels.deviations(height, level, grad_c, grad_r, spans, largest, squares)
+    kernels.fit_planes(sums, spans, count, level, grad_c, grad_r, squares)
+    kernels.deviations(height, level, grad_c, grad_r, spans, largest)
     judged = np.isfinite(level)
     slope = np.arctan(np.hypot(grad_c, grad_r) / np.float32(cell))
     scatter = np.sqrt(squares / np.maximum(count - 3, 1))
@@ -51,10 +51,13 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
 
 def step_of(height: F32, radius: float, cell: float) -> F32:
     """Largest height difference between neighbouring known cells in the footprint, metres; NaN where none is known."""
-    step, worst = np.empty_like(height), np.empty_like(height)
+    step = np.empty_like(height)
     kernels.neighbour_steps(height, step)
-    kernels.disc_maximum(step, disc_spans(radius / cell), worst)
-    return np.where(np.isfinite(worst), worst, np.float32(np.nan))
+    disc = disc_mask(disc_spans(radius / cell))
+    worst = cv2.dilate(
+        np.where(np.isnan(step), np.float32(-1), step), disc, borderType=cv2.BORDER_CONSTANT, borderValue=-1
+    )
+    return np.where(worst >= 0, worst, np.float32(np.nan))
 
 
 def rotor_rise(height: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:

@@ -13,11 +13,11 @@ from alight.kernels.compiler import kernel, parallel_kernel, prange
 
 @parallel_kernel
 def row_sums(height, sums):
-    """Fill sums (5, R, C + 1) with running sums along each row of k, k c, k c^2, k h, k c h; k = 1 where h is known."""
+    """Fill sums (6, R, C + 1) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2; k = 1 if known."""
     rows, cols = height.shape
     for r in prange(rows):
-        n = s1 = s2 = sh = sch = 0.0
-        for i in range(5):
+        n = s1 = s2 = sh = sch = shh = 0.0
+        for i in range(6):
             sums[i, r, 0] = 0.0
         for c in range(cols):
             h = height[r, c]
@@ -27,39 +27,45 @@ def row_sums(height, sums):
                 s2 += c * c
                 sh += h
                 sch += c * h
+                shh += float(h) * h
             sums[0, r, c + 1], sums[1, r, c + 1], sums[2, r, c + 1] = n, s1, s2
-            sums[3, r, c + 1], sums[4, r, c + 1] = sh, sch
+            sums[3, r, c + 1], sums[4, r, c + 1], sums[5, r, c + 1] = sh, sch, shh
 
 
 @kernel
 def _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh):
-    """Solve the plane of G1 from its sums about the centre; return (level, gradient x, gradient y), NaN if none."""
+    """Solve the plane of G1 from its sums about the centre.
+
+    Returns:
+        Level, gradient x, gradient y and the height variance that they explain times n; NaN if there is none.
+    """
     mx, my, mh = sx / n, sy / n, sh / n
     cxx, cxy, cyy = sxx - n * mx * mx, sxy - n * mx * my, syy - n * my * my
     det = cxx * cyy - cxy * cxy
     if not det > 1e-6 * (1.0 + cxx * cyy):
-        return math.nan, math.nan, math.nan
+        return math.nan, math.nan, math.nan, math.nan
     cxh, cyh = sxh - n * mx * mh, syh - n * my * mh
     gx = (cyy * cxh - cxy * cyh) / det
     gy = (cxx * cyh - cxy * cxh) / det
-    return mh - gx * mx - gy * my, gx, gy
+    return mh - gx * mx - gy * my, gx, gy, gx * cxh + gy * cyh
 
 
 @parallel_kernel
-def fit_planes(sums, spans, count, level, grad_c, grad_r):
+def fit_planes(sums, spans, count, level, grad_c, grad_r, squares):
     """Fit the least-squares plane of the footprint about every cell (G1).
 
     Args:
-        sums: (5, R, C + 1) of `row_sums`.
+        sums: (6, R, C + 1) of `row_sums`.
         spans: (2 n + 1,) half widths in cells of the rows of the disc.
         count: (R, C) filled with the known cells in the footprint.
         level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
+        squares: (R, C) filled with the sum of the squared deviations from it.
     """
     rows, cols = count.shape
     reach = spans.size // 2
     for r in prange(rows):
         for c in range(cols):
-            n = sx = sy = sxx = sxy = syy = sh = sxh = syh = 0.0
+            n = sx = sy = sxx = sxy = syy = sh = sxh = syh = shh = 0.0
             for i in range(spans.size):
                 q = r + i - reach
                 if q < 0 or q >= rows:
@@ -81,26 +87,45 @@ def fit_planes(sums, spans, count, level, grad_c, grad_r):
                 sh += kh
                 sxh += kxh
                 syh += y * kh
+                shh += sums[5, q, hi] - sums[5, q, lo]
             count[r, c] = n
             if n < 3.0:
-                level[r, c] = grad_c[r, c] = grad_r[r, c] = math.nan
+                level[r, c] = grad_c[r, c] = grad_r[r, c] = squares[r, c] = math.nan
                 continue
-            a, gx, gy = _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh)
+            a, gx, gy, explained = _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh)
             level[r, c], grad_c[r, c], grad_r[r, c] = a, gx, gy
+            squares[r, c] = max(0.0, shh - sh * sh / n - explained)
+
+
+@kernel
+def _raise_to_deviation(top, line, base, grad, x):
+    """Keep the larger of `top` and |line - plane|, cell by cell; slices without offsets vectorise (12 times faster)."""
+    for c in range(top.size):
+        d = abs(line[c] - base[c] - x * grad[c])
+        t = top[c]
+        top[c] = d if d > t else t
+
+
+@kernel
+def _raise_to_rise(top, line, base, grad, x):
+    """Keep the larger of `top` and line - plane, cell by cell."""
+    for c in range(top.size):
+        e = line[c] - base[c] - x * grad[c]
+        t = top[c]
+        top[c] = e if e > t else t
 
 
 @parallel_kernel
-def deviations(height, level, grad_c, grad_r, spans, largest, squares):
-    """Fill largest (R, C) with the largest |h - plane| in the footprint (G2), squares with the sum of its squares."""
+def deviations(height, level, grad_c, grad_r, spans, largest):
+    """Fill largest (R, C) with the largest |h - plane| in the footprint (G2); 0 where there is no plane."""
     rows, cols = height.shape
     reach = spans.size // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
         gc = grad_c[r]
         top = largest[r]
-        ssq = squares[r]
         for c in range(cols):
-            top[c] = ssq[c] = np.float32(0.0)
+            top[c] = np.float32(0.0)
         for i in range(spans.size):
             q = r + i - reach
             if q < 0 or q >= rows:
@@ -109,12 +134,9 @@ def deviations(height, level, grad_c, grad_r, spans, largest, squares):
             for c in range(cols):
                 base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
             for dc in range(-spans[i], spans[i] + 1):
-                x = np.float32(dc)
-                for c in range(max(0, -dc), min(cols, cols - dc)):
-                    e = line[c + dc] - base[c] - x * gc[c]
-                    d = abs(e)
-                    top[c] = d if d > top[c] else top[c]
-                    ssq[c] += e * e if d >= np.float32(0.0) else np.float32(0.0)
+                lo, hi = max(0, -dc), min(cols, cols - dc)
+                if hi > lo:
+                    _raise_to_deviation(top[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
 
 
 @parallel_kernel
@@ -134,26 +156,6 @@ def neighbour_steps(height, step):
             if c < cols - 1:
                 worst = max(worst, abs(height[r, c + 1] - h))
             step[r, c] = worst
-
-
-@parallel_kernel
-def disc_maximum(values, spans, out):
-    """Fill out (R, C) with the largest known value in the footprint; -inf where nothing is known."""
-    rows, cols = values.shape
-    reach = spans.size // 2
-    for r in prange(rows):
-        top = out[r]
-        for c in range(cols):
-            top[c] = -np.inf
-        for i in range(spans.size):
-            q = r + i - reach
-            if q < 0 or q >= rows:
-                continue
-            line = values[q]
-            for dc in range(-spans[i], spans[i] + 1):
-                for c in range(max(0, -dc), min(cols, cols - dc)):
-                    v = line[c + dc]
-                    top[c] = v if v > top[c] else top[c]
 
 
 @parallel_kernel
@@ -180,10 +182,9 @@ def highest_above(height, level, grad_c, grad_r, inner, outer, out):
             for dc in range(-outer[i], outer[i] + 1):
                 if abs(dc) <= inner[i]:
                     continue
-                x = np.float32(dc)
-                for c in range(max(0, -dc), min(cols, cols - dc)):
-                    e = line[c + dc] - base[c] - x * gc[c]
-                    top[c] = e if e > top[c] else top[c]
+                lo, hi = max(0, -dc), min(cols, cols - dc)
+                if hi > lo:
+                    _raise_to_rise(top[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
 
 
 @kernel
