@@ -184,10 +184,14 @@ def winner(total, cost, count, height, ratio):
                 if bend > 1e-9:
                     offset = min(0.5, max(-0.5, 0.5 * (a - z) / bend))
             height[r, c] = k + offset
-            second = np.float32(1e9)
+            second = np.float32(0.0)  # the best other local minimum; without one, the worst cost
             for d in range(depth):
-                if abs(d - k) > 2:
-                    second = min(second, cost[r, c, d])
+                second = max(second, cost[r, c, d])
+            for d in range(depth):
+                v = cost[r, c, d]
+                valley = (d == 0 or cost[r, c, d - 1] >= v) and (d + 1 == depth or cost[r, c, d + 1] >= v)
+                if abs(d - k) > 2 and valley:
+                    second = min(second, v)
             low = cost[r, c, k]
             for d in range(max(0, k - 1), min(depth, k + 2)):
                 low = min(low, cost[r, c, d])
