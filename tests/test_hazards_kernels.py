@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
 from alight.hazards.footprint import disc_mask, disc_spans, feet_of, skids_of
-from alight.kernels.hazards import rail_support
+from alight.kernels.contact import rail_support
 from alight.kernels.terrain import fill_basins
 from alight.settings import Lander
 

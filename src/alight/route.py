@@ -48,7 +48,7 @@ def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Bool)
 
 
 def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings) -> tuple[float, float]:
-    """Heights (metres, world up) at which the transit begins and ends (G12).
+    """Heights (metres, world up) at which the transit begins and ends (G17).
 
     A straight line down to the approach point if it is clear all the way; else level flight, high enough.
     """

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.hazards.footprint import disc_mask, disc_spans, feet_of, padded_spans, skids_of
+from alight.kernels import contact as gear
 from alight.kernels import hazards as kernels
 from alight.records import F32
 from alight.settings import Lander
@@ -87,12 +88,12 @@ def gear_contact(height: F32, footprint: Footprint, skip: Bool, lander: Lander, 
     spans = disc_spans(lander.radius / cell)
     if lander.feet is not None:
         f = feet_of(lander, cell)
-        kernels.feet_contact(
+        gear.feet_contact(
             in_cells[0], skip, *in_cells[1:], f.xy, f.offsets, f.starts, f.triples, spans, spare, tilt, rise
         )
     else:
         s = skids_of(lander, cell)
-        kernels.skid_contact(
+        gear.skid_contact(
             in_cells[0], skip, *in_cells[1:], s.axes, s.offsets, s.along, s.gauge, spans, spare, tilt, rise
         )
     return np.arctan(tilt), rise * np.float32(cell)
