@@ -38,6 +38,7 @@ class Tracks(_Model):
     count: int = Field(250, ge=8, description="features kept, spread over a grid of as many cells")
     window_px: int = Field(21, ge=5, description="side of the SSD window")
     levels: int = Field(4, ge=1, le=8, description="pyramid levels")
+    anchor: int = Field(8, ge=1, description="exposures for which matches are refined against one and the same image")
     search_px: Positive = Field(40.0, description="largest distance of a match from where the motion puts it")
     forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
     epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")
@@ -49,7 +50,7 @@ class Filter(_Model):
 
     points: int = Field(80, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
-    pixel_sigma: Positive = Field(0.3, description="px, 1-sigma of a track on ground of the reference texture")
+    pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track on ground of the reference texture")
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
     keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
