@@ -98,10 +98,25 @@ def _finish(
     per_px = refine.metres_per_pixel(fine, start, grid)
     hidden = ~refine.visible_from(fine, grid, start, 2.0 * float(np.nanmedian(per_px)))
     fit = refine.gauss_newton(fine, grid, start, hidden, ITERATIONS)
+    disagreement = _disagreement(fine, grid, fit.height, hidden)
+    return judged(views, fine, grid, fit, ratio, disagreement, hidden, (low, high))
+
+
+def judged(
+    views: list[View],
+    fine: list[Prepared],
+    grid: Grid,
+    fit: refine.Fit,
+    ratio: F32,
+    disagreement: F32,
+    hidden: NDArray[np.bool_],
+    searched: tuple[float, float],
+) -> Heights:
+    """Put sigma, flags and colour to a fit."""
     per_px = refine.metres_per_pixel(fine, fit.height, grid)
     contrast, grey = trust.photometry(fine, grid, fit.height)
-    seen = trust.Evidence(ratio, _disagreement(fine, grid, fit.height, hidden), contrast, grey, low, high)
-    sigma = trust.sigma(fit, per_px)
+    seen = trust.Evidence(ratio, disagreement, contrast, grey, *searched)
+    sigma = trust.sigma(fit, per_px, grid.cell)
     flags = trust.flags(fit, seen, sigma, per_px)
     rgb = colour(views, fine, grid, fit.height, hidden)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))

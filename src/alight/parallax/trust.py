@@ -20,7 +20,8 @@ from alight.records import F32, U16, Flag
 MIN_CONTRAST = 1.2  # grey levels: less is noise
 MAX_RESIDUAL = 0.7  # share of the samples' variance that the views do not have in common
 MAX_COST_RATIO = 0.97  # best over second-best sweep cost
-FLOOR_PX = 0.3  # parallax pixels: what does not average away with the number of views
+FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
+FLOOR_CELL = 0.25  # cells: a window is no point
 ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
 DISAGREEMENT_PX = 1.5  # parallax pixels between disjoint sets of views
 STEP_PX = 4.0  # parallax pixels
@@ -61,15 +62,17 @@ def roughness(height: F32) -> F32:
     """Deviation of each height from its 3x3 median-smoothed neighbourhood, metres."""
     filled = np.nan_to_num(height, nan=float(np.nanmedian(height)) if np.isfinite(height).any() else 0.0)
     return np.asarray(
-        np.sqrt(np.maximum(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5)), 0)), dtype=np.float32
+        np.sqrt(np.maximum(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5)), 0)),
+        dtype=np.float32,
     )
 
 
-def sigma(fit: Fit, metres_per_px: F32) -> F32:
-    """1-sigma of each height relative to the map (eq. 14): fit, a floor in parallax pixels, and the local roughness."""
+def sigma(fit: Fit, metres_per_px: F32, cell: float) -> F32:
+    """1-sigma of each height relative to the map (eq. 14): fit, a floor in parallax pixels and cells, local roughness."""
     with np.errstate(divide="ignore", invalid="ignore"):
         fitted = 2.0 * fit.noise / fit.precision
-    total = fitted + (FLOOR_PX * metres_per_px) ** 2 + (ROUGH_SHARE * roughness(fit.height)) ** 2
+    floor = (FLOOR_PX * metres_per_px) ** 2 + (FLOOR_CELL * cell) ** 2
+    total = fitted + floor + (ROUGH_SHARE * roughness(fit.height)) ** 2
     return np.asarray(np.where(np.isfinite(total), np.sqrt(total), np.nan), dtype=np.float32)
 
 

@@ -127,7 +127,7 @@ def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tan
             )
             ok &= ((ray[:, :2] / ray[:, 2:3]) ** 2).sum(1) < radius2_limit(v.camera)
         tangent = np.hypot(*(points - v.centre)[:, :2].T) / max(v.centre[2] - height, 1e-3)
-        inside.append(ok * np.where(tangent <= max_tangent, 1.0, 0.05))
+        inside.append(ok * np.where(tangent <= max_tangent, 1.0, 0.25))
         offset.append(v.centre / max(v.centre[2] - height, 1e-3))
     seen, centres = np.array(inside), np.array(offset)
     chosen: list[int] = []
@@ -137,7 +137,7 @@ def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tan
         gain = (seen / (1.0 + total)).sum(axis=1) * distance
         gain[chosen] = 0
         k = int(np.argmax(gain))
-        if gain[k] < 0.01:
+        if gain[k] < 1e-3:
             break
         chosen.append(k)
         total += seen[k]

@@ -33,6 +33,7 @@ log = logging.getLogger(__name__)
 __all__ = ["Decision", "Pipeline", "TimedPoses"]
 
 Tell = Callable[[str, float], None]  # stage, share done
+KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +73,7 @@ class Pipeline:
         self._clock = clock
         self._navigation = _lane(rig, kind, settings, poses)
         self._everything = isinstance(self._navigation, BundleLane)
+        self._recursive = settings.parallax.method == "ring" and not self._everything
         self._terrain = TerrainLane(settings)
         self._store = FrameStore()
         self._motions: dict[int, Motion] = {}
@@ -106,6 +108,17 @@ class Pipeline:
                 self._terrain.learn(self._views())
             if self._store.bytes > self._settings.parallax.store_mb * 1_000_000:
                 self._make_room()
+
+    def _grow(self, frame: Frame) -> None:
+        """Find the ground first; then, in the recursive way, step the map with every keyframe."""
+        if self._terrain.ground is None:
+            if len(self._store.frames) % 8 == 0:
+                self._terrain.learn(self._views())
+        elif self._recursive:
+            start = self._clock()
+            self._terrain.step(views_of([frame], self._motions, self._navigation.rig))
+            self._timed("heights", start)
+            self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
 
     def _step(self, motion: Motion) -> float:
         above = motion.world_from_body.translation[2] - (self._terrain.ground or 0.0)
@@ -145,11 +158,16 @@ class Pipeline:
             )
             return Decision(Sites((), why), motions, warnings=warnings, notes=notes)
         views = self._views()
-        if not self._terrain.learn(views) and self._terrain.elevation is None:
+        if (
+            not (self._recursive and self._terrain.elevation)
+            and not self._terrain.learn(views)
+            and not self._terrain.elevation
+        ):
             return Decision(Sites((), self._terrain.reason), motions, warnings=warnings, notes=notes)
         start = self._timed("ground", start)
-        self._terrain.build(views, lambda f: tell("heights", f))
-        self._timed("heights", start)
+        if not self._recursive:
+            self._terrain.build(views, lambda f: tell("heights", f))
+            self._timed("heights", start)
         above = float(
             np.median([m.world_from_body.translation[2] for m in self._motions.values()]) - (self._terrain.ground or 0)
         )

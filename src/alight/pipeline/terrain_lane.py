@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from alight.elevation import Elevation
 from alight.geometry import Grid
-from alight.parallax import Images, find_points, ground_sampling, height_range, match
+from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
 from alight.records import F64, ElevationMap, Flag, Heights, View
 from alight.settings import Settings
 
@@ -61,6 +61,7 @@ class TerrainLane:
     elevation: Elevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general
     reason: str = ""  # why there is no map
+    _ring: Ring | None = None
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
 
     def learn(self, views: Sequence[View]) -> bool:
@@ -86,8 +87,8 @@ class TerrainLane:
     def _range(self, grid: Grid, camera: float) -> tuple[float, float]:
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
-        span = grid.cell * grid.rows
-        near = (grid.east + 0.5 * span, grid.north - 0.5 * span, 1.2 * span)
+        wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
+        near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
         return height_range(self._points, camera, near)
 
     def build(self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True) -> int:
@@ -111,6 +112,27 @@ class TerrainLane:
                     done += 1
             progress((n + 1) / len(keys))
         return done
+
+    def step(self, views: Sequence[View]) -> bool:
+        """Recursive parallax: take one keyframe into the ring and improve the map under it; False while there is no baseline."""
+        if self.elevation is None or self.ground is None:
+            return False
+        if self._ring is None:
+            self._ring = Ring(self.settings.parallax, self.elevation.cell, self.ground)
+        down = looking_down(views)
+        if not down:
+            return False
+        self._ring.push(down)
+        corners = np.concatenate([footprint(v, self.ground) for v in down])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        grid = self.elevation.window((low[0], high[0]), (low[1], high[1]))
+        known = self.elevation.read(grid)
+        found = self._ring.step(grid, known.height, known.sigma, *self._range(grid, float(down[0].centre[2])))
+        if found is None:
+            return False
+        self.elevation.add(found, replace_all=True)
+        self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
+        return True
 
     def map(self, height_above_ground: float) -> ElevationMap | None:
         """The map so far, with heights of too large a sigma refused."""
