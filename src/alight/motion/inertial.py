@@ -79,10 +79,13 @@ def preintegrate(pieces: Sequence[Segment], gyro_bias: F64, accelerometer_bias: 
         Rm = R @ half
         A, B = np.eye(9), np.zeros((9, 6))
         A[0:3, 0:3] = (half @ half).T
-        A[3:6, 0:3] = -Rm @ skew(a) * dt
+        turned = -Rm @ skew(a) * dt  # of the force by a rotation at the midpoint
+        A[3:6, 0:3] = turned @ half.T
         A[6:9, 0:3] = A[3:6, 0:3] * (dt / 2.0)
         A[6:9, 3:6] = np.eye(3) * dt
         B[0:3, 0:3] = right_jacobian(w * dt) * dt
+        B[3:6, 0:3] = turned * (dt / 2.0)
+        B[6:9, 0:3] = turned * (dt * dt / 4.0)
         B[3:6, 3:6] = Rm * dt
         B[6:9, 3:6] = Rm * (dt * dt / 2.0)
         J = A @ J - B

@@ -1,0 +1,398 @@
+"""The motion filter and its smoother on simulated points and sensors: no images, everything known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
+from alight.motion import MotionFilter
+from alight.motion.blocks import BlockTridiagonal
+from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
+from alight.motion.inertial import corrected, preintegrate, segments
+from alight.motion.state import GYRO
+from alight.motion.vision import Ray, jacobians, project, triangulate
+from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
+from alight.settings import Filter
+
+MS = 1_000_000
+START = 1_700_000_000_000_000_000
+DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body_from_cam of a camera that looks down
+CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
+RIG = Rig(
+    (
+        RigCamera("left", CAMERA, Pose(DOWN, [0.1, 0.25, 0.0])),
+        RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
+    )
+)
+GYRO_BIAS, ACC_BIAS = np.array([0.004, -0.003, 0.002]), np.array([0.08, -0.05, 0.03])
+NAV_OFF, NAV_TURNED = np.array([0.8, -0.6, 1.4]), np.array([0.006, -0.005, 0.02])
+
+
+def body(t: float) -> Pose:
+    """Where the vehicle is at `t` seconds: a winding flight 30 m up."""
+    yaw, pitch, roll = 1.2 + 0.5 * np.sin(0.5 * t), 0.05 * np.sin(1.1 * t), 0.06 * np.sin(0.9 * t + 0.4)
+    return Pose(enu_from_flu(yaw, pitch, roll), [4.0 * t, 3.0 * np.sin(0.6 * t), 30.0 + np.sin(0.7 * t)])
+
+
+def velocity(t: float) -> np.ndarray:
+    return (body(t + 1e-3).translation - body(t - 1e-3).translation) / 2e-3
+
+
+def imu_at(t: float, rng: np.random.Generator) -> ImuSample:
+    h = 1e-3
+    R = body(t).rotation
+    rate = so3_log(body(t - h).rotation.T @ body(t + h).rotation) / (2 * h)
+    acceleration = (velocity(t + h) - velocity(t - h)) / (2 * h)
+    force = R.T @ (acceleration + np.array([0, 0, 9.80665]))
+    shake = rng.normal(size=6) * np.repeat([4e-4, 2.5e-3], 3) * np.sqrt(200)
+    return ImuSample(START + round(t * 1e9), rate + GYRO_BIAS + shake[:3], force + ACC_BIAS + shake[3:])
+
+
+def nav_at(t: float, rng: np.random.Generator) -> NavSample:
+    pose = body(t)
+    return NavSample(
+        START + round(t * 1e9),
+        pose.translation + NAV_OFF + rng.normal(size=3) * 0.03,
+        so3_exp(NAV_TURNED + rng.normal(size=3) * 0.001) @ pose.rotation,
+        velocity(t) + 0.02 + rng.normal(size=3) * 0.02,
+        None,
+        np.array([1.0, 1.0, 1.5]),
+        np.array([0.0087, 0.0087, 0.026]),
+        np.array([0.05, 0.05, 0.05]),
+    )
+
+
+@dataclass
+class World:
+    """Points on rolling ground, seen with noise by the rig."""
+
+    points: np.ndarray
+    rng: np.random.Generator
+    noise_px: float = 0.2
+
+    def tracks(self, t: float) -> Tracks:
+        pixels = np.stack(
+            [c.camera.project((body(t) @ c.body_from_cam).inverse.apply(self.points)) for c in RIG.cameras],
+            axis=1,
+        )
+        inside = ((pixels > 5) & (pixels < [634, 474])).all(axis=(1, 2))
+        ids = np.flatnonzero(inside)
+        seen = pixels[ids] + self.rng.normal(0.0, self.noise_px, (len(ids), 2, 2))
+        rays = np.stack([c.camera.rays(seen[:, i])[:, :2] for i, c in enumerate(RIG.cameras)], axis=1)
+        return Tracks(START + round(t * 1e9), ids, seen, rays)
+
+
+def world(seed: int = 3) -> World:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform([-25.0, -30.0], [60.0, 30.0], (1200, 2))
+    return World(np.column_stack([xy, 1.5 * np.sin(0.2 * xy[:, 0]) + 0.5 * np.cos(0.5 * xy[:, 1])]), rng)
+
+
+def events(seconds: float, seed: int = 3) -> list[Event | Tracks]:
+    """Half a second of GPS/INS and IMU before the first exposure; instants that do not coincide."""
+    w = world(seed)
+    out: list[Event | Tracks] = [imu_at(t, w.rng) for t in np.arange(-0.5, seconds, 0.005)]
+    out += [nav_at(t, w.rng) for t in np.arange(-0.487, seconds, 0.05)]
+    out += [w.tracks(t) for t in np.arange(0.0, seconds, 0.1)]
+    return sorted(out, key=lambda e: (e.t_ns, isinstance(e, Tracks)))
+
+
+def fly(
+    stream: list[Event | Tracks], settings: Filter | None = None, rig: Rig = RIG
+) -> tuple[MotionFilter, list[Motion | None]]:
+    f, out = MotionFilter(rig, settings or Filter()), []
+    for e in stream:
+        if isinstance(e, ImuSample):
+            f.feed_imu(e)
+        elif isinstance(e, NavSample):
+            f.feed_nav(e)
+        elif isinstance(e, Tracks):
+            out.append(f.feed_tracks(e))
+    return f, out
+
+
+def seconds(m: Motion) -> float:
+    return (m.t_ns - START) * 1e-9
+
+
+def drift_px(a: Motion, b: Motion) -> float:
+    """RMS pixels by which a view carried from one exposure to the other misses, ground 30 m below."""
+    x, y = np.meshgrid([-18.0, -6.0, 6.0, 18.0], [-13.0, 0.0, 13.0])
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 30.0)])
+    cam = RIG.cameras[0].body_from_cam
+    said = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
+    true = ((body(seconds(b)) @ cam).inverse @ (body(seconds(a)) @ cam)).apply(points)
+    miss = 480.0 * (said[:, :2] / said[:, 2:] - true[:, :2] / true[:, 2:])
+    return float(np.sqrt((miss**2).sum(axis=1).mean()))
+
+
+def tilt(motions: list[Motion]) -> np.ndarray:
+    """Mean roll and pitch of the estimated world against the true one, rad."""
+    return np.mean([so3_log(m.world_from_body.rotation @ body(seconds(m)).rotation.T) for m in motions], axis=0)[:2]
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[MotionFilter, list[Motion]]:
+    f, out = fly(events(6.0))
+    return f, [m for m in out if m is not None]
+
+
+def test_every_exposure_has_a_motion_and_the_filter_settles(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    _, motions = flown
+    assert len(motions) == 60
+    assert motions[0].state is MotionState.INITIALISING
+    assert all(m.state is MotionState.GOOD for m in motions[6:])
+    assert min(m.tracks for m in motions[6:]) > 40
+
+
+def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    _, motions = flown
+    nees = []
+    for m in motions[10:]:
+        true = body(seconds(m))
+        e = np.concatenate(
+            [
+                m.world_from_body.translation - true.translation,
+                so3_log(m.world_from_body.rotation @ true.rotation.T),
+            ]
+        )
+        nees.append(e @ np.linalg.solve(m.covariance, e))
+    assert np.mean(nees) < 12.0  # 6 degrees of freedom; one flight, so its mean error stays
+
+
+def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    f, motions = flown
+    ring = f.ring()
+    assert len(ring) == Filter().clones
+    assert ring[-1].t_ns == motions[-1].t_ns
+    assert seconds(ring[-1]) - seconds(ring[0]) > 0.6
+    assert drift_px(ring[0], ring[-1]) < 0.35
+
+
+def test_gps_errors_do_not_shake_the_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    _, motions = flown
+    steps = [drift_px(a, b) for a, b in pairwise(motions[20:])]
+    assert np.median(steps) < 0.35
+
+
+def test_the_prediction_is_where_the_next_exposure_finds_the_cameras(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    f, motions = flown
+    poses = f.predict(START + 6000 * MS)
+    assert poses is not None
+    assert len(poses) == 2
+    predicted = replace(motions[-1], t_ns=START + 6000 * MS, world_from_cams=poses)
+    assert drift_px(motions[-1], predicted) < 2.0  # the vehicle went 0.4 m, 6 px
+    early = f.predict(START)
+    assert early is not None
+    assert np.isfinite(early[0].matrix).all()  # the past is not predicted: the present stands for it
+
+
+def test_the_batch_makes_one_consistent_flight(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    f, motions = flown
+    smoothed = f.smoothed()
+    assert [m.t_ns for m in smoothed] == [m.t_ns for m in motions]
+    assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.15
+    assert np.abs(tilt(smoothed)).max() < 2e-3
+    offset = np.array([m.world_from_body.translation - body(seconds(m)).translation for m in smoothed])
+    assert np.abs(offset.std(axis=0)).max() < 0.12  # yaw is known to 5 mrad only, over 24 m
+    assert np.abs(offset.mean(axis=0) / [1.0, 1.0, 1.5]).max() < 2.0
+
+
+def test_without_imu_the_motion_still_holds() -> None:
+    f, out = fly([e for e in events(5.0) if not isinstance(e, ImuSample)])
+    assert out[-1] is not None
+    assert out[-1].state is MotionState.GOOD
+    smoothed = f.smoothed()
+    assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.25
+
+
+def test_one_camera_is_enough_with_gps() -> None:
+    def left_only(t: Tracks) -> Tracks:
+        return replace(t, pixels=t.pixels[:, :1], normalised=t.normalised[:, :1])
+
+    f, _ = fly([left_only(e) if isinstance(e, Tracks) else e for e in events(5.0)], rig=Rig(RIG.cameras[:1]))
+    smoothed = f.smoothed()
+    assert max(drift_px(a, b) for a, b in zip(smoothed, smoothed[10:], strict=False)) < 0.35
+
+
+def blind(t: Tracks) -> Tracks:
+    return replace(t, ids=t.ids[:0], pixels=t.pixels[:0], normalised=t.normalised[:0])
+
+
+Damage = Callable[[Event | Tracks], Event | Tracks | None]
+
+
+def damaged(how: Damage, length: float = 4.0) -> list[Motion | None]:
+    return fly([e for e in map(how, events(length)) if e is not None])[1]
+
+
+def test_without_gps_there_is_no_motion() -> None:
+    out = damaged(lambda e: None if isinstance(e, NavSample) else e, 1.0)
+    assert out == [None] * len(out)
+
+
+def test_gps_without_attitude_gives_no_motion_and_no_crash() -> None:
+    out = damaged(lambda e: replace(e, world_from_body=None) if isinstance(e, NavSample) else e, 1.0)
+    assert out == [None] * len(out)
+
+
+def test_a_covered_lens_is_degraded_and_recovers() -> None:
+    def cover(e: Event | Tracks) -> Event | Tracks:
+        return blind(e) if isinstance(e, Tracks) and 1.5 < (e.t_ns - START) * 1e-9 < 2.5 else e
+
+    out = damaged(cover)
+    assert all(m is not None and m.state is MotionState.DEGRADED for m in out[16:25])
+    assert out[-1] is not None
+    assert out[-1].state is MotionState.GOOD
+
+
+def test_blind_and_without_gps_is_lost() -> None:
+    def cut(e: Event | Tracks) -> Event | Tracks | None:
+        if e.t_ns < START + 1000 * MS:
+            return e
+        return None if isinstance(e, NavSample) else blind(e) if isinstance(e, Tracks) else e
+
+    out = damaged(cut)
+    assert out[-1] is not None
+    assert out[-1].state is MotionState.LOST
+    assert out[-1].covariance[0, 0] > out[9].covariance[0, 0]
+
+
+def test_a_jump_of_gps_does_not_pull_the_vehicle_along() -> None:
+    def jump(e: Event | Tracks) -> Event | Tracks:
+        late = isinstance(e, NavSample) and e.t_ns > START + 2000 * MS
+        return replace(e, position_world=e.position_world + np.array([15.0, 0.0, 0.0])) if late else e
+
+    out = damaged(jump)
+    errors = [m.world_from_body.translation - body(seconds(m)).translation for m in out if m is not None]
+    assert np.linalg.norm(errors[-1] - errors[15]) < 1.0
+    assert any(m is not None and m.state is MotionState.DEGRADED for m in out[20:25])
+    assert out[-1] is not None
+    assert out[-1].state is MotionState.GOOD
+
+
+def test_repeated_and_backward_times_are_left_out() -> None:
+    stream = events(1.0)
+    last = next(e for e in reversed(stream) if isinstance(e, Tracks))
+    f, out = fly([*stream, last, replace(last, t_ns=last.t_ns - 500 * MS), stream[0], nav_at(0.2, world().rng)])
+    assert out[-1] is None
+    assert out[-2] is None
+    assert len(f.smoothed()) == len(out) - 2
+
+
+def test_scrambled_matches_are_gated_out() -> None:
+    rng = np.random.default_rng(8)
+
+    def scramble(e: Event | Tracks) -> Event | Tracks:
+        if not isinstance(e, Tracks) or not 2.0 < (e.t_ns - START) * 1e-9 < 2.35:
+            return e
+        return replace(e, normalised=rng.permutation(e.normalised))
+
+    out = damaged(scramble)
+    assert any(m is not None and m.state is MotionState.DEGRADED for m in out[20:24])
+    last = out[-1]
+    assert last is not None
+    assert last.state is MotionState.GOOD
+    assert np.linalg.norm(tilt([last])) < 0.02
+
+
+# -- parts ---------------------------------------------------------------------------------------------------------
+
+
+def numeric(f: Callable[[np.ndarray], np.ndarray], n: int, h: float = 1e-6) -> np.ndarray:
+    return np.stack([(f(h * e) - f(-h * e)) / (2 * h) for e in np.eye(n)], axis=-1)
+
+
+def test_camera_jacobians_agree_with_differences() -> None:
+    rng = np.random.default_rng(0)
+    R, p, x = so3_exp(rng.normal(size=3)), rng.normal(size=3), rng.normal(size=3)
+    cam = Pose(so3_exp(rng.normal(size=3) * 0.1), [0.1, -0.2, 0.3])
+    x = p + R @ (cam.rotation @ np.array([2.0, -3.0, 20.0]) + cam.translation)
+    by_pose, by_point = jacobians(R, p, cam, x)
+    np.testing.assert_allclose(by_pose, numeric(lambda d: project(so3_exp(d[:3]) @ R, p + d[3:], cam, x), 6), atol=1e-8)
+    np.testing.assert_allclose(by_point, numeric(lambda d: project(R, p, cam, x + d), 3), atol=1e-8)
+
+
+def _pieces() -> list[tuple[float, np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(1)
+    samples = [imu_at(t, rng) for t in np.arange(0.0, 0.31, 0.005)]
+    return segments(samples, START + 3 * MS, START + 292 * MS)
+
+
+def test_preintegration_is_the_motion() -> None:
+    pieces = _pieces()
+    assert sum(dt for dt, _, _ in pieces) == pytest.approx(0.289)
+    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, Filter())
+    after = inertial_step(body(0.003).rotation, body(0.003).translation, velocity(0.003), m)
+    assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)
+    assert np.linalg.norm(after.position - body(0.292).translation) < 5 * 2.5e-3 * 0.3**1.5
+    assert np.linalg.norm(after.velocity - velocity(0.292)) < 5 * 2.5e-3 * np.sqrt(0.3)
+
+
+def test_preintegration_corrects_for_biases_to_first_order() -> None:
+    pieces, d = _pieces(), np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.03])
+    at_zero = preintegrate(pieces, np.zeros(3), np.zeros(3), Filter())
+    there, said = preintegrate(pieces, d[:3], d[3:], Filter()), corrected(at_zero, d[:3], d[3:])
+    assert np.linalg.norm(so3_log(said.rotation.T @ there.rotation)) < 1e-6
+    np.testing.assert_allclose(said.velocity, there.velocity, atol=1e-4)
+    np.testing.assert_allclose(said.position, there.position, atol=1e-4)
+
+
+def _difference(a: Step, b: Step) -> np.ndarray:
+    return np.concatenate([so3_log(a.R @ b.R.T), a.position - b.position, a.velocity - b.velocity])
+
+
+def test_transitions_agree_with_differences() -> None:
+    pieces, x = _pieces(), body(0.003)
+    v = velocity(0.003)
+
+    def inertial(d: np.ndarray) -> Step:
+        m = preintegrate(pieces, GYRO_BIAS + d[9:12], ACC_BIAS + d[12:15], Filter())
+        return inertial_step(so3_exp(d[0:3]) @ x.rotation, x.translation + d[3:6], v + d[6:9], m)
+
+    def constant(d: np.ndarray) -> Step:
+        rate = np.array([0.1, -0.2, 0.3]) + d[9:12]
+        return constant_step(so3_exp(d[0:3]) @ x.rotation, x.translation + d[3:6], v + d[6:9], rate, 0.1)
+
+    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, Filter())
+    zero = np.zeros(15)
+    F, Q = inertial_transition(Step(x.rotation, x.translation, v), inertial(zero), m)
+    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(inertial(d), inertial(zero)), 15, 1e-5), atol=2e-4)
+    assert np.linalg.eigvalsh(Q[:9, :9]).min() > 0
+    F, _ = constant_transition(x.rotation, np.array([0.1, -0.2, 0.3]), 0.1, Filter())
+    np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(constant(d), constant(zero)), 15, 1e-5), atol=1e-5)
+    assert F[GYRO, GYRO].tolist() == np.eye(3).tolist()
+
+
+def test_rays_meet_in_the_point_and_parallel_ones_do_not() -> None:
+    x = np.array([3.0, -2.0, 1.0])
+    poses = [body(t) for t in (0.0, 0.5, 1.0)]
+    cam = RIG.cameras[0].body_from_cam
+    rays = [Ray(p.rotation, p.translation, cam, project(p.rotation, p.translation, cam, x)) for p in poses]
+    found = triangulate(rays, 1e-3)
+    assert found is not None
+    np.testing.assert_allclose(found[0], x, atol=1e-6)
+    assert np.sqrt(found[1][2, 2]) > np.sqrt(found[1][0, 0])  # the height is what rays from above know least
+    assert triangulate([rays[0]] * 3, 1e-3) is None
+
+
+def test_block_tridiagonal_agrees_with_the_dense_solution() -> None:
+    rng, size, blocks = np.random.default_rng(4), 5, 4
+    system, dense, g = BlockTridiagonal(blocks, size), np.zeros((20, 20)), np.zeros(20)
+    for b in range(blocks):
+        rows = np.arange(b * size, min(b + 2, blocks) * size)
+        J = rng.normal(size=(12, len(rows)))
+        system.add(rows, J.T @ J, J.T @ np.ones(12))
+        dense[np.ix_(rows, rows)] += J.T @ J
+        g[rows] += J.T @ np.ones(12)
+    factors = system.factorise()
+    np.testing.assert_allclose(factors.solution(), np.linalg.solve(dense, g), rtol=1e-8)
+    inverse = np.linalg.inv(dense)
+    for b, block in enumerate(factors.covariance()):
+        at = slice(b * size, (b + 1) * size)
+        np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8, atol=1e-12)
