@@ -38,7 +38,6 @@ class Tracks(_Model):
     count: int = Field(250, ge=8, description="features kept, spread over a grid of as many cells")
     window_px: int = Field(21, ge=5, description="side of the SSD window")
     levels: int = Field(4, ge=1, le=8, description="pyramid levels")
-    anchor: int = Field(8, ge=1, description="exposures for which matches are refined against one and the same image")
     search_px: Positive = Field(40.0, description="largest distance of a match from where the motion puts it")
     forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
     epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")

@@ -6,7 +6,7 @@ forward and backward, and matches between cameras are checked against the epipol
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -74,16 +74,6 @@ class _Memory:
     ids: Ids
     pixels: F32  # (N, 2)
     depth: F64  # (N,) metres in the left camera, NaN = unknown
-    anchor: _Anchor
-
-
-@dataclass(frozen=True, eq=False)
-class _Anchor:
-    """An earlier exposure that matches are refined against, so that errors do not add up from frame to frame."""
-
-    image: U8
-    age: int  # exposures since
-    places: dict[int, F32]  # feature -> (2,) pixels in it
 
 
 class Tracker:
@@ -110,10 +100,9 @@ class Tracker:
             return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
-        anchor, pixels = self._anchored(image, ids, pixels)
         ids, pixels, depth = self._take_up(image, ids, pixels, depth)
         seen, depth = self._across(frame, image, pixels, depth)
-        self._memory = _Memory(image, prediction, ids, pixels, depth, anchor)
+        self._memory = _Memory(image, prediction, ids, pixels, depth)
         return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
 
     def _follow(self, image: U8, prediction: Poses | None) -> tuple[Ids, F32, F64]:
@@ -124,20 +113,6 @@ class Tracker:
         pixels, good = self._match(m.image, image, m.pixels, guess, self._cameras[0])
         good &= _spread(m.ids, pixels, good, self._cell)
         return m.ids[good], pixels[good], m.depth[good]
-
-    def _anchored(self, image: U8, ids: Ids, pixels: F32) -> tuple[_Anchor, F32]:
-        """Match once more from the anchor, started where the frame before led; a new anchor when it is too old."""
-        old = self._memory.anchor if self._memory else None
-        if old is None or old.age >= self._settings.anchor:
-            return _Anchor(image, 0, {int(i): x for i, x in zip(ids, pixels, strict=True)}), pixels
-        rows = np.array([k for k, i in enumerate(ids) if int(i) in old.places], dtype=int)
-        if len(rows):
-            there, ok = self._flow(old.image, image, np.array([old.places[int(ids[k])] for k in rows]), pixels[rows], 2)
-            near = np.linalg.norm(there - pixels[rows], axis=1) < self._settings.forward_backward_px
-            good = ok & near & _inside(there, self._cameras[0])
-            pixels = pixels.copy()
-            pixels[rows[good]] = there[good]
-        return replace(old, age=old.age + 1), pixels
 
     def _flow(self, a: U8, b: U8, pixels: F32, guess: F32, levels: int) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
