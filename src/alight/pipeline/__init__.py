@@ -100,12 +100,8 @@ class Pipeline:
             self._store.offer(frame, None, None)
         elif motion is not None and motion.state is not MotionState.LOST:
             above = FIRST_STEP if self._terrain.ground is None else self._step(motion)
-            if (
-                self._store.offer(frame, motion, above)
-                and self._terrain.ground is None
-                and len(self._store.frames) % 8 == 0
-            ):
-                self._terrain.learn(self._views())
+            if self._store.offer(frame, motion, above):
+                self._grow(frame)
             if self._store.bytes > self._settings.parallax.store_mb * 1_000_000:
                 self._make_room()
 
