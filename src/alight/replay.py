@@ -13,6 +13,8 @@ from alight.records import InputError, RunResult
 from alight.settings import Settings
 from alight.sources import Source, open_source, read_tum
 
+__all__ = ["find", "given_poses", "replay", "run", "write_run"]
+
 log = logging.getLogger(__name__)
 
 Tell = Callable[[str, float], None]  # what is being done, share done
@@ -75,10 +77,28 @@ def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str
         motions=d.motions,
         height_above_ground=d.height_above_ground,
         counts=source.counts,
-        notes={k: str(v) for k, v in {**source.notes, **d.notes}.items()},
+        notes={**source.notes, **d.notes},
         warnings=[*source.warnings, *d.warnings, *(d.route.warnings if d.route else ())],
         timings=timings,
     )
+
+
+def find(
+    path: Path,
+    out: Path,
+    settings: Settings,
+    poses: str | None = None,
+    overwrite: bool = False,
+    tell: Tell = lambda stage, share: None,
+) -> RunResult:
+    """Find a landing site in a flight log or a folder of photos, once `out` is known to take the results.
+
+    Raises:
+        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+    """
+    source = open_source(path, settings)
+    prepare(out, overwrite)
+    return replay(source, settings, poses, tell)
 
 
 def run(
@@ -94,10 +114,6 @@ def run(
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
-    source = open_source(path, settings)
-    prepare(out, overwrite)
-    result = replay(source, settings, poses, tell)
-    tell("writing", 0.0)
+    result = find(path, out, settings, poses, overwrite, tell)
     write_run(result, out, overwrite)
-    tell("writing", 1.0)
     return result
