@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
@@ -316,16 +318,44 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
         prepare(tmp_path / "out" / "deeper")
 
 
-def test_disk_full_names_the_file_and_leaves_no_half(tmp_path: Path) -> None:
+@contextmanager
+def small_disk(size: int) -> Iterator[None]:
     """The kernel's own file size limit stands in for a full disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
-        with pytest.raises(OutputError, match=r"dem\.tif: the disk is full; free some space"):
-            write_run(some_run(), tmp_path)
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_disk_full_names_what_is_missing_and_keeps_the_rest_whole(tmp_path: Path, out: Path) -> None:
+    write_run(some_run(), tmp_path)  # an older answer: nothing of it may stay
+    large = {p.name for p in out.iterdir() if p.stat().st_size > 20_000}
+    assert {"dem.tif", "ortho.tif", "report.html"} <= large
+    with small_disk(20_000), pytest.raises(OutputError, match="the disk is full; free some space") as e:
+        write_run(some_run(), tmp_path)
+    assert all(name in str(e.value) for name in large)
+    assert "\n" not in str(e.value)
+    assert {p.name for p in tmp_path.iterdir()} == {*FILES, "run.json"} - large
+    for path in set(tmp_path.iterdir()) - {tmp_path / "run.json"}:
+        assert path.read_bytes() == (out / path.name).read_bytes()
+    missing = loaded(tmp_path / "run.json")["not_written"]
+    assert set(missing) == large
+    assert "the disk is full" in missing["dem.tif"]
+
+
+def test_disk_full_to_the_last_byte_leaves_no_half(tmp_path: Path) -> None:
+    with small_disk(0), pytest.raises(OutputError, match="0 other files are whole"):
+        write_run(some_run(), tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_one_file_that_cannot_be_made_takes_no_other_with_it(tmp_path: Path) -> None:
+    with mock.patch("alight.report.render", side_effect=RuntimeError("bug")), pytest.raises(RuntimeError, match="bug"):
+        write_run(some_run(), tmp_path)
+    assert {p.name for p in tmp_path.iterdir()} == {*FILES, "run.json"} - {"report.html"}
+    assert "defect" in loaded(tmp_path / "run.json")["not_written"]["report.html"]
 
 
 def test_ctrl_c_leaves_the_old_file_whole(tmp_path: Path) -> None:

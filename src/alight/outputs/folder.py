@@ -90,7 +90,8 @@ def _trajectory(r: RunResult) -> Contents:
 def contents(result: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
     report_html: Contents = {"report.html": lambda: report.render(result).encode()}
-    files = _rasters(result) | _sites(result) | _route(result) | _trajectory(result) | report_html
+    # the answer first: where the disk is full, what is small and matters most has its place
+    files = _sites(result) | _route(result) | _trajectory(result) | _rasters(result) | report_html
     return files | dict(result.not_written)
 
 
@@ -177,25 +178,60 @@ def _remove(path: Path) -> None:
         raise output_error(path, e) from e
 
 
+class _Writer:
+    """Writes one file after the other; one that fails is remembered and holds up no other."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self.written: list[Path] = []
+        self.failed: dict[str, OutputError] = {}
+        self.bugs: list[Exception] = []
+
+    def write(self, name: str, make: Callable[[], bytes]) -> str | None:
+        """Make and write one file; return why that was not possible, and then no old file of the name is left."""
+        try:
+            write_whole(self._out / name, make())
+        except OutputError as e:
+            self.failed[name] = e
+        except Exception as e:
+            log.error("%s: could not be made: %s", name, e)
+            self.bugs.append(e)
+        else:
+            self.written.append(self._out / name)
+            return None
+        _remove(self._out / name)
+        return str(self.failed.get(name, "it could not be made: a defect of Alight"))
+
+    def complain(self) -> None:
+        """Raise the first failure, with the number and the names of all."""
+        if self.failed:
+            first, *others = self.failed
+            also = f"; nor could {', '.join(others)}" if others else ""
+            raise OutputError(f"{self.failed[first]}{also}; {len(self.written)} other files are whole")
+        if self.bugs:
+            raise self.bugs[0]
+
+
 def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
     """Write the folder of one run, each file whole or not at all, run.json last; return the files written.
 
     An earlier run's run.json goes first and its other files as their turn comes, so that a folder with a run.json is
-    always of one piece, and no old route survives beside a new answer.
+    always of one piece, and no old route survives beside a new answer. A file that cannot be written takes no other
+    with it: the rest is written, run.json says what is missing, and then the error is raised.
 
     Raises:
-        OutputError: see `prepare`; or the disk is full, with the name of the file.
+        OutputError: see `prepare`; or the disk is full, with the names of the files that are missing.
     """
     prepare(out, overwrite)
     _remove(out / RUN_JSON)
-    written, missing = [], {}
+    writer, missing = _Writer(out), dict[str, str]()
     for name, made in contents(result).items():
         if isinstance(made, str):
             _remove(out / name)
             missing[name] = made
             log.info("%s is not written: %s", name, made)
-        else:
-            write_whole(out / name, made())
-            written.append(out / name)
-    write_whole(out / RUN_JSON, vectors.json_bytes(run_json(result, missing)))
-    return [*written, out / RUN_JSON]
+        elif (why := writer.write(name, made)) is not None:
+            missing[name] = why
+    writer.write(RUN_JSON, lambda: vectors.json_bytes(run_json(result, missing)))
+    writer.complain()
+    return writer.written
