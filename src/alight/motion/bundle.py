@@ -23,7 +23,10 @@ from alight.motion.bundle_match import (
     neighbours,
     tracks,
 )
-from alight.motion.bundle_orient import components, orient
+from alight.motion.bundle_orient import Oriented, components, orient
+from alight.motion.bundle_priors import make_priors, mended, safe_lens
+from alight.motion.bundle_report import LEAST_SEEN, First, Solved, notes_of, warn, why_none
+from alight.motion.bundle_resect import misplaced, resect, without
 from alight.motion.bundle_solve import (
     Adjustment,
     Priors,
@@ -41,11 +44,11 @@ log = logging.getLogger(__name__)
 
 _ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
 _LENS_ROUND = 2  # from here on the lens is free: before, it would soak up the errors of the first poses
+_ASIDE_ROUND = 2  # here photos that lost most of their observations are set aside
+_LEAST_SIGMA = 0.3  # px; features are not independent to better
+_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _COARSE = 300  # observations a photo in all rounds but the last
 _ANGLE = np.radians(1.0)  # least angle between the rays of a point
-_LEAST_SEEN = 20  # observations that a registered photo keeps
-_GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
-_SIGMA_LENS = (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2)  # of scale aspect cu cv k1 k2 p1 p2 k3, see docs
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,54 +88,8 @@ def adjust(
     done = iter(range(1, len(wanted) + 1))
     pairs = match_pairs(priors.camera, features, wanted, settings, lambda: tell(0.35 + 0.35 * next(done) / len(wanted)))
     solved = solve(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f))
+    tell(1.0)
     return _result(frames, features, rig, priors, solved, settings)
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """The adjusted state of all photos; only those in `registered` mean anything."""
-
-    state: State
-    registered: Index
-    observations: Observations  # of `state.points`, outliers removed
-    covariance: F64  # (n, 6, 6)
-    pixel_sigma: float
-    warnings: list[str]
-    contradicted: Index
-
-
-def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: Bundle) -> Priors:
-    """Collect what GPS, gimbal and maker say; sigmas of the settings where the photo does not say."""
-    n = len(nav)
-    centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
-    rotation, sigma_rotation = np.full((n, 3, 3), np.nan), np.full((n, 3), settings.attitude_sigma)
-    sigma_rotation[:, 2] = settings.heading_sigma
-    body_from_cam = rig.cameras[0].body_from_cam
-    for i, sample in enumerate(nav):
-        if sample is None:
-            continue
-        if sample.world_from_body is not None:
-            rotation[i] = sample.world_from_body
-            if sample.sigma_attitude is not None and np.isfinite(sample.sigma_attitude).all():
-                roll, pitch, yaw = sample.sigma_attitude
-                sigma_rotation[i] = max(roll, pitch, 1e-3), max(roll, pitch, 1e-3), max(yaw, 1e-3)
-        if sample.position_world is not None:
-            arm = body_from_cam.translation
-            centres[i] = sample.position_world + (
-                rotation[i] @ arm if arm.any() and np.isfinite(rotation[i]).all() else 0.0
-            )
-            if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
-                sigma[i] = np.maximum(sample.sigma_position, 0.01)
-    camera = rig.cameras[0].camera
-    sigma_lens = (
-        np.array(_SIGMA_LENS[: 4 + len(camera.distortion)])
-        if settings.lens == "free"
-        else np.zeros(4 + len(camera.distortion))
-    )
-    sigma_lens[0] = 0.02 if settings.focal == "free" else 0.0
-    return Priors(
-        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, camera, sigma_lens
-    )
 
 
 def _extract(frames: Sequence[Frame], settings: Bundle, tell: Callable[[float], None]) -> list[Features | None]:
@@ -154,53 +111,85 @@ def solve(
     first = first_poses(pairs, priors)
     if first is None:
         return None
-    centres, rotations, photos, contradicted, warnings = first
-    attitude = priors.world_from_body.copy()
-    attitude[contradicted] = np.nan
-    priors = replace(priors, world_from_body=attitude)
+    photos = first.photos
+    priors = safe_lens(mended(priors, first.turned, first.contradicted), len(photos))
     obs, _ = obs.keep(np.isin(obs.photo, photos))
-    held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
-    state = State(centres, rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
+    state = State(first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
     few, most = select(obs, min(_COARSE, settings.observations)), select(obs, settings.observations)
-    for k, (loss, cut) in enumerate(_ROUNDS):
-        state, used = refresh(state, few if k < len(_ROUNDS) - 1 else most, priors, cut, loss)
-        if not len(used.photo):
-            return None
-        state = Adjustment(used, priors if k >= _LENS_ROUND else held, 1.0, loss).solve(state, 15)
-        log.info(
-            "round %d: %d observations, %.2f px", k, len(used.photo), np.median(np.abs(residuals(state, used, priors)))
-        )
-        tell((k + 1) / (len(_ROUNDS) + 1))
-    sigma = max(0.3, 1.4826 * float(np.median(np.abs(residuals(state, used, priors)))))
-    last = Adjustment(used, priors, sigma, 2.0)
-    state = last.solve(state, 15)
+    state, aside = _settle(state, few, priors, first.jumped, tell)
+    placed = np.empty(0, dtype=np.int64)
+    if len(aside):
+        state, priors, placed = resect(state, most, aside, priors)
+        lost = np.setdiff1d(aside, placed)
+        few, most, obs = (without(o, lost)[0] for o in (few, most, obs))
+        photos = np.setdiff1d(photos, lost)
+        state, _ = _round(state, few, priors, *_ROUNDS[-2])
+    state, used = _round(state, most, priors, *_ROUNDS[-1])
+    tell(0.85)
+    sigma = max(_LEAST_SIGMA, 1.4826 * float(np.median(np.abs(residuals(state, used, priors)))))
+    last = Adjustment(used, priors, sigma, _LOSS)
+    state = last.solve(state, 30)
     covariance = last.covariance(state)
     state, every = refresh(state, obs, priors, 4.0, 2.0)
-    seen = np.bincount(every.photo, minlength=len(centres))
-    registered = np.intersect1d(photos, np.flatnonzero(seen >= _LEAST_SEEN))
-    return Solved(state, registered, every, covariance, sigma, warnings, contradicted)
+    seen = np.bincount(every.photo, minlength=len(priors.centres))
+    registered = np.intersect1d(photos, np.flatnonzero(seen >= LEAST_SEEN))
+    free = priors.sigma_lens > 0
+    return Solved(state, registered, every, covariance, sigma, first, placed, free)
 
 
-def first_poses(pairs: Sequence[Pair], priors: Priors) -> tuple[F64, F64, Index, Index, list[str]] | None:
-    """Return centres (n, 3), rotations (n, 3, 3), photos that have them, those with a wrong tag, warnings."""
+def _settle(
+    state: State, few: Observations, priors: Priors, aside: Index, tell: Callable[[float], None]
+) -> tuple[State, Index]:
+    """Go through the coarse rounds without the photos that jumped; those that turn out misplaced are set aside too."""
+    held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
+    few = without(few, aside)[0]
+    for k, (loss, cut) in enumerate(_ROUNDS[:-1]):
+        if k == _ASIDE_ROUND:
+            more = misplaced(few, refresh(state, few, priors, cut, loss)[1], len(priors.centres))
+            if len(more):
+                aside, few = np.union1d(aside, more), without(few, more)[0]
+                state, _ = _round(state, few, held, *_ROUNDS[k - 1])
+        state, _ = _round(state, few, priors if k >= _LENS_ROUND else held, loss, cut)
+        tell(0.15 * (k + 1))
+    return state, aside
+
+
+def _round(state: State, obs: Observations, priors: Priors, loss: float, cut: float) -> tuple[State, Observations]:
+    """Triangulate, leave out, adjust; returns what was used."""
+    state, used = refresh(state, obs, priors, cut, loss)
+    if len(used.photo):
+        state = Adjustment(used, priors, 1.0, loss).solve(state, 15, 1e-4)
+        left = float(np.median(np.abs(residuals(state, used, priors))))
+        log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
+    return state, used
+
+
+def first_poses(pairs: Sequence[Pair], priors: Priors) -> First | None:
+    """Orient every connected component; None when no two photos with GPS hang together."""
     n = len(priors.centres)
     gimbal = priors.world_from_body @ priors.body_from_cam
     rotations, centres = np.tile(np.eye(3), (n, 1, 1)), _fill(priors.centres, pairs)
-    photos, contradicted, warnings = [], [], []
-    for group in components(n, pairs):
-        if np.isfinite(priors.centres[group]).all(axis=1).sum() < 2:
-            continue
-        found = orient(group, pairs, priors.centres, priors.sigma_centres, gimbal)
-        rotations[group] = found.world_from_cam
-        photos.append(group)
-        contradicted.append(found.contradicted)
-        if found.guessed:
-            warnings.append(
-                f"{len(group)} photos in one line without attitude: the camera is taken to look straight down"
-            )
-    if not photos:
+    known = np.asarray(np.isfinite(priors.centres).all(axis=1))
+    found = [
+        orient(group, pairs, priors.centres, priors.sigma_centres, gimbal)
+        for group in components(n, pairs)
+        if known[group].sum() >= 2
+    ]
+    if not found:
         return None
-    return centres, rotations, np.sort(np.concatenate(photos)), np.concatenate(contradicted), warnings
+    for f in found:
+        rotations[f.photos] = f.world_from_cam
+    warnings = [
+        f"{len(f.photos)} photos in one line without attitude: the camera is taken to look straight down"
+        for f in found
+        if f.guessed
+    ]
+    photos, turned, wrong, jumped = (np.sort(np.concatenate(c)) for c in zip(*_who(found), strict=True))
+    return First(centres, rotations, photos, turned, wrong, jumped, warnings)
+
+
+def _who(found: Sequence[Oriented]) -> list[tuple[Index, ...]]:
+    return [(f.photos, f.turned, f.contradicted, f.jumped) for f in found]
 
 
 def _fill(centres: F64, pairs: Sequence[Pair]) -> F64:
@@ -261,7 +250,7 @@ def _result(
 ) -> BundleResult:
     if solved is None or not len(solved.registered):
         return BundleResult(
-            [None] * len(frames), rig, np.empty((0, 3)), [_why_none(features, priors)], {"registered": 0}
+            [None] * len(frames), rig, np.empty((0, 3)), [why_none(features, priors)], {"registered": 0}
         )
     state, obs = solved.state, solved.observations
     camera = lens_camera(priors.camera, state.lens)
@@ -274,80 +263,6 @@ def _result(
     refined = Rig((replace(rig.cameras[0], camera=camera), *rig.cameras[1:]))
     use = np.isin(obs.photo, solved.registered)
     kept, old = obs.keep(use)
-    warnings = solved.warnings + _warn(frames, features, motions, priors, solved)
-    notes = _notes(replace(state, points=state.points[old]), kept, priors, solved, settings)
+    warnings = solved.first.warnings + warn(frames, features, motions, priors, solved)
+    notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
     return BundleResult(motions, refined, state.points[old], warnings, notes)
-
-
-def _why_none(features: Sequence[Features | None], priors: Priors) -> str:
-    if np.isfinite(priors.centres).all(axis=1).sum() < 2:
-        return "no photo could be registered: fewer than two photos have a GPS position"
-    most = max((len(f.pixels) for f in features if f is not None), default=0)
-    why = (
-        "the photos have no texture"
-        if most < _LEAST_SEEN
-        else "the photos do not overlap, or show nothing that stands still"
-    )
-    return f"no photo could be registered: {why}"
-
-
-def _warn(
-    frames: Sequence[Frame],
-    features: Sequence[Features | None],
-    motions: Sequence[Motion | None],
-    priors: Priors,
-    solved: Solved,
-) -> list[str]:
-    """Say which photos were left out and why, and whose tags the pictures contradict."""
-    out = []
-    for frame, f, motion in zip(frames, features, motions, strict=True):
-        if motion is None:
-            why = (
-                "no image"
-                if f is None
-                else "no texture"
-                if len(f.pixels) < _LEAST_SEEN
-                else "too few matches with other photos"
-            )
-            out.append(f"{frame.name or frame.t_ns}: photo left out, {why}")
-    wrong = np.intersect1d(solved.contradicted, solved.registered)
-    if len(wrong):
-        out.append(f"{_names(frames, wrong)}: attitude tag contradicts the pictures and was ignored")
-    off = np.abs(solved.state.centres - priors.centres) / priors.sigma_centres
-    far = [i for i in solved.registered if np.nan_to_num(off[i]).max() > _GPS_FAR]
-    if far:
-        out.append(
-            f"{_names(frames, far)}: GPS position is off by more than {_GPS_FAR:g} of its sigmas and was weighted down"
-        )
-    return out
-
-
-def _names(frames: Sequence[Frame], which: Sequence[int] | Index) -> str:
-    shown = [frames[i].name or str(frames[i].t_ns) for i in which[:3]]
-    return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
-
-
-def _notes(state: State, obs: Observations, priors: Priors, solved: Solved, settings: Bundle) -> dict[str, object]:
-    """Return the numbers of the report; lengths in metres, angles in rad, `_px` in pixels."""
-    camera = lens_camera(priors.camera, state.lens)
-    r = residuals(state, obs, priors)
-    gps = (state.centres - priors.centres)[solved.registered]
-    gps = gps[np.isfinite(gps).all(axis=1)]
-    sigma = np.sqrt([np.diag(solved.covariance[i]) for i in solved.registered])
-    return {
-        "registered": len(solved.registered),
-        "points": obs.points,
-        "observations": len(obs.photo),
-        "reprojection_rms_px": float(np.sqrt((r**2).sum(axis=1).mean())),
-        "reprojection_median_px": float(np.median(np.linalg.norm(r, axis=1))),
-        "focal": settings.focal,
-        "focal_px": [float(camera.fu), float(camera.fv)],
-        "lens": settings.lens,
-        "principal_point_px": [float(camera.cu), float(camera.cv)],
-        "distortion": [float(d) for d in camera.distortion],
-        "mounting": [float(m) for m in state.mounting],
-        "gps_rms": [float(g) for g in np.sqrt((gps**2).mean(axis=0))],
-        "sigma_position": [float(s) for s in np.median(sigma[:, :3], axis=0)],
-        "sigma_rotation": [float(s) for s in np.median(sigma[:, 3:], axis=0)],
-        "attitude_ignored": len(solved.contradicted),
-    }

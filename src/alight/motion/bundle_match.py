@@ -21,9 +21,10 @@ from alight.records import F32, F64, U8, MissingExtraError
 from alight.settings import Bundle
 
 Index = NDArray[np.int64]
+_DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # inlier threshold: the maker's distortion is wrong by as much in the corners
-_BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
+_BLOCK = 256  # rows matched at once: bounds the table of descriptor products
 _THREADS = 2
 
 
@@ -125,7 +126,7 @@ def extract(image: U8, settings: Bundle) -> Features:
     place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
     corner = place[largest, :2]
-    table = np.asarray(descriptors.data, dtype=np.float32).reshape(len(place), -1)[largest]
+    table = np.asarray(descriptors.data, dtype=np.float32).reshape(-1, _DESCRIPTOR)[largest]
     return Features(corner / factor - 0.5, table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9))
 
 
@@ -163,22 +164,20 @@ def match(a: F32, b: F32) -> Index:
     """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
-    best, best_score = np.empty(len(a), dtype=np.int64), np.empty(len(a), dtype=np.float32)
-    second = np.empty(len(a), dtype=np.float32)
-    back, back_score = np.zeros(len(b), dtype=np.int64), np.full(len(b), -2.0, dtype=np.float32)
+    best = np.empty(len(a), dtype=np.int64)
+    first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
+    back = np.full(len(b), -2.0, dtype=np.float32)
     for start in range(0, len(a), _BLOCK):
         score = a[start : start + _BLOCK] @ b.T
-        rows = np.arange(len(score))
-        column = score.argmax(axis=0)
-        top = score[column, np.arange(len(b))]
-        better = top > back_score
-        back[better], back_score[better] = column[better] + start, top[better]
-        j = score.argmax(axis=1)
-        best[start + rows], best_score[start + rows] = j, score[rows, j]
-        score[rows, j] = -2.0
-        second[start + rows] = score.max(axis=1)
-    mutual = back[best] == np.arange(len(a))
-    clear = 1.0 - best_score < _RATIO**2 * (1.0 - second)
+        rows = slice(start, start + len(score))
+        at = np.arange(len(score))
+        np.maximum(back, score.max(axis=0), out=back)
+        best[rows] = score.argmax(axis=1)
+        first[rows] = score[at, best[rows]]
+        score[at, best[rows]] = -2.0
+        second[rows] = score.max(axis=1)
+    mutual = first == back[best]
+    clear = 1.0 - first < _RATIO**2 * (1.0 - second)
     i = np.flatnonzero(mutual & clear)
     return np.stack([i, best[i]], axis=1)
 
@@ -217,7 +216,7 @@ def match_pairs(
         if a is None or b is None:
             return None
         found = verify(camera, a, b, match(a.descriptors, b.descriptors), settings.matches)
-        return None if found is None else Pair(*ij, *found)
+        return None if found is None else Pair(ij[0], ij[1], *found)
 
     pairs = []
     with ThreadPoolExecutor(_THREADS) as pool:

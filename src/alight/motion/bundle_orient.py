@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
@@ -20,7 +21,13 @@ _AGREES = (
     0.35  # rad between gimbal and pictures: chains of relative rotations drift by a third of it, mistakes are far above
 )
 _AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
+_DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground shift and turn look alike
+_DOWN = np.diag([1.0, -1.0, -1.0])  # a camera that looks straight down, where nothing is known of any attitude
+_DOWN_SIGMA = 0.5  # rad
+_OFF = 5.0  # sigmas that make a baseline wrong
+_MOST = 0.6  # share of wrong baselines of a photo that jumped
 _SWEEPS = 30
+HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +36,9 @@ class Oriented:
 
     photos: Index  # (k,) photo numbers
     world_from_cam: F64  # (k, 3, 3)
-    contradicted: Index  # photo numbers whose gimbal tag the pictures contradict
+    turned: Index  # photo numbers whose gimbal tag is half a turn off about the optical axis
+    contradicted: Index  # photo numbers whose gimbal tag the pictures contradict in any other way
+    jumped: Index  # photo numbers whose GPS position the pictures contradict
     guessed: bool  # the roll about a straight line of flight rests on the camera looking down
 
 
@@ -84,28 +93,57 @@ def _wahba(world: F64, frame: F64, weight: F64) -> F64:
     return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
 
 
-def _robust_wahba(world: F64, frame: F64, sigma: F64, start: F64) -> tuple[F64, float]:
+def _robust_wahba(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
     R = start
     for _ in range(20):
         r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
         R = _wahba(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
-    r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
-    return R, float(np.log1p(r2).sum())
+    return R
 
 
-def _baselines(
-    photos: Index, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64
-) -> tuple[F64, F64, F64]:
+@dataclass(frozen=True, eq=False)
+class _Baselines:
+    """Unit directions between photos: by GPS, and by the pictures in the frame of the averaged rotations."""
+
+    ends: Index  # (q, 2) photo numbers
+    world: F64  # (q, 3)
+    frame: F64  # (q, 3)
+    noise: F64  # (q,) rad
+
+    def misfit(self, R: F64) -> F64:
+        """Return (q,) squared disagreement under `world_from_frame`, in sigmas."""
+        return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
+
+
+def _baselines(photos: Index, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
     slot = {int(p): s for s, p in enumerate(photos)}
-    world, frame, noise = [], [], []
+    ends, world, frame, noise = [], [], [], []
     for p in pairs:
         b = centres[p.j] - centres[p.i]
         length = float(np.linalg.norm(b))
         if p.i in slot and np.isfinite(length) and length > 1e-6 and p.direction.any():
+            ends.append((p.i, p.j))
             world.append(b / length)
             frame.append(frame_from_cam[slot[p.i]] @ p.direction)
-            noise.append(np.hypot(0.1, 1.5 * float(np.linalg.norm(sigma[[p.i, p.j]])) / length))
-    return np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3), np.array(noise)
+            noise.append(np.hypot(_DIRECTION_SIGMA, 1.5 * float(np.linalg.norm(sigma[[p.i, p.j]])) / length))
+    by_gps, by_pictures = np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3)
+    return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_pictures, np.array(noise))
+
+
+def _jumped(base: _Baselines, R: F64) -> Index:
+    """Return the photos whose GPS lies elsewhere: most of their baselines are off. The worst goes first."""
+    off = base.misfit(R) > _OFF**2
+    left = np.ones(len(off), dtype=bool)
+    out: list[int] = []
+    while left.any():
+        numbers = np.unique(base.ends[left])
+        share = [off[left & (base.ends == k).any(axis=1)].mean() for k in numbers]
+        worst = int(np.argmax(share))
+        if share[worst] <= _MOST:
+            break
+        out.append(int(numbers[worst]))
+        left &= ~(base.ends == out[-1]).any(axis=1)
+    return np.array(sorted(out), dtype=np.int64)
 
 
 def orient(photos: Index, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> Oriented:
@@ -116,50 +154,45 @@ def orient(photos: Index, pairs: Sequence[Pair], centres: F64, sigma: F64, gimba
     believes the gimbal's heading and one that does not; the one that fits better wins.
     """
     frame_from_cam = average_rotations(photos, pairs)
-    world, frame, noise = _baselines(photos, frame_from_cam, pairs, centres, sigma)
-    tagged = np.isfinite(gimbal[photos]).all(axis=(1, 2))
-    down = np.tile([0.0, 0.0, -1.0], (len(photos), 1))
-    spread = np.linalg.svd(world, compute_uv=False) if len(world) else np.zeros(3)
-    guessed = not tagged.any() and (len(spread) < 2 or spread[1] < 0.1 * spread[0])
-    axes = [np.where(tagged[:, None], gimbal[photos][:, :, c], down if c == 2 else 0.0) for c in range(3)]
-    used = tagged if tagged.any() else np.ones(len(photos), bool)
-    fits = []
-    for columns in ((2,), (0, 1, 2)) if tagged.any() else ((2,),):
-        w = np.concatenate([world, *(axes[c][used] for c in columns)])
-        f = np.concatenate([frame, *(frame_from_cam[used][:, :, c] for c in columns)])
-        axis_sigma = _AXIS_SIGMA if tagged.any() else 0.5
-        s = np.concatenate([noise, np.full(len(w) - len(world), axis_sigma)])
-        start = _wahba(w, f, 1.0 / s**2)
-        fits.append((*_robust_wahba(w, f, s, start), len(columns)))
-    R = _best(fits, world, frame, noise, axes, frame_from_cam, used)
+    base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
+    tags = gimbal[photos]
+    tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
+    if tagged.any():
+        starts = [_turn(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))]
+    else:
+        starts = [_turn(base, np.tile(_DOWN, (len(photos), 1, 1)), frame_from_cam, (2,), _DOWN_SIGMA)]
+    R = min(starts, key=lambda R: _cost(base, tags[tagged], frame_from_cam[tagged], R))
     world_from_cam = R @ frame_from_cam
-    angle = np.array(
-        [
-            np.linalg.norm(so3_log(V @ G.T)) if ok else 0.0
-            for V, G, ok in zip(world_from_cam, gimbal[photos], tagged, strict=True)
-        ]
+    agrees = tagged & _close(world_from_cam, tags)
+    turned = tagged & ~agrees & _close(world_from_cam, tags @ HALF_TURN)
+    world_from_cam[agrees] = tags[agrees]
+    world_from_cam[turned] = tags[turned] @ HALF_TURN
+    wrong = photos[tagged & ~agrees & ~turned]
+    return Oriented(
+        photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base)
     )
-    agrees = tagged & (angle < _AGREES)
-    world_from_cam[agrees] = gimbal[photos][agrees]
-    return Oriented(photos, world_from_cam, photos[tagged & ~agrees], guessed)
 
 
-def _best(
-    fits: list[tuple[F64, float, int]],
-    world: F64,
-    frame: F64,
-    noise: F64,
-    axes: list[F64],
-    frame_from_cam: F64,
-    used: Index,
-) -> F64:
-    """Return the rotation that fits baselines and all axes best: same yardstick for both starts."""
+def _in_line(base: _Baselines) -> bool:
+    spread = np.linalg.svd(base.world, compute_uv=False) if len(base.world) else np.zeros(0)
+    return len(spread) < 2 or bool(spread[1] < 0.1 * spread[0])
 
-    def cost(R: F64) -> float:
-        r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / noise**2 if len(world) else np.zeros(0)
-        a2 = [
-            ((axes[c][used] - frame_from_cam[used][:, :, c] @ R.T) ** 2).sum(axis=1) / _AXIS_SIGMA**2 for c in range(3)
-        ]
-        return float(np.log1p(r2).sum() + sum(np.log1p(a).sum() for a in a2))
 
-    return min((R for R, _, _ in fits), key=cost)
+def _turn(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
+    """Return `world_from_frame` by the baselines and the named optical axes of the tags."""
+    world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
+    frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
+    noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
+    return _robust_wahba(world, frame, noise, _wahba(world, frame, 1.0 / noise**2))
+
+
+def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
+    """Return how badly a rotation fits baselines and all axes: the same yardstick for every start."""
+    axes = ((tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
+    return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum())
+
+
+def _close(a: F64, b: F64) -> NDArray[np.bool_]:
+    """Say which of (k, 3, 3) rotations differ by less than gimbal and pictures may; NaN differs."""
+    cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
+    return np.asarray(cosine > np.cos(_AGREES))

@@ -10,13 +10,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import sparse
 
 from alight.geometry import Camera, so3_exp, so3_log
 from alight.motion.bundle_match import Observations
 from alight.records import F64
 
-_PRIOR_LOSS = 3.0  # Cauchy scale of GPS and gimbal residuals, in sigmas
+_PRIOR_LOSS = (
+    3.0  # Huber scale of GPS and gimbal residuals, in sigmas; Cauchy let one GPS jump stretch the whole survey
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +81,13 @@ def _cauchy(r2: F64, scale: float) -> tuple[F64, float]:
     return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
 
 
+def _huber(r2: F64, scale: float) -> tuple[F64, float]:
+    n = np.sqrt(r2)
+    return scale / np.maximum(n, scale), float(np.where(n <= scale, r2, 2 * scale * n - scale**2).sum())
+
+
 def _attitude(state: State, priors: Priors) -> tuple[NDArray[np.int64], F64, F64]:
-    """Return who has an attitude prior, (k, 3) residuals in the world, (k, 3, 3) derivatives by the mounting (eq. 5)."""
+    """Return who has an attitude prior, (k, 3) world residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
     )
@@ -94,8 +101,8 @@ def prior_cost(state: State, priors: Priors) -> float:
     """Return the cost of GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
     g = np.nan_to_num((state.centres - priors.centres) / priors.sigma_centres)
     who, a, _ = _attitude(state, priors)
-    cost = _cauchy((g**2).sum(axis=1), _PRIOR_LOSS)[1]
-    cost += _cauchy(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
+    cost = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[1]
+    cost += _huber(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
     free = priors.sigma_lens > 0
     cost += float(((state.lens[free] / priors.sigma_lens[free]) ** 2).sum())
     return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
@@ -181,13 +188,13 @@ class Adjustment:
         pr, n = self.priors, self.photos
         U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
         g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
-        w = _cauchy((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
+        w = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
         at = 6 * np.arange(n)[:, None] + np.arange(3)
         U[at, at] += w
         b[at] -= w * np.nan_to_num(state.centres - pr.centres)
         who, r, by_mounting = _attitude(state, pr)
         s2 = pr.sigma_rotation[who] ** 2
-        w = _cauchy((r**2 / s2).sum(axis=1), _PRIOR_LOSS)[0][:, None] / s2
+        w = _huber((r**2 / s2).sum(axis=1), _PRIOR_LOSS)[0][:, None] / s2
         rows = at[who] + 3
         U[rows, rows] += w
         b[rows] -= w * r
@@ -209,7 +216,6 @@ class Adjustment:
         inverse = np.linalg.inv(V)
         half = np.linalg.cholesky(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
         n6, k, m = 6 * self.photos, len(self.free), len(V)
-        G = np.zeros((self.size, 0))
         pose = np.swapaxes(self.W @ half[self.obs.point], 1, 2)
         indptr = np.append(self.obs.starts, len(self.obs.point))
         GT = sparse.bsr_array((np.ascontiguousarray(pose), self.obs.photo, indptr), shape=(3 * m, n6))
@@ -224,13 +230,14 @@ class Adjustment:
         y = np.einsum("mji,mj->mi", half, self.c).ravel()
         rhs[:n6] -= GT.T @ y
         rhs[L] -= lens.T @ y
-        del G
         return S + damping * np.diag(np.diag(self.U)), rhs, inverse
 
     def step(self, state: State, damping: float) -> State:
         """Return the state after one damped step."""
         S, rhs, inverse = self.reduce(damping)
-        x = linalg.cho_solve(linalg.cho_factor(S + 1e-12 * np.eye(len(S))), rhs)
+        x = np.linalg.solve(
+            S + 1e-12 * np.eye(len(S)), rhs
+        )  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
         n6, k = 6 * self.photos, len(self.free)
         pose, lens, mount = x[:n6].reshape(-1, 6), x[n6 : n6 + k], x[n6 + k :]
         back = np.add.reduceat(np.einsum("nij,ni->nj", self.W, pose[self.obs.photo]), self.obs.starts)
@@ -245,22 +252,22 @@ class Adjustment:
             state.mounting + mount if self.mounted else state.mounting,
         )
 
-    def solve(self, state: State, iterations: int) -> State:
-        """Iterate to convergence (Levenberg-Marquardt): a step that costs more is taken back and damped."""
+    def solve(self, state: State, iterations: int, tolerance: float = 1e-7) -> State:
+        """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that costs more is damped."""
         damping, cost = 1e-5, self.cost(state)
         self.linearise(state)
         for _ in range(iterations):
             try:
                 trial = self.step(state, damping)
                 new = self.cost(trial)
-            except (linalg.LinAlgError, np.linalg.LinAlgError, ValueError):
+            except (np.linalg.LinAlgError, ValueError):
                 new = np.inf
             if new > cost:
                 damping *= 10.0
                 if damping > 1e6:
                     break
                 continue
-            done = cost - new < 1e-7 * cost
+            done = cost - new < tolerance * cost
             state, cost, damping = trial, new, max(damping / 10.0, 1e-12)
             if done:
                 break

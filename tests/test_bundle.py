@@ -1,0 +1,305 @@
+"""Bundle adjustment on simulated observations: exact and noisy, wrong matches, wrong and missing tags."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("pycolmap")
+
+from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
+from alight.motion.bundle import select, solve
+from alight.motion.bundle_match import Features, Observations, Pair, match, neighbours, tracks, verify
+from alight.motion.bundle_priors import make_priors
+from alight.motion.bundle_report import Solved
+from alight.motion.bundle_solve import Adjustment, Priors, State, residuals, total_cost, triangulate
+from alight.records import NavSample, Rig, RigCamera
+from alight.settings import Bundle
+
+F64 = NDArray[np.float64]
+CAMERA = Camera(800, 640, 960.0, 960.0, 404.0, 311.0, "radial-tangential", (-0.30, 0.12, 0.0008, -0.0005))
+LOOKS_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # the optical axis is body x
+HALF_TURN = np.diag([1.0, -1.0, -1.0])  # about body x
+GPS_TURN = 4e-3  # rad: 2 cm of GPS noise on strips 11 m apart
+
+
+@dataclass(frozen=True)
+class Scene:
+    centres: F64
+    body: F64  # (n, 3, 3)
+    points: F64
+    features: list[Features]
+    ids: list[NDArray[np.int64]]  # the point behind each feature
+    pairs: list[Pair]
+    observations: Observations
+
+
+def flight(strips: int, photos: int) -> tuple[F64, F64]:
+    """Nadir photos at 40 m, neighbouring strips flown there and back."""
+    rng = np.random.default_rng(5)
+    centres, body = [], []
+    for s in range(strips):
+        for k in range(photos):
+            along = 6.0 * (k if s % 2 == 0 else photos - 1 - k)
+            centres.append(np.array([along, 11.0 * s, 40.0]) + rng.normal(0, 0.4, 3))
+            yaw = np.pi / 2 if s % 2 == 0 else -np.pi / 2
+            body.append(so3_exp(rng.normal(0, 0.02, 3)) @ enu_from_flu(yaw, -np.pi / 2, 0.0))
+    return np.array(centres), np.array(body)
+
+
+def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0.0, camera: Camera = CAMERA) -> Scene:
+    """Photos of random points over relief; a share of the matches is wrong."""
+    rng = np.random.default_rng(11)
+    centres, body = flight(strips, photos)
+    xy = rng.uniform([-15, -13], [6.0 * photos + 10, 11.0 * strips + 5], (1500, 2))
+    points = np.column_stack([xy, 2.5 * np.sin(xy[:, 0] / 5) + rng.normal(0, 0.4, len(xy))])
+    features, ids = [], []
+    for C, B in zip(centres, body, strict=True):
+        px = camera.project((points - C) @ (B @ LOOKS_FORWARD))
+        seen = np.flatnonzero(((px > 0) & (px < [camera.width - 1, camera.height - 1])).all(axis=1))
+        features.append(
+            Features(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.float32))
+        )
+        ids.append(seen)
+    pairs = []
+    for i, j in neighbours(centres, 5):
+        common, a, b = np.intersect1d(ids[i], ids[j], return_indices=True)
+        spoilt = rng.random(len(common)) < wrong
+        b[spoilt] = rng.permutation(b[spoilt])
+        found = verify(camera, features[i], features[j], np.stack([a, b], axis=1), 20)
+        pairs += [] if found is None else [Pair(i, j, *found)]
+    return Scene(centres, body, points, features, ids, pairs, tracks(features, pairs))
+
+
+def told(
+    s: Scene, sigma: float = 0.02, mounting: F64 | None = None, camera: Camera = CAMERA, **settings: object
+) -> Priors:
+    """What GPS (with noise), gimbal (with a mounting error) and maker say."""
+    rng = np.random.default_rng(23)
+    off = so3_exp(np.zeros(3) if mounting is None else mounting)
+    nav = [
+        NavSample(
+            k, C + rng.normal(0, sigma, 3) if sigma else C, B @ off.T, sigma_position=np.full(3, max(sigma, 0.01))
+        )
+        for k, (C, B) in enumerate(zip(s.centres, s.body, strict=True))
+    ]
+    return make_priors(nav, Rig((RigCamera("cam0", camera, Pose(LOOKS_FORWARD)),)), Bundle.model_validate(settings))
+
+
+def solved(s: Scene, priors: Priors, **settings: object) -> Solved:
+    out = solve(s.observations, s.pairs, priors, Bundle.model_validate(settings))
+    assert out is not None
+    return out
+
+
+def errors(s: Scene, out: Solved) -> tuple[float, float]:
+    """RMS of centres (m) and largest rotation error (rad) over the registered photos."""
+    k = out.registered
+    d = out.state.centres[k] - s.centres[k]
+    turn = [
+        np.linalg.norm(so3_log(R @ (B @ LOOKS_FORWARD).T))
+        for R, B in zip(out.state.rotations[k], s.body[k], strict=True)
+    ]
+    return float(np.sqrt((d**2).sum(axis=1).mean())), float(np.max(turn))
+
+
+@pytest.fixture(scope="module")
+def exact() -> Scene:
+    return scene()
+
+
+@pytest.fixture(scope="module")
+def noisy() -> Scene:
+    return scene(noise=0.4, wrong=0.02)
+
+
+def test_exact_observations_give_the_exact_poses(exact: Scene) -> None:
+    out = solved(exact, told(exact, sigma=0.0, lens="held"))
+    centre, turn = errors(exact, out)
+    assert list(out.registered) == list(range(12))
+    assert centre < 2e-3
+    assert turn < 1e-4
+
+
+def test_noise_and_wrong_matches_cost_little(noisy: Scene) -> None:
+    out = solved(noisy, told(noisy, lens="held"))
+    centre, turn = errors(noisy, out)
+    assert centre < 0.04
+    assert turn < GPS_TURN
+
+
+def test_the_covariance_is_honest(noisy: Scene) -> None:
+    """The normalised error of centres and rotations stays at the order of its 6 degrees of freedom."""
+    out = solved(noisy, told(noisy, lens="held"))
+    nees = []
+    for i in out.registered:
+        turn = so3_log(out.state.rotations[i] @ (noisy.body[i] @ LOOKS_FORWARD).T)
+        e = np.concatenate([out.state.centres[i] - noisy.centres[i], turn])
+        nees.append(e @ np.linalg.solve(out.covariance[i], e))
+    assert 1.0 < np.mean(nees) < 15.0
+
+
+def test_the_mounting_of_the_camera_is_found(noisy: Scene) -> None:
+    mounting = np.radians([2.0, 0.0, 0.7])
+    out = solved(noisy, told(noisy, mounting=mounting, lens="held", attitude_sigma=0.005, heading_sigma=0.01))
+    assert np.linalg.norm(out.state.mounting - mounting) < GPS_TURN
+    assert errors(noisy, out)[1] < GPS_TURN
+
+
+def test_tags_half_a_turn_off_are_turned_back(noisy: Scene) -> None:
+    priors = told(noisy, lens="held")
+    out = solved(noisy, replace(priors, world_from_body=priors.world_from_body @ HALF_TURN))
+    assert list(out.first.turned) == list(range(12))
+    assert errors(noisy, out)[1] < GPS_TURN
+
+
+def test_one_nonsense_tag_is_ignored(noisy: Scene) -> None:
+    priors = told(noisy, lens="held")
+    attitude = priors.world_from_body.copy()
+    attitude[4] = enu_from_flu(0.3, 0.2, 1.0)
+    out = solved(noisy, replace(priors, world_from_body=attitude))
+    assert list(out.first.contradicted) == [4]
+    assert errors(noisy, out)[1] < GPS_TURN
+
+
+def test_without_attitude_the_pictures_and_gps_suffice(noisy: Scene) -> None:
+    priors = told(noisy, lens="held")
+    out = solved(noisy, replace(priors, world_from_body=np.full_like(priors.world_from_body, np.nan)))
+    assert errors(noisy, out)[1] < GPS_TURN
+
+
+def test_a_photo_without_gps_and_one_with_a_jump(noisy: Scene) -> None:
+    priors = told(noisy, lens="held")
+    centres = priors.centres.copy()
+    centres[3], centres[8] = np.nan, centres[8] + [25.0, -10.0, 4.0]
+    out = solved(noisy, replace(priors, centres=centres))
+    assert list(out.registered) == list(range(12))
+    assert list(out.first.jumped) == [8]
+    assert errors(noisy, out)[0] < 0.05
+
+
+def test_consumer_gps_converges_within_its_sigma(noisy: Scene) -> None:
+    out = solved(noisy, told(noisy, sigma=3.0, lens="held"))
+    assert errors(noisy, out)[0] < 3.0
+    assert np.abs(residuals(out.state, out.observations, told(noisy, lens="held"))).mean() < 0.5
+
+
+def test_a_straight_strip_is_held_by_the_gimbal() -> None:
+    """Positions on a line leave the roll about it free: the attitude decides, and the covariance says how well."""
+    s = scene(strips=1, photos=7, noise=0.4)
+    out = solved(s, told(s, lens="held"))
+    sigma = np.sqrt(np.mean([np.diag(out.covariance[i])[3:] for i in out.registered], axis=0))
+    assert errors(s, out)[1] < 0.03
+    assert sigma[0] > 5 * sigma[2]  # about the line (east), against heading
+
+
+def test_a_wrong_lens_is_found_by_many_photos() -> None:
+    """Twelve photos and more: principal point and decentring come out, and the poses with them."""
+    s = scene(strips=2, photos=7, noise=0.3)
+    maker = replace(CAMERA, cu=CAMERA.cu + 5.0, cv=CAMERA.cv - 4.0, distortion=(-0.31, 0.13, 0.0, 0.0))
+    out = solved(s, told(s, camera=maker))
+    assert errors(s, out)[0] < 0.05
+    assert np.abs(out.state.lens[2:4] - [-5.0, 4.0]).max() < 1.5
+
+
+def test_few_photos_hold_the_radial_distortion() -> None:
+    s = scene(strips=1, photos=4)
+    out = solved(s, told(s))
+    assert list(out.free[4:6]) == [False, False]
+    assert out.free[2:4].all()
+
+
+def test_jacobians_agree_with_differences(exact: Scene) -> None:
+    """The gradient of the linearised system is that of the cost, for every kind of unknown."""
+    priors = told(exact, mounting=np.array([0.01, -0.02, 0.01]))
+    rng = np.random.default_rng(2)
+    obs = select(exact.observations, 30)
+    start = triangulate(exact.centres, exact.body @ LOOKS_FORWARD, CAMERA, obs)
+    state = State(
+        exact.centres + rng.normal(0, 0.05, exact.centres.shape),
+        np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
+        start,
+        np.array([0, 0, 1.0, -1.0, 0.003, 0.002, 1e-4, -1e-4]),
+        np.array([0.003, 0.001, -0.002]),
+    )
+    system = Adjustment(obs, priors, 1.0, 3.0)
+    system.linearise(state)
+    n = len(exact.centres)
+
+    def cost(**moved: F64) -> float:
+        return total_cost(replace(state, **moved), obs, priors, 1.0, 3.0)
+
+    def slope(field: str, at: tuple[int, ...], step: float) -> float:
+        out = []
+        for sign in (1, -1):
+            value = getattr(state, field).copy()
+            value[at] += sign * step
+            out.append(cost(**{field: value}))
+        return (out[0] - out[1]) / (2 * step)
+
+    def turned(sign: float, axis: int) -> F64:
+        rotations = state.rotations.copy()
+        rotations[5] = so3_exp(sign * 1e-6 * np.eye(3)[axis]) @ rotations[5]
+        return rotations
+
+    for axis in range(3):
+        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * system.b[30 + axis], rel=1e-3, abs=0.5)
+        rotation = (cost(rotations=turned(1, axis)) - cost(rotations=turned(-1, axis))) / 2e-6
+        assert rotation == pytest.approx(-2 * system.b[33 + axis], rel=1e-2, abs=5.0)
+        assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * system.c[7, axis], rel=1e-3, abs=0.5)
+        mounting = slope("mounting", (axis,), 1e-6)
+        assert mounting == pytest.approx(-2 * system.b[len(system.b) - 3 + axis], rel=2e-2, abs=5.0)
+    for k, number in enumerate(system.free):
+        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[6 * n + k], rel=1e-2, abs=1.0)
+
+
+def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
+    features = [Features(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.float32)) for _ in range(3)]
+    none = np.eye(3), np.zeros(3)
+    pairs = [
+        Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),
+        Pair(1, 2, np.array([[0, 0], [1, 1]]), *none),
+        Pair(0, 2, np.array([[0, 0], [2, 1]]), *none),  # photo 0 sees the second track as 1 and as 2
+    ]
+    out = tracks(features, pairs)
+    assert out.points == 1
+    assert list(out.photo) == [0, 1, 2]
+    assert np.array_equal(out.pixels, np.tile([0.0, 1.0], (3, 1)))
+
+
+def test_match_is_mutual_and_clear() -> None:
+    """Against the plain table of distances."""
+    rng = np.random.default_rng(7)
+    b = rng.normal(size=(700, 128)).astype(np.float32)
+    a = np.concatenate(
+        [
+            b[100:400] + 0.4 * rng.normal(size=(300, 128)).astype(np.float32),
+            rng.normal(size=(90, 128)).astype(np.float32),
+        ]
+    )
+    a, b = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (a, b))
+    distance = np.sqrt(2 - 2 * (a @ b.T).astype(np.float64))
+    order = np.argsort(distance, axis=1)
+    rows = np.arange(len(a))
+    good = (distance[rows, order[:, 0]] < 0.8 * distance[rows, order[:, 1]]) & (
+        distance.argmin(axis=0)[order[:, 0]] == rows
+    )
+    found = match(a.astype(np.float32), b.astype(np.float32))
+    assert good.sum() > 250
+    assert np.array_equal(found, np.stack([rows[good], order[good, 0]], axis=1))
+
+
+def test_neighbouring_strips_are_paired() -> None:
+    centres = np.array([[2.0 * k, 15.0 * s, 40.0] for s in range(2) for k in range(12)])
+    across = [(i, j) for i, j in neighbours(centres, 4) if i < 12 <= j]
+    assert {i for i, _ in across} == set(range(12))
+    assert len(neighbours(centres, 4)) < 24 * 23 / 2 / 2
+
+
+def test_photos_without_position_are_paired_in_time() -> None:
+    centres = np.array([[5.0 * k, 0.0, 40.0] for k in range(9)])
+    centres[4] = np.nan
+    assert {(2, 4), (3, 4), (4, 5), (4, 6)} <= set(neighbours(centres, 2))
