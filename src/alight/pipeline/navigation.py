@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from alight.geometry import Pose
 from alight.motion import MotionFilter
 from alight.motion.bundle import adjust
+from alight.motion.bundle_match import colmap
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig
 from alight.settings import Settings
 from alight.tracks import Tracker
@@ -112,6 +113,7 @@ class BundleLane:
     """Bundle adjustment of all photos at the end."""
 
     def __init__(self, rig: Rig, settings: Settings) -> None:
+        colmap()  # missing? say so before the photos are read
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._settings = settings.motion.bundle
         self._frames: list[Frame] = []
