@@ -102,6 +102,19 @@ def test_a_tree_and_a_wall_stand_on_the_ground_and_a_hill_does_not() -> None:
     assert (t.landable[top] > 0.5).all()
 
 
+def test_ground_beside_a_tall_crown_is_refused_by_its_height_even_if_the_crown_is_doubtful() -> None:
+    height = noise(0.02)
+    away = np.hypot(R - 120, C - 120) * 0.1
+    height[away < 1.5] += 5.0  # 4.5 m and more: 2.25 m kept to it
+    e = scene(height, np.zeros(SHAPE, bool), GREEN, 0.0)
+    e.flags[away < 1.5] = Flag.AMBIGUOUS
+    t = classify(e, SETTINGS)
+    assert (t.landable[(away > 1.6) & (away < 3.5)] < 0.5).all()
+    assert (t.landable[away > 4.2] > 0.5).mean() > 0.99
+    near = classify(e, TerrainSettings(overhang=0.0))
+    assert (near.landable[away > 2.6] > 0.5).mean() > 0.99
+
+
 def test_nothing_seen_is_unknown_and_no_evidence() -> None:
     height = noise(0.02)
     height[:, :100] = np.nan

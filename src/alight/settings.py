@@ -141,6 +141,7 @@ class TerrainSettings(_Model):
     ground_window: Positive = Field(10.0, description="m; what is narrower and higher stands on the ground")
     bulge: NonNegative = Field(0.04, description="m of height per metre of width that a hilltop may have")
     raised: Positive = Field(0.5, description="m above the ground from which something counts as an object")
+    overhang: NonNegative = Field(0.5, description="m kept to what is tall, per metre of its height (up to 6 m)")
     basin_depth: Positive = Field(
         0.2, description="m of standing water that a closed basin must hold to look like a pond"
     )

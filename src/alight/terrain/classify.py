@@ -106,6 +106,25 @@ def _without_specks(mask: Bool, cell: float, least: float = 0.1) -> Bool:
     return np.asarray(big[labels])
 
 
+def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Bool:
+    """Ground within reach of a crown (G18): seen from the side, what lies under it passes for open ground.
+
+    Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
+    """
+    cell = elevation.grid.cell
+    usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
+    above = np.where(usable, elevation.height - (shape.level - shape.depth), np.float32(np.nan))
+    out = np.zeros(above.shape, dtype=np.bool_)
+    for tall in (1.5, 3.0, 4.5, 6.0):
+        n = round(settings.overhang * tall / cell)
+        if n < 1:
+            continue
+        standing = _without_specks(np.nan_to_num(above) > tall, cell, 0.5)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
+        out |= cv2.dilate(standing.astype(np.uint8), disc) > 0
+    return out
+
+
 def _labels(look: Appearance, shape: Relief, water: F32, plants: F32, objects: F32) -> U8:
     """The likeliest class; of open ground what its colour says, cautiously."""
     green = np.nan_to_num(look.green) > 0.09
@@ -140,7 +159,9 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings) -> tuple[U8, F3
     plants = np.where(tufts, np.maximum(plants, np.float32(1)), np.minimum(plants, np.float32(-0.5)))
     things = _without_specks(objects > 0, cell)
     objects = np.where(things, objects, np.minimum(objects, np.float32(-0.5)))
-    landable = expit(-np.fmax(np.fmax(water, plants), objects)).astype(np.float32)
+    worst = np.fmax(np.fmax(water, plants), objects)
+    worst = np.where(beside_tall(elevation, shape, settings), np.fmax(worst, np.float32(1)), worst)
+    landable = expit(-worst).astype(np.float32)
     label = _labels(look, shape, water, plants, objects)
     nothing = np.float32(np.nan)
     return np.where(looked, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8), np.where(looked, landable, nothing)
