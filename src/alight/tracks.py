@@ -23,6 +23,8 @@ Poses = tuple[Pose, ...]
 
 _BORDER = 4  # px; nearer to the edge the SSD window hangs over it
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
+_LEAST = 12  # features that a common turn of the image is told from
+_TURN = 0.003  # change of the unit matrix below which turning the image is not worth its blur
 _PER_CELL = 3  # features that may run together in one cell of the grid before the younger are dropped
 
 
@@ -110,7 +112,8 @@ class Tracker:
         if m is None or not len(m.ids):
             return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
         guess = self._predicted(m, prediction)
-        pixels, good = self._match(m.image, image, m.pixels, guess, self._cameras[0])
+        then, start = turned(m.image, m.pixels, guess)
+        pixels, good = self._match(then, image, start, guess, self._cameras[0])
         good &= _spread(m.ids, pixels, good, self._cell)
         return m.ids[good], pixels[good], m.depth[good]
 
@@ -192,6 +195,23 @@ class Tracker:
         for i, camera in enumerate(self._cameras):
             normalised[:, i] = normalise(camera, pixels[:, i])
         return Tracks(t_ns, ids, pixels, normalised, texture)
+
+
+def turned(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
+    """Turn, scale and shear an earlier image as a whole to how the motion lets expect the present one (M1b).
+
+    The SSD window only shifts: at 0.03 rad a frame its matches drift by 0.17 px in five frames, by 0.03 px so.
+    Returns the image and the features' (N, 2) places in it; unchanged where nothing turns or little is known.
+    """
+    if len(pixels) < _LEAST:
+        return image, pixels
+    ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
+    affine = np.linalg.lstsq(ones, guess.astype(np.float64), rcond=None)[0].T
+    if np.abs(affine[:, :2] - np.eye(2)).max() < _TURN:
+        return image, pixels
+    height, width = image.shape
+    warped = cv2.warpAffine(image, affine, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 
 def strength(image: U8, pixels: F32, window_px: int) -> F64:
