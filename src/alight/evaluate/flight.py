@@ -2,36 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from rasterio.errors import RasterioError
+from scipy.ndimage import distance_transform_edt
 
 from alight.evaluate.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run
 from alight.records import F64, Flag, InputError, Terrain
-from alight.settings import load
+from alight.settings import Lander, Settings
 from alight.simulate import Footprint
 from alight.simulate.truth import safe_mask
 from alight.sources import open_source, read_tum
+from alight.sources.source import Trajectory
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
 BAD = 0.5  # metres: a height that wrong must be flagged
-RING = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+NEAR = 0.3  # metres: what is declared safe this near to truly safe ground is an edge drawn elsewhere, not a mistake
 
 
-def read_truth(folder: Path, name: str) -> tuple[NDArray[Any], Grid]:
-    """A raster of the truth and its grid (metres in the world)."""
-    path = folder / "truth" / name
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The ground as it is."""
+
+    dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
+    label: NDArray[np.uint8]  # (R, C) Terrain codes
+    grid: Grid
+
+    def safe(self, lander: Lander) -> NDArray[np.uint8]:
+        """Cells on which a touchdown is truly safe, by brute force."""
+        foot = Footprint(lander.radius, lander.max_slope, lander.max_roughness)
+        return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
+
+
+def _raster(path: Path) -> tuple[NDArray[Any], Grid]:
     if not path.exists():
-        raise InputError(f"{path}: missing; --truth takes a flight with truth/ or a folder with sfm_reference.npz")
-    with rasterio.open(path) as d:
-        t = d.transform
-        return d.read(1), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
+        raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
+    try:
+        with rasterio.open(path) as d:
+            t = d.transform
+            return d.read(1), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
+    except RasterioError as e:
+        raise InputError(f"{path}: not a readable raster; copy it again") from e
+
+
+def read_truth(folder: Path) -> Truth:
+    """The rasters in `truth/`.
+
+    Raises:
+        InputError: one is missing, unreadable, or the two are not on one grid.
+    """
+    (dem, grid), (label, same) = _raster(folder / "truth" / "dem.tif"), _raster(folder / "truth" / "class.tif")
+    if grid != same:
+        raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
+    return Truth(dem.astype(np.float32), label, grid)
 
 
 def at(values: NDArray[Any], grid: Grid, east: F64, north: F64) -> NDArray[Any]:
@@ -42,110 +73,136 @@ def at(values: NDArray[Any], grid: Grid, east: F64, north: F64) -> NDArray[Any]:
     return np.where(inside, values[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)], outside)
 
 
-def heights(run: Run, folder: Path, out: Evaluation) -> None:
-    """Heights, sigma and acceptance by class."""
+def heights(run: Run, truth: Truth, out: Evaluation, offset: F64, suffix: str = "") -> None:
+    """Heights, sigma and acceptance by class; the map first moved back by `offset`, (3,) metres."""
     if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
-        out.put("heights", "the run has no dem.tif")
+        out.put(f"heights{suffix}", "the run has no dem.tif")
         return
-    dem, grid = read_truth(folder, "dem.tif")
-    label, _ = read_truth(folder, "class.tif")
-    xs, ys = run.grid.xy()
-    e, n = np.meshgrid(xs, ys)
-    true, kind = at(dem, grid, e, n), at(label, grid, e, n)
+    e, n = np.meshgrid(*run.grid.xy())
+    true = at(truth.dem, truth.grid, e - offset[0], n - offset[1])
+    kind = at(truth.label, truth.grid, e - offset[0], n - offset[1])
     seen = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(true)
     given = np.isfinite(run.height) & seen
-    error = run.height - true
+    error = run.height - offset[2] - true
     ground = np.isin(kind, GROUND)
     g = error[given & ground]
     if not g.size:
-        out.put("heights", "no ground cell of the truth was measured")
+        out.put(f"heights{suffix}", "no ground cell of the truth was measured")
         return
     above = float(run.info.get("height_above_ground_m") or np.nan)
-    offset = float(np.median(g))
+    middle = float(np.median(g))
     sigma = run.sigma[given & ground]
-    out.put("height above ground, m", above)
-    out.put("ground NMAD, m", nmad(g))
-    out.put("ground NMAD, % of height", 100 * nmad(g) / above)
-    out.put("ground offset (median), m", offset)
-    out.put("ground P95 of |error|, m", float(np.percentile(np.abs(g), 95)))
-    out.put("ground P95 of |error - offset|, m", float(np.percentile(np.abs(g - offset), 95)))
-    out.put("ground accepted of seen, %", 100 * float((given & ground).sum() / max((seen & ground).sum(), 1)))
-    out.put("ground within 1 sigma, %", 100 * float(np.mean(np.abs(g - offset) < sigma)))
-    out.put("ground within 1.96 sigma, %", 100 * float(np.mean(np.abs(g - offset) < 1.96 * sigma)))
-    wrong = given & (np.abs(error - offset) > BAD)
-    out.put(f"given out and off by more than {BAD} m, % of given out", 100 * float(wrong.sum() / given.sum()))
+    wrong = given & (np.abs(error - middle) > BAD)
+    rows = {
+        "ground NMAD, m": nmad(g),
+        "ground NMAD, % of height": 100 * nmad(g) / above,
+        "ground offset (median), m": middle,
+        "ground P95 of |error|, m": float(np.percentile(np.abs(g), 95)),
+        "ground P95 of |error - offset|, m": float(np.percentile(np.abs(g - middle), 95)),
+        "ground accepted of seen, %": share(given & ground, seen & ground),
+        "ground within 1 sigma, %": 100 * float(np.mean(np.abs(g - middle) < sigma)),
+        "ground within 1.96 sigma, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * sigma)),
+        f"given out and off by more than {BAD} m, % of given out": share(wrong, given),
+    }
     for t in (Terrain.WATER, Terrain.TREE, Terrain.TALL_VEGETATION):
-        out.put(
-            f"  of these on {t.name.lower().replace('_', ' ')}, % of given out",
-            100 * float((wrong & (kind == t)).sum() / given.sum()),
-        )
+        name = f"  of these on {t.name.lower().replace('_', ' ')}, % of given out"
+        rows[name] = share(wrong & (kind == t), given)
+    for name, value in rows.items():
+        out.put(name + suffix, value)
 
 
-def decision(run: Run, folder: Path, out: Evaluation) -> None:
-    """The sites and the safe cells against the truth by brute force."""
-    dem, grid = read_truth(folder, "dem.tif")
-    label, _ = read_truth(folder, "class.tif")
-    lander = load("", ()).lander.model_validate(run.info["settings"]["lander"])
-    foot = Footprint(lander.radius, lander.max_slope, lander.max_roughness)
-    truly = safe_mask(dem.astype(np.float32), label, grid.cell, foot)
-    sites = run.info["answer"]["sites"]
-    out.put("sites", float(len(sites)))
-    for k, s in enumerate(sites):
-        east, north = np.array([s["east_m"]]), np.array([s["north_m"]])
-        if k == 0:
-            out.put("best site truly safe", "yes" if bool(at(truly.astype(np.uint8), grid, east, north)[0]) else "NO")
-    on = [Terrain(int(at(label, grid, np.array([s["east_m"]]), np.array([s["north_m"]]))[0])) for s in sites]
-    safe = [bool(at(truly.astype(np.uint8), grid, np.array([s["east_m"]]), np.array([s["north_m"]]))[0]) for s in sites]
-    out.put("sites truly safe", f"{sum(safe)} of {len(sites)}")
-    out.put("sites centred on water, plants or structures", float(sum(t in NEVER for t in on)))
+def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
+    """Cells of `part` in percent of those of `whole`."""
+    return 100 * float(part.sum() / max(whole.sum(), 1))
+
+
+def decision(run: Run, truth: Truth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = "") -> None:
+    """The sites and the safe cells against the cells of the truth that are `safe`; all first moved back by `offset`."""
+    places = sites_of(run) - offset[:2]
+    good = [bool(v) for v in at(safe, truth.grid, places[:, 0], places[:, 1])]
+    on = at(truth.label, truth.grid, places[:, 0], places[:, 1])
+    if good:
+        out.put(f"best site truly safe{suffix}", "yes" if good[0] else "NO")
+    out.put(f"sites truly safe{suffix}", f"{sum(good)} of {len(good)}")
+    out.put(f"sites centred on water, plants or structures{suffix}", float(np.isin(on, NEVER).sum()))
     if run.safe is None or run.grid is None:
         return
     e, n = np.meshgrid(*run.grid.xy())
-    good = at(truly.astype(np.uint8), grid, e, n) > 0
-    known = np.isfinite(at(dem, grid, e, n))
+    e, n = e - offset[0], n - offset[1]
+    good_cells = at(safe, truth.grid, e, n) > 0
+    known = np.isfinite(at(truth.dem, truth.grid, e, n))
     claimed = (run.safe >= run.info["settings"]["hazards"]["p_safe"]) & known
-    near = dilated(good, 0.3 / run.grid.cell)
-    out.put(
-        "declared safe and not within 0.3 m of truly safe, %",
-        100 * float((claimed & ~near).sum() / max(claimed.sum(), 1)),
-    )
-    out.put("truly safe cells found, %", 100 * float((claimed & good).sum() / max(good.sum(), 1)))
+    near = dilated(good_cells, NEAR / run.grid.cell)
+    out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
+    out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))
+
+
+def lander_of(run: Run) -> Lander:
+    """The lander of the run's own settings."""
+    try:
+        return Lander.model_validate(run.info["settings"]["lander"])
+    except (KeyError, ValueError) as e:
+        raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
+
+
+def sites_of(run: Run) -> F64:
+    """East and north of the sites, (N, 2) metres."""
+    sites = run.info["answer"]["sites"]
+    return np.array([[s["east_m"], s["north_m"]] for s in sites], dtype=np.float64).reshape(-1, 2)
 
 
 def dilated(mask: NDArray[np.bool_], cells: float) -> NDArray[np.bool_]:
     """The mask grown by a radius in cells."""
-    from scipy.ndimage import distance_transform_edt
-
     return np.asarray(distance_transform_edt(~mask) <= cells) if mask.any() else mask
 
 
-def trajectory(run: Run, folder: Path, out: Evaluation) -> None:
-    """Estimated body poses against the true ones, at the same times."""
-    truth = open_source(folder, load("", ())).truth_trajectory
+def position_errors(run: Run, truth: Trajectory) -> tuple[F64, F64]:
+    """Estimated less true body poses at the same times: (N, 3) metres in the world, (N, 3) rotation vectors in rad."""
     path = run.folder / "trajectory.tum"
-    if truth is None or not path.exists() or run.local is None:
-        return
-    t, poses = read_tum(path, run.local)
-    at_true = {int(k): p for k, p in zip(truth[0], truth[1], strict=True)}
-    pairs = [(p, at_true[int(k)]) for k, p in zip(t, poses, strict=True) if int(k) in at_true]
-    if not pairs:
-        return
-    d = np.array([a.translation - b.translation for a, b in pairs])
-    r = np.array([so3_log(a.rotation @ b.rotation.T) for a, b in pairs])
+    if run.local is None or not path.exists():
+        return np.empty((0, 3)), np.empty((0, 3))
+    at_true = {int(t): p for t, p in zip(*truth, strict=True)}
+    own = [(p, at_true[int(t)]) for t, p in zip(*read_tum(path, run.local), strict=True) if int(t) in at_true]
+    d = [a.translation - b.translation for a, b in own]
+    r = [so3_log(a.rotation @ b.rotation.T) for a, b in own]
+    return np.array(d).reshape(-1, 3), np.array(r).reshape(-1, 3)
+
+
+def trajectory(d: F64, r: F64, out: Evaluation) -> None:
+    """The errors of the poses in words."""
     out.put("position RMSE, m", rms(np.linalg.norm(d, axis=1)))
+    out.put("position mean error (east, north, up), m", " ".join(f"{v:.3f}" for v in d.mean(0)))
     out.put("position RMSE less a constant, m", rms(np.linalg.norm(d - d.mean(0), axis=1)))
     out.put("attitude RMSE, deg", float(np.degrees(rms(np.linalg.norm(r, axis=1)))))
     out.put("mean tilt (about east, north), mrad", f"{1e3 * r.mean(0)[0]:.2f} {1e3 * r.mean(0)[1]:.2f}")
 
 
 def against_flight(run: Run, folder: Path) -> Evaluation:
-    """Compare a run with a flight that has truth.
+    """Compare a run with a flight that has truth: as the map claims to lie, and registered.
+
+    Estimated poses carry the drift of the GPS. A map whose path is off by a metre is off by the same metre, so its
+    heights as they are compare different places. Rows that end in `, registered` have the constant offset of the
+    path (mean position error, three numbers) taken out of map and sites, and nothing else.
 
     Raises:
-        InputError: the flight has no truth.
+        InputError: the flight has no truth, or is not the flight of the run.
     """
     out = Evaluation(f"{run.folder} against the truth of {folder}")
-    heights(run, folder, out)
-    decision(run, folder, out)
-    trajectory(run, folder, out)
+    flight = open_source(folder, Settings())
+    if run.local is None:
+        raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the truth")
+    if np.abs(run.local.to_enu(flight.local.latitude, flight.local.longitude, flight.local.height)).max() > 1e-3:
+        raise InputError(f"{folder}: another origin than that of the run; name the flight that was run")
+    truth = read_truth(folder)
+    safe = truth.safe(lander_of(run))
+    out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
+    heights(run, truth, out, np.zeros(3))
+    out.put("sites", float(len(sites_of(run))))
+    decision(run, truth, safe, out, np.zeros(3))
+    if flight.truth_trajectory is not None:
+        d, r = position_errors(run, flight.truth_trajectory)
+        if len(d):
+            trajectory(d, r, out)
+            heights(run, truth, out, d.mean(0), ", registered")
+            decision(run, truth, safe, out, d.mean(0), ", registered")
     return out

@@ -1,8 +1,10 @@
-"""A run over photos against a structure-from-motion reference: `sfm_reference.npz`, and `slab_plane.npz` where there is one."""
+"""A run over photos against a structure-from-motion reference: `sfm_reference.npz`, and `slab_plane.npz` if there."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -16,6 +18,8 @@ from alight.records import F64, Flag, InputError
 from alight.sources import read_tum
 
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
+REFERENCE = ("origin_llh", "points_enu", "points_track", "points_err", "centers_enu")
+SLAB = ("points", "inlier")
 BAD_SHARE = 0.01  # of the height above ground
 
 
@@ -48,7 +52,7 @@ def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bo
     k = round(0.5 / grid.cell) * 2 + 1
     wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (k, k))
     closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
-    return cv2.erode(closed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))).astype(bool)
+    return np.asarray(cv2.erode(closed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))) > 0)
 
 
 def high_pass(height: F64, cell: float) -> F64:
@@ -63,21 +67,34 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
     """Compare heights and camera centres with a reference.
 
     Raises:
-        InputError: the run has no place on Earth.
+        InputError: the run has no place on Earth, or the reference cannot be read.
     """
     if run.local is None:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
-    ref = np.load(folder / "sfm_reference.npz", allow_pickle=False)
+    ref = read_arrays(folder / "sfm_reference.npz", REFERENCE)
     frame = LocalFrame(*ref["origin_llh"])
     out = Evaluation(f"{run.folder} against the reference of {folder}")
     believed = (ref["points_track"] >= LEAST_TRACK) & (ref["points_err"] < MOST_ERROR)
     points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][believed]))
     _heights(run, points, out)
     if (folder / "slab_plane.npz").exists():
-        slab = np.load(folder / "slab_plane.npz")
+        slab = read_arrays(folder / "slab_plane.npz", SLAB)
         _slab(run, run.local.to_enu(*frame.to_geodetic(slab["points"])), slab["inlier"], out)
     _centres(run, run.local.to_enu(*frame.to_geodetic(ref["centers_enu"])), out)
     return out
+
+
+def read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    """Named arrays of an .npz file.
+
+    Raises:
+        InputError: it cannot be read, or lacks one of them.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names}
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as e:
+        raise InputError(f"{path}: not a reference with the arrays {', '.join(names)}; copy it again") from e
 
 
 def _heights(run: Run, points: F64, out: Evaluation) -> None:
@@ -88,6 +105,9 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     above = float(run.info["height_above_ground_m"])
     error = interpolated(up, run.grid, points[:, 0], points[:, 1]) - points[:, 2]
     given = np.isfinite(error)
+    if given.sum() < 3:
+        out.put("heights", f"{given.sum()} of {len(points)} reference points lie on the map: nothing to compare")
+        return
     plane, left = plane_of(points[given], error[given])
     sigma = interpolated(run.sigma, run.grid, points[given, 0], points[given, 1])
     known = np.isfinite(sigma)
@@ -113,6 +133,9 @@ def _slab(run: Run, points: F64, inlier: NDArray[np.bool_], out: Evaluation) -> 
     if run.height is None or run.grid is None:
         return
     slab = slab_of(points, inlier, run.grid)
+    if not slab.any():
+        out.put("slab", "not on the map")
+        return
     given = np.isfinite(run.height)
     out.put("accepted on the slab, %", 100 * float(given[slab].mean()))
     out.put(
@@ -125,7 +148,7 @@ def _centres(run: Run, centres: F64, out: Evaluation) -> None:
     path = run.folder / "trajectory.tum"
     if not path.exists() or run.local is None:
         return
-    own = np.array([p.translation for p in read_tum(path, run.local)[1]])
+    own = np.array([p.translation for p in read_tum(path, run.local)[1]])  # a photo's body is its camera
     distance, index = cKDTree(centres).query(own)
     if len(set(index.tolist())) < len(own):
         out.put("camera centres", "cannot be told apart: two are nearest to the same reference")
