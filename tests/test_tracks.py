@@ -1,0 +1,177 @@
+"""The tracker on synthetic pictures whose motion is known exactly."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from alight.geometry import Camera, Pose, so3_exp
+from alight.records import Frame, Rig, RigCamera
+from alight.settings import Tracks as Settings
+from alight.tracks import Tracker, corners, epipolar_distance, inverse_depth, strength
+
+HEIGHT, FOCAL = 20.0, 300.0
+CAMERA = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5)
+DOWN = np.diag([1.0, -1.0, -1.0])  # world_from_cam: x right, y down the picture is south, looking down
+RIG = Rig((RigCamera("left", CAMERA, Pose()), RigCamera("right", CAMERA, Pose(np.eye(3), [0.5, 0.0, 0.0]))))
+SETTINGS = Settings(count=80)
+
+
+@pytest.fixture(scope="module")
+def ground() -> np.ndarray:
+    """A textured plane, one pixel a centimetre and a half."""
+    noise = np.random.default_rng(0).uniform(0, 255, (900, 1100)).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 2.5)
+    return np.clip(128 + (soft - soft.mean()) * 40 / soft.std(), 0, 255).astype(np.float32)
+
+
+def pose(x: float, y: float = 0.0, yaw: float = 0.0) -> Pose:
+    return Pose(so3_exp([0.0, 0.0, yaw]) @ DOWN, [x, y, HEIGHT])
+
+
+def picture(ground: np.ndarray, world_from_cam: Pose) -> np.ndarray:
+    """The plane z = 0 as a camera sees it."""
+    u, v = np.meshgrid(np.arange(320.0), np.arange(240.0))
+    rays = CAMERA.rays(np.stack([u, v], axis=-1)) @ world_from_cam.rotation.T
+    points = world_from_cam.translation + rays * (-world_from_cam.translation[2] / rays[..., 2:])
+    at_x, at_y = points[..., 0] * FOCAL / HEIGHT + 550, -points[..., 1] * FOCAL / HEIGHT + 450
+    return np.round(cv2.remap(ground, at_x.astype(np.float32), at_y.astype(np.float32), cv2.INTER_CUBIC)).astype(
+        np.uint8
+    )
+
+
+def poses(left: Pose) -> tuple[Pose, Pose]:
+    return left @ RIG.cameras[0].body_from_cam, left @ RIG.cameras[1].body_from_cam
+
+
+def frame(ground: np.ndarray, k: int, left: Pose) -> Frame:
+    return Frame(k * 100_000_000, tuple(picture(ground, p) for p in poses(left)))
+
+
+def carried(pixels: np.ndarray, then: Pose, now: Pose) -> np.ndarray:
+    """Where ground points seen at `pixels` are in another view."""
+    rays = CAMERA.rays(pixels) @ then.rotation.T
+    points = then.translation + rays * (-then.translation[2] / rays[:, 2:])
+    return CAMERA.project(now.inverse.apply(points))
+
+
+def test_features_follow_the_ground(ground: np.ndarray) -> None:
+    tracker, path = Tracker(RIG, SETTINGS), [pose(0.23 * k, 0.1 * k, 0.03 * k) for k in range(6)]
+    seen = [tracker.feed(frame(ground, k, p), poses(p)) for k, p in enumerate(path)]
+    first, last = seen[0], seen[-1]
+    both, a, b = np.intersect1d(first.ids, last.ids, return_indices=True)
+    assert len(both) > 40
+    miss = last.pixels[b, 0] - carried(first.pixels[a, 0], path[0], path[-1])
+    assert np.sqrt(np.median(miss**2)) < 0.04
+    assert np.sqrt((miss**2).mean()) < 0.16
+    assert np.abs(np.median(miss, axis=0)).max() < 0.03
+
+
+def test_stereo_gives_the_disparity_of_the_plane(ground: np.ndarray) -> None:
+    tracks = Tracker(RIG, SETTINGS).feed(frame(ground, 0, pose(0.0)), None)
+    matched = np.isfinite(tracks.pixels[:, 1, 0])
+    assert matched.mean() > 0.9
+    disparity = tracks.pixels[matched, 0] - tracks.pixels[matched, 1]
+    np.testing.assert_allclose(np.median(disparity, axis=0), [FOCAL * 0.5 / HEIGHT, 0.0], atol=0.02)
+    assert np.abs(disparity - [FOCAL * 0.5 / HEIGHT, 0.0]).max() < 1.6
+    rays = CAMERA.rays(tracks.pixels[:, 0])[:, :2]
+    np.testing.assert_allclose(tracks.normalised[:, 0], rays)
+
+
+def test_features_are_spread_and_bounded(ground: np.ndarray) -> None:
+    tracker = Tracker(RIG, SETTINGS)
+    for k in range(5):
+        tracks = tracker.feed(frame(ground, k, pose(0.6 * k)), poses(pose(0.6 * k)))
+        quarter = (tracks.pixels[:, 0, 0] > 160).astype(int) + 2 * (tracks.pixels[:, 0, 1] > 120)
+        assert np.bincount(quarter, minlength=4).min() > 10
+        assert len(tracks.ids) <= 3 * SETTINGS.count
+        assert len(np.unique(tracks.ids)) == len(tracks.ids)
+
+
+def test_a_long_way_needs_the_predicted_motion(ground: np.ndarray) -> None:
+    """110 px between two exposures: the prediction finds the features, without it the search bound refuses them."""
+    there, here = pose(0.0), pose(7.3)
+
+    def kept(predicted: bool) -> int:
+        tracker = Tracker(RIG, SETTINGS)
+        first = tracker.feed(frame(ground, 0, there), poses(there) if predicted else None)
+        second = tracker.feed(frame(ground, 1, here), poses(here) if predicted else None)
+        return len(np.intersect1d(first.ids, second.ids))
+
+    assert kept(True) > 25
+    assert kept(False) < 5
+
+
+def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None:
+    tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(1.0)
+    first = tracker.feed(frame(ground, 0, there), poses(there))
+    second = tracker.feed(frame(ground, 1, here), poses(pose(0.6)))
+    both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
+    assert len(both) > 40
+    assert np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here)).mean() < 0.1
+
+
+def test_a_covered_lens_has_no_features_and_new_ones_come_after(ground: np.ndarray) -> None:
+    tracker, dark = Tracker(RIG, SETTINGS), np.full((240, 320), 7, np.uint8)
+    before = tracker.feed(frame(ground, 0, pose(0.0)))
+    covered = tracker.feed(Frame(1, (dark, dark)))
+    after = tracker.feed(frame(ground, 2, pose(0.0)))
+    assert len(covered.ids) == 0
+    assert len(after.ids) > 40
+    assert not set(before.ids) & set(after.ids)
+
+
+def test_features_wait_out_a_dropped_frame(ground: np.ndarray) -> None:
+    tracker = Tracker(RIG, SETTINGS)
+    before = tracker.feed(frame(ground, 0, pose(0.0)), poses(pose(0.0)))
+    dropped = tracker.feed(Frame(1, (None, None)), poses(pose(0.2)))
+    after = tracker.feed(frame(ground, 2, pose(0.4)), poses(pose(0.4)))
+    assert len(dropped.ids) == 0
+    assert len(np.intersect1d(before.ids, after.ids)) > 40
+
+
+def test_the_right_camera_may_fail(ground: np.ndarray) -> None:
+    whole = frame(ground, 0, pose(0.0))
+    tracks = Tracker(RIG, SETTINGS).feed(Frame(0, (whole.images[0], None)))
+    assert len(tracks.ids) > 40
+    assert np.isnan(tracks.pixels[:, 1]).all()
+
+
+def test_colour_and_grey_give_the_same(ground: np.ndarray) -> None:
+    grey = picture(ground, pose(0.0))
+    a = Tracker(Rig(RIG.cameras[:1]), SETTINGS).feed(Frame(0, (grey,)))
+    b = Tracker(Rig(RIG.cameras[:1]), SETTINGS).feed(Frame(0, (np.dstack([grey] * 3),)))
+    np.testing.assert_array_equal(a.pixels, b.pixels)
+
+
+def test_corners_keep_clear_of_what_is_taken(ground: np.ndarray) -> None:
+    image = picture(ground, pose(0.0))
+    taken = np.array([[50.0, 60.0], [200.0, 100.0]], np.float32)
+    found = corners(image, taken, 30.0, 1e-5)
+    distance = np.linalg.norm(found[:, None] - taken[None], axis=2)
+    assert len(found) > 40
+    assert distance.min() > 0.6 * 30.0
+
+
+def test_strength_grows_with_contrast(ground: np.ndarray) -> None:
+    image = picture(ground, pose(0.0))
+    weak = (128 + (image.astype(float) - 128) / 4).astype(np.uint8)
+    at = np.array([[100.0, 100.0], [-3.0, 500.0]], np.float32)  # outside is taken at the edge
+    ratio = strength(image, at, 21) / strength(weak, at, 21)
+    np.testing.assert_allclose(ratio, 16.0, rtol=0.15)
+
+
+def test_two_views_triangulate_and_keep_to_the_epipolar_line() -> None:
+    rng = np.random.default_rng(2)
+    other_from_first = Pose(so3_exp([0.02, -0.03, 0.01]), [-0.5, 0.02, 0.01])
+    points = np.column_stack([rng.uniform(-5, 5, (50, 2)), rng.uniform(5, 40, 50)])
+    moved = other_from_first.apply(points)
+    first, other = points[:, :2] / points[:, 2:], moved[:, :2] / moved[:, 2:]
+    w, arm = inverse_depth(first, other, other_from_first)
+    np.testing.assert_allclose(w, 1 / points[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(epipolar_distance(first, other, other_from_first), 0.0, atol=1e-12)
+    # the sigma of the inverse depth is that of a coordinate over `arm`
+    shifted, _ = inverse_depth(first, other + np.array([1e-6, 0.0]), other_from_first)
+    np.testing.assert_allclose(np.median(np.abs(shifted - w) * arm), 1e-6, rtol=0.05)
+    assert epipolar_distance(first, other + np.array([0.0, 1e-3]), other_from_first).min() > 5e-4
