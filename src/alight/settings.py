@@ -85,7 +85,7 @@ class Filter(_Model):
 class Bundle(_Model):
     """Bundle adjustment of photos far apart."""
 
-    features: int = Field(5000, ge=200, description="SIFT features a photo")
+    features: int = Field(4000, ge=200, description="SIFT features a photo")
     image_px: int = Field(1600, ge=400, description="longest side used for features")
     neighbours: int = Field(
         10, ge=2, description="nearest photos each photo is matched with, besides one in each direction"

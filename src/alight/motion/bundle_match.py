@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # inlier threshold: the maker's distortion is wrong by as much in the corners
-_BLOCK = 256  # rows matched at once: bounds the table of descriptor products
+_BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
 _THREADS = 2
 
 
@@ -219,10 +219,9 @@ def match_pairs(
         return None if found is None else Pair(ij[0], ij[1], *found)
 
     pairs = []
-    with ThreadPoolExecutor(_THREADS) as pool:
-        for pair in pool.map(one, wanted):
-            pairs += [pair] if pair is not None else []
-            tick()
+    for pair in map(one, wanted):  # one after the other: the matrix product in `match` takes all cores by itself
+        pairs += [pair] if pair is not None else []
+        tick()
     return pairs
 
 
