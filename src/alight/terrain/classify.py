@@ -113,7 +113,7 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
     """
     cell = elevation.grid.cell
     usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-    above = np.where(usable, elevation.height - (shape.level - shape.depth), np.float32(np.nan))
+    above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
     out = np.zeros(above.shape, dtype=np.bool_)
     for tall in (1.5, 3.0, 4.5, 6.0):
         n = round(settings.overhang * tall / cell)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from alight.kernels.terrain import fill_basins
 from alight.records import F32, ElevationMap
@@ -24,6 +25,7 @@ class Relief:
     rough: F32  # root mean square height about its 0.5 m mean
     depth: F32  # of water that would stand there before it ran off (G13)
     level: F32  # height of that water's surface
+    ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
 
 def blocks(values: F32, size: int, share: float) -> F32:
@@ -91,6 +93,16 @@ def standing_water(ground: F32, wet: Bool) -> tuple[F32, F32]:
     return level - ground, level
 
 
+def nearest_known(values: F32) -> F32:
+    """Give unknown cells the value of the nearest known one; all NaN stays all NaN."""
+    unknown = np.isnan(values)
+    if unknown.all():
+        return values
+    rows, cols = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    filled: F32 = values[rows, cols]
+    return filled
+
+
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
     """Measure the shape of the ground; on blocks of about half a metre where it is wide.
 
@@ -114,4 +126,5 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
         depth=spread_out(depth, size, shape),
         level=spread_out(level, size, shape),
+        ground=spread_out(nearest_known(bed), size, shape),
     )
