@@ -35,6 +35,8 @@ log = logging.getLogger(__name__)
 
 _SIZE = 24  # unknowns an exposure: the core of the filter's state without the mounting
 _ITERATIONS = 12
+_LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
+_SHORTEST = 5  # exposures in a piece
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
@@ -82,9 +84,10 @@ class _Batch:
         self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
         self._mount = so3_exp(r.exposures[-1][2][MOUNT])
         self._cams = tuple(c.body_from_cam for c in r.rig.cameras)
+        self._span = max(_SHORTEST, min(r.settings.track_span, r.settings.track_span * _LONG // len(self._t)))
         tracks = [t for _, t, _ in r.exposures]
         sigma = np.concatenate([sight_sigma(t, r.rig.cameras[0].camera, r.settings) for t in tracks])
-        self._sights = Sights(tracks, sigma, self._cams, r.settings.track_span)
+        self._sights = Sights(tracks, sigma, self._cams, self._span)
         self._nav_sigma = sigmas(r.nav[-1], r.settings) if r.nav else np.ones(9)
         self._sums = self._summed(r.imu)
         self._rows = [row for s in r.nav if (row := self._row(s, r.imu)) is not None]
@@ -117,7 +120,7 @@ class _Batch:
             log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms, np.abs(step[:, :6]).max())
             if (np.abs(step[:, :6]) < _ENOUGH).all():
                 break
-        covariance, span = factors.covariance(), self._settings.track_span
+        covariance, span = factors.covariance(), self._span
         return [self._motion(k, _own(covariance, k, span)) for k in range(len(self._t))]
 
     def _rigs(self) -> tuple[F64, F64]:
@@ -125,7 +128,7 @@ class _Batch:
 
     def _iterate(self) -> Factors:
         """The normal equations at the present values, factorised."""
-        span, K = self._settings.track_span, len(self._t)
+        span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
         self._linear = self._sights.linearise(*self._rigs())
