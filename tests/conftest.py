@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import alight  # noqa: F401  (before NumPy: it says how many threads linear algebra may use)
+
+# isort: split
 import os
 from pathlib import Path
 
