@@ -160,6 +160,7 @@ class Flag(IntFlag):
     INCONSISTENT = 64  # disjoint subsets of the views give different heights
     RANGE = 128  # the height is at an end of the searched range
     UNSURE = 256  # the evidence together makes a wrong match likely
+    FEW = 512  # seen by two views only: a note, not a reason
 
 
 # a height that carries one of these is not given out (NaN in dem.tif)

@@ -125,8 +125,8 @@ def _heights(run: Run, points: F64, out: Evaluation) -> None:
     out.put(
         "within 1.96 sigma (points' own 0.028 m added), %", 100 * float(np.mean(np.abs(left[known]) < 1.96 * total))
     )
-    seen = (run.flags & np.uint16(Flag.UNSEEN)) == 0
-    out.put("accepted of cells seen, %", 100 * float(np.isfinite(run.height)[seen].mean()))
+    seen = (run.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
+    out.put("accepted of cells seen by three photos or more, %", 100 * float(np.isfinite(run.height)[seen].mean()))
 
 
 def _slab(run: Run, points: F64, inlier: NDArray[np.bool_], out: Evaluation) -> None:

@@ -22,7 +22,7 @@ from alight.settings import Parallax
 
 COARSE = 2  # cells of the sweep over cells of the grid
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
-ITERATIONS = 5
+ITERATIONS = 4
 SWEEP_WINDOW = 5  # coarse cells of normalisation: 9 smear walls (0.5 points fewer off by 1 % with 5)
 
 
@@ -82,7 +82,7 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
         return None
     wide = coarse_grid(grid, COARSE)
     coarse = [images.get(i, coarse=True) for i in chosen]
-    found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell))
+    found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell), images.height)
     start = enlarge(found, grid, COARSE, smooth=True)
     if not np.isfinite(start).any():
         return None

@@ -89,7 +89,7 @@ class Ring:
             return before
         part = grid.window(int(rows[0]), int(cols[0]), int(rows[-1] - rows[0] + 1), int(cols[-1] - cols[0] + 1))
         wide = coarse_grid(part, COARSE)
-        found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell))
+        found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
         where = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
         out = before.copy()
         out[where] = np.where(fresh[where], enlarge(found, part, COARSE, smooth=True), before[where])

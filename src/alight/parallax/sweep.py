@@ -32,8 +32,11 @@ def planes(prepared: list[Prepared], low: float, high: float, cell: float) -> F3
     return np.linspace(low, high, count).astype(np.float32)
 
 
-def sweep(prepared: list[Prepared], grid: Grid, levels: F32) -> tuple[F32, F32]:
+def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float) -> tuple[F32, F32]:
     """Find the height of every cell among `levels` (docs/method.md, eqs. 6 and 7).
+
+    Cells that two views would not see if they lay at `ground` (metres) are left out: at the border of what is seen, only
+    a wrong height brings them into a second image.
 
     Returns:
         heights (R, C), NaN where fewer than two views see, and best/second cost (R, C), near 1 where a second height fits.
@@ -41,17 +44,19 @@ def sweep(prepared: list[Prepared], grid: Grid, levels: F32) -> tuple[F32, F32]:
     rows, cols = grid.shape
     cost = np.empty((rows, cols, len(levels)), np.float32)
     plane, count = np.empty((rows, cols), np.float32), np.zeros((rows, cols), np.int32)
-    least = np.zeros((rows, cols), np.int32)
+    seen = np.zeros((rows, cols), np.int32)
+    usual = int(np.argmin(np.abs(levels - ground)))
     for k, z in enumerate(levels):
         kernels.sweep_cost(stack(prepared, grid, np.full((rows, cols), z, np.float32)), KEEP, TRUNCATION, plane, count)
         cost[:, :, k] = plane
-        least = count.copy() if k == len(levels) // 2 else least
+        if k == usual:
+            seen = count.copy()
     smooth = window3(cost)
     guide = stack(prepared[:1], grid, np.full((rows, cols), np.median(levels), np.float32))[0]
     total = np.empty_like(cost)
     kernels.aggregate(smooth, np.nan_to_num(guide), P1, P2, EDGE, total)
     index, ratio = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    kernels.winner(total, smooth, least, index, ratio)
+    kernels.winner(total, smooth, seen, index, ratio)
     spacing = levels[1] - levels[0]
     return (levels[0] + spacing * index).astype(np.float32), ratio
 

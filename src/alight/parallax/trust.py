@@ -21,7 +21,7 @@ MIN_CONTRAST = 1.2  # grey levels: less is noise
 MAX_RESIDUAL = 0.7  # share of the samples' variance that the views do not have in common
 MAX_COST_RATIO = 0.97  # best over second-best sweep cost, mean over the neighbourhood: one cell alone means little
 FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
-FLOOR_CELL = 0.25  # cells: a window is no point
+FLOOR_CELL = 0.3  # cells: a window is no point
 ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
 DISAGREEMENT_PX = 1.5  # parallax pixels between disjoint sets of views
 STEP_PX = 4.0  # parallax pixels
@@ -136,6 +136,7 @@ def flags(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> U16:
     terms = evidence(fit, seen.cost_ratio, sigma_, metres_per_px)
     edge = 0.01 * (seen.high - seen.low)
     mark(~np.isfinite(fit.height) | (fit.used < 2) | (fit.precision <= 0), Flag.UNSEEN)
+    mark(fit.seen < 3, Flag.FEW)
     mark(seen.contrast < MIN_CONTRAST, Flag.TEXTURE)
     mark(residual_share(fit) > MAX_RESIDUAL, Flag.MOVING)
     mark(terms["ambiguity"] > MAX_COST_RATIO, Flag.AMBIGUOUS)

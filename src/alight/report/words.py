@@ -31,6 +31,7 @@ FLAGS: Mapping[Flag, str] = {
     Flag.INCONSISTENT: "views contradict each other",
     Flag.RANGE: "outside the searched heights",
     Flag.UNSURE: "probably a wrong match",
+    Flag.FEW: "seen by two views only",
 }
 
 
