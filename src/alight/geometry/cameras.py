@@ -97,14 +97,16 @@ class Camera:
         if self.model == "none":
             return target
         xy, eps = target.copy(), 1e-6
+        east, south = np.array([eps, 0.0]), np.array([0.0, eps])
         for _ in range(iterations):
             f = self.distort(xy) - target
-            jx = (self.distort(xy + [eps, 0]) - self.distort(xy - [eps, 0])) / (2 * eps)
-            jy = (self.distort(xy + [0, eps]) - self.distort(xy - [0, eps])) / (2 * eps)
+            jx = (self.distort(xy + east) - self.distort(xy - east)) / (2 * eps)
+            jy = (self.distort(xy + south) - self.distort(xy - south)) / (2 * eps)
             det = jx[..., 0] * jy[..., 1] - jx[..., 1] * jy[..., 0]
             det = np.where(np.abs(det) < 1e-9, 1e-9, det)
-            step = np.stack([f[..., 0] * jy[..., 1] - f[..., 1] * jy[..., 0], jx[..., 0] * f[..., 1] - jx[..., 1] * f[..., 0]], -1)
-            step /= det[..., None]
+            step_x = f[..., 0] * jy[..., 1] - f[..., 1] * jy[..., 0]
+            step_y = jx[..., 0] * f[..., 1] - jx[..., 1] * f[..., 0]
+            step = np.stack([step_x, step_y], -1) / det[..., None]
             xy = xy - np.clip(step, -0.5, 0.5)
             if np.abs(step).max(initial=0.0) < 1e-12:
                 break

@@ -40,7 +40,8 @@ class LocalFrame:
     height: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite([self.latitude, self.longitude, self.height]).all() and abs(self.latitude) <= 90 and abs(self.longitude) <= 360):
+        finite = np.isfinite([self.latitude, self.longitude, self.height]).all()
+        if not (finite and abs(self.latitude) <= 90 and abs(self.longitude) <= 360):
             raise ValueError(f"no place on Earth: {self.latitude}, {self.longitude}, {self.height}")
 
     @cached_property

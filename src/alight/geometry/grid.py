@@ -37,7 +37,9 @@ class Grid:
 
     def xy(self) -> tuple[Array, Array]:
         """East of every column (cols,) and north of every row (rows,), metres."""
-        return self.east + self.cell * np.arange(self.cols), self.north - self.cell * np.arange(self.rows)
+        return self.east + self.cell * np.arange(self.cols, dtype=np.float64), self.north - self.cell * np.arange(
+            self.rows, dtype=np.float64
+        )
 
     def index(self, east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[Array, Array]:
         """Fractional (row, column) of world positions."""

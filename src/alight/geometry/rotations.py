@@ -34,8 +34,8 @@ def so3_log(rotation: ArrayLike) -> Array:
     w, v = q[0], q[1:]
     sine = float(np.linalg.norm(v))
     if sine < 1e-9:
-        return 2.0 * v / w
-    return 2.0 * np.arctan2(sine, w) * v / sine
+        return np.asarray(2.0 * v / w)
+    return np.asarray(2.0 * np.arctan2(sine, w) * v / sine)
 
 
 def quaternion_from_matrix(rotation: ArrayLike) -> Array:
@@ -100,4 +100,4 @@ def enu_from_flu(yaw: float, pitch: float, roll: float) -> Array:
             [-sp, cp * sr, cp * cr],
         ]
     )
-    return ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU
+    return np.asarray(ENU_FROM_NED @ ned_from_frd @ FRD_FROM_FLU)
