@@ -14,9 +14,11 @@ from alight.parallax.views import Prepared, stack
 from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
-RADIUS = 3  # cells: 7x7 windows
+RADIUS = 2  # cells: 5x5 windows
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
-PRIOR = 1600.0  # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they
+PRIOR = (
+    1600.0  # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they
+)
 # are not: neighbours share pixels, so 100 left three times the noise on a concrete slab
 PRIOR_RADIUS = 3  # cells
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from alight.geometry import Grid
 from alight.parallax import refine
-from alight.parallax.batch import COARSE, SWEEP_WINDOW, coarse_grid, enlarge, judged
+from alight.parallax.batch import COARSE, coarse_grid, enlarge, judged
 from alight.parallax.sweep import parallax_per_metre, planes, sweep
-from alight.parallax.views import NORM_CELLS, Prepared, prepare
+from alight.parallax.views import Prepared, prepare
 from alight.records import F32, Heights, View
 from alight.settings import Parallax
 
@@ -37,8 +37,8 @@ class Ring:
         """Take the images of one exposure; the oldest exposure leaves."""
         ready = []
         for v in views:
-            coarse = prepare(v, self._cell * COARSE, self._ground, SWEEP_WINDOW)
-            ready.append((v, prepare(v, self._cell, self._ground, NORM_CELLS), coarse))
+            coarse = prepare(v, self._cell * COARSE, self._ground)
+            ready.append((v, prepare(v, self._cell, self._ground), coarse))
         self._kept.append(ready)
 
     def step(self, grid: Grid, before: F32, sigma: F32, low: float, high: float) -> Heights | None:

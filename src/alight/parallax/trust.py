@@ -26,11 +26,11 @@ ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
 DISAGREEMENT_PX = 1.5  # parallax pixels between disjoint sets of views
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 5  # reach of the window over a step
-MAX_DOUBT = 0.15  # probability of a wrong match that is still given out
+MAX_DOUBT = 0.2  # probability of a wrong match that is still given out
 
 # Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means the
 # same for any camera and height. Fitted by bench/doubt.py on simulated flights only; it holds on real photos unchanged.
-DOUBT = {"ambiguity": 1.97, "residual": 1.65, "sigma": 0.40, "drop": 0.36, "rise": 0.22, "one": 1.80}
+DOUBT = {"ambiguity": 1.16, "residual": 1.36, "sigma": 1.06, "drop": 0.15, "rise": 0.27, "one": 0.62}
 
 
 @dataclass(frozen=True, eq=False)

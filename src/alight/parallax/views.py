@@ -13,7 +13,7 @@ from alight.geometry import Camera, Grid, ground_projection
 from alight.kernels import parallax as kernels
 from alight.records import F32, F64, View
 
-NORM_CELLS = 9  # window of the local mean and sd; 21 doubled the bad cells
+NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
 
 
@@ -68,10 +68,10 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
     return cv2.GaussianBlur(grey, (0, 0), sigma), camera, ratio
 
 
-def prepare(view: View, cell: float, height: float, window_cells: int = NORM_CELLS) -> Prepared:
+def prepare(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
-    window = (int(window_cells * max(ratio, 1.0)) | 1,) * 2
+    window = (int(NORM_CELLS * max(ratio, 1.0)) | 1,) * 2
     mean = cv2.blur(grey, window)
     contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0))
     H, b = ground_projection(camera, view.world_from_cam)
