@@ -181,7 +181,7 @@ class Tracker:
         there, good = self._match(left, right, pixels, self._transfer(pixels, depth, pose, camera), camera)
         found = np.where(good[:, None], there.astype(np.float64), np.nan)
         a, b = normalise(self._cameras[0], pixels.astype(np.float64)), normalise(camera, found)
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid="ignore", divide="ignore"):
             w, arm = inverse_depth(a, b, pose)
             good &= epipolar_distance(a, b, pose) * camera.fu < self._settings.epipolar_px
             good &= w > -2.0 / (camera.fu * arm)  # behind the camera by more than two pixels: a wrong match
