@@ -20,6 +20,7 @@ from alight.sources import read_tum
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
 REFERENCE = ("origin_llh", "points_enu", "points_track", "points_err", "centers_enu")
 SLAB = ("points", "inlier")
+FAR = 20_000.0  # metres between the origins of a run and of its reference, at most
 BAD_SHARE = 0.01  # of the height above ground
 
 
@@ -39,7 +40,7 @@ def plane_of(points: F64, errors: F64) -> tuple[F64, F64]:
     for _ in range(2):
         plane = np.linalg.lstsq(X[use], errors[use], rcond=None)[0]
         left = errors - X @ plane
-        use = np.abs(left) < 5 * nmad(left[use])
+        use = np.abs(left) <= max(5 * nmad(left[use]), 1e-6)
     return plane, left
 
 
@@ -67,12 +68,14 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
     """Compare heights and camera centres with a reference.
 
     Raises:
-        InputError: the run has no place on Earth, or the reference cannot be read.
+        InputError: the run has no place on Earth, or the reference cannot be read or is of another place.
     """
     if run.local is None:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the reference")
     ref = read_arrays(folder / "sfm_reference.npz", REFERENCE)
     frame = LocalFrame(*ref["origin_llh"])
+    if np.linalg.norm(run.local.to_enu(frame.latitude, frame.longitude, frame.height)) > FAR:
+        raise InputError(f"{folder}: the reference of another place; name the one of the photos that were run")
     out = Evaluation(f"{run.folder} against the reference of {folder}")
     believed = (ref["points_track"] >= LEAST_TRACK) & (ref["points_err"] < MOST_ERROR)
     points = run.local.to_enu(*frame.to_geodetic(ref["points_enu"][believed]))
