@@ -1,0 +1,364 @@
+"""The parallax kernels against plain NumPy: random, planar, stepped and holed input; one thread and two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+import twins
+from numpy.testing import assert_allclose, assert_array_equal
+
+from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
+from alight.kernels import parallax as kernels
+from alight.parallax.views import radius2_limit
+
+N, ROWS, COLS, DEPTH = 6, 17, 19, 12
+CELL = 0.1
+XS, YS = 3.0 + CELL * np.arange(COLS), -2.0 - CELL * np.arange(ROWS)
+CENTRES = np.array([[x, y, 20.0 + 0.1 * x] for x, y in [(0, 0), (2, 0.5), (4, -2), (6, -4), (3.5, -3), (9, 1)]], float)
+KINDS = ("random", "planar", "step", "holes", "nothing")
+kinds = pytest.mark.parametrize("kind", KINDS)
+
+
+def heights(kind: str) -> np.ndarray:
+    """A map of each kind that a kernel may meet."""
+    rng = np.random.default_rng(KINDS.index(kind))
+    r, c = np.mgrid[:ROWS, :COLS]
+    h = {"random": rng.normal(0, 0.3, (ROWS, COLS)), "planar": 0.05 * r - 0.03 * c}.get(kind, 0.01 * c + 0.0 * r)
+    if kind == "step":
+        h = h + 1.5 * (c > 9)
+    h = h.astype(np.float32)
+    if kind == "holes":
+        h[rng.random(h.shape) < 0.3] = np.nan
+    if kind == "nothing":
+        h[:] = np.nan
+    return h
+
+
+def stack(kind: str) -> np.ndarray:
+    """Samples of N views: a common texture, noise, outliers and holes."""
+    rng = np.random.default_rng(10 + KINDS.index(kind))
+    common = 0.0 * rng.normal(size=(ROWS, COLS)) if kind == "planar" else rng.normal(size=(ROWS, COLS))
+    s = common + rng.normal(0, 0.2, (N, ROWS, COLS))
+    s[rng.random(s.shape) < 0.1] += 3.0
+    if kind == "step":
+        s[:3, :, 9:] = np.nan  # half the views do not see one side
+        s[:, :, -1] = s[:1, :, -1]  # all the same
+    if kind in ("holes", "nothing"):
+        s[rng.random(s.shape) < (0.6 if kind == "holes" else 1.1)] = np.nan
+    return s.astype(np.float32)
+
+
+def positive(seed: int, scale: float, zeros: float = 0.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = scale * rng.gamma(2.0, size=(ROWS, COLS))
+    out[rng.random(out.shape) < zeros] = 0.0
+    return out.astype(np.float32)
+
+
+def same_nan(got: np.ndarray, want: np.ndarray, **tolerance: float) -> None:
+    """Equal to tolerance, NaN in the same cells."""
+    assert_array_equal(np.isnan(got), np.isnan(want))
+    assert_allclose(got, want, equal_nan=True, **tolerance)
+
+
+# -- the kernels, called so that each gives new arrays
+
+
+def run_sweep_cost(s: np.ndarray, keep: float) -> tuple[np.ndarray, ...]:
+    cost, count = np.full(s.shape[1:], -9, np.float32), np.full(s.shape[1:], -9, np.int32)
+    kernels.sweep_cost(s, keep, np.float32(1.5), cost, count)
+    return cost, count
+
+
+def run_template(s: np.ndarray) -> tuple[np.ndarray, ...]:
+    weights, mean = np.full(s.shape, -9, np.float32), np.full(s.shape[1:], -9, np.float32)
+    used = np.full(s.shape[1:], 99, np.uint8)
+    kernels.template(s, weights, np.float32(0.35), mean, used)
+    return weights, mean, used
+
+
+def run_normal_equations(s: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, ...]:
+    weights, mean, _ = run_template(s)
+    out = tuple(np.full(h.shape, -9, np.float32) for _ in range(4))
+    kernels.normal_equations(s, weights, mean, CENTRES, XS, YS, h, CELL, *out)
+    return out
+
+
+def run_solve(h: np.ndarray) -> tuple[np.ndarray, ...]:
+    out = tuple(np.full(h.shape, -9, np.float32) for _ in range(3))
+    kernels.solve(*solve_input(h), h, 2, positive(4, 0.1), np.full(h.shape, 0.05, np.float32), *out)
+    return out
+
+
+def solve_input(h: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Lambda, eta and s2; no information where there is no height, as `normal_equations` leaves it."""
+    eta = np.random.default_rng(5).normal(0, 3, (ROWS, COLS)).astype(np.float32)
+    return np.where(np.isnan(h), np.float32(0), positive(1, 30.0, zeros=0.2)), eta, positive(2, 0.05)
+
+
+def run_prior(h: np.ndarray, args: tuple[np.ndarray, ...] | None = None) -> tuple[np.ndarray, ...]:
+    out = np.full(h.shape, -9, np.float32)
+    args = args or (positive(6, 200.0, zeros=0.3), positive(7, 0.05), positive(8, 0.05))
+    kernels.plane_prior(h, *args, np.float32(100.0), 3, out)
+    return (out,)
+
+
+def run_visibility(h: np.ndarray, margin: float = 0.02) -> tuple[np.ndarray, ...]:
+    low = CENTRES * [1, 1, 0.2]  # four metres up: walls hide something
+    out = np.full((N, *h.shape), 9, np.uint8)
+    top = np.float32(np.nanmax(h)) if np.isfinite(h).any() else np.float32(0)
+    kernels.visibility(h, top, low, XS, YS, CELL, np.float32(margin), out)
+    return (out,)
+
+
+def volume(kind: str) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(20 + KINDS.index(kind))
+    cost = rng.uniform(0.1, 1.0, (ROWS, COLS, DEPTH))
+    if kind == "planar":
+        cost = np.abs(np.arange(DEPTH) - (2 + 0.3 * np.arange(COLS)[:, None])) * np.ones((ROWS, 1, 1)) + 0.1
+    if kind == "step":
+        cost[:] = 0.5  # no minimum anywhere: ties
+        cost[:, :9, 3] = 0.1
+    return cost.astype(np.float32), rng.normal(size=(ROWS, COLS)).astype(np.float32)
+
+
+def run_aggregate(kind: str) -> tuple[np.ndarray, ...]:
+    cost, image = volume(kind)
+    total = np.full_like(cost, -9)
+    kernels.aggregate(cost, image, np.float32(0.05), np.float32(0.5), np.float32(0.5), total)
+    return (total,)
+
+
+def run_winner(kind: str) -> tuple[np.ndarray, ...]:
+    cost, _ = volume(kind)
+    count = np.full((ROWS, COLS), 4, np.int32)
+    count[2:5, 3:7] = 1
+    index, ratio = np.empty((ROWS, COLS), np.float32), np.empty((ROWS, COLS), np.float32)
+    kernels.winner(run_aggregate(kind)[0], cost, count, index, ratio)
+    return index, ratio
+
+
+# -- against the twins
+
+
+@kinds
+@pytest.mark.parametrize("keep", [0.5, 0.7, 1.0])
+def test_sweep_cost(kind: str, keep: float) -> None:
+    s = stack(kind)
+    cost, count = run_sweep_cost(s, keep)
+    want, seen = twins.sweep_cost(s, keep, 1.5)
+    assert_array_equal(count, seen)
+    assert_allclose(cost, want, rtol=2e-5, atol=1e-6)
+
+
+def test_sweep_cost_does_not_mind_one_occluded_view_in_six() -> None:
+    s = np.full((6, 1, 1), 0.4, np.float32)
+    s[2] = 5.0
+    assert run_sweep_cost(s, 0.7)[0][0, 0] == 0.0
+    assert run_sweep_cost(s, 1.0)[0][0, 0] > 0.2
+
+
+@kinds
+def test_aggregate(kind: str) -> None:
+    cost, image = volume(kind)
+    want = twins.aggregate(cost.astype(np.float64), image.astype(np.float64), 0.05, 0.5, 0.5)
+    assert_allclose(run_aggregate(kind)[0], want, rtol=1e-5, atol=1e-5)
+
+
+@kinds
+def test_winner(kind: str) -> None:
+    cost, _ = volume(kind)
+    count = np.full((ROWS, COLS), 4)
+    count[2:5, 3:7] = 1
+    total = run_aggregate(kind)[0]
+    index, ratio = twins.winner(total.astype(np.float64), cost.astype(np.float64), count)
+    got = run_winner(kind)
+    same_nan(got[0], index, atol=2e-3)
+    same_nan(got[1], ratio, rtol=1e-5)
+    assert np.isnan(got[0]).sum() == 12
+
+
+def test_winner_finds_the_vertex_of_a_parabola() -> None:
+    cost = (0.1 + (np.arange(DEPTH) - 4.3) ** 2).astype(np.float32)[None, None]
+    index, ratio = np.empty((1, 1), np.float32), np.empty((1, 1), np.float32)
+    kernels.winner(cost, cost, np.full((1, 1), 2, np.int32), index, ratio)
+    assert index[0, 0] == pytest.approx(4.3, abs=1e-5)
+    assert ratio[0, 0] == pytest.approx(cost[0, 0, 4] / cost.max(), rel=1e-5)  # no other valley: the worst cost
+
+
+@kinds
+def test_template(kind: str) -> None:
+    s = stack(kind)
+    weights, mean, used = run_template(s)
+    want = twins.template(s, 0.35)
+    assert_allclose(weights, want[0], rtol=1e-4, atol=1e-6)
+    same_nan(mean, want[1], rtol=1e-5, atol=1e-6)
+    assert_array_equal(used, want[2])
+
+
+@kinds
+def test_normal_equations(kind: str) -> None:
+    s, h = stack(kind), heights(kind if kind != "nothing" else "planar")
+    weights, mean, _ = run_template(s)
+    h = np.nan_to_num(h)
+    want = twins.normal_equations(s, weights, mean, CENTRES, XS, YS, h, CELL)
+    for got, w in zip(run_normal_equations(s, h), want, strict=True):
+        assert_allclose(got, w, rtol=1e-4, atol=1e-5 * (1 + np.abs(w).max()))
+    assert (want[0] > 0).any() == (kind != "nothing")
+
+
+@kinds
+def test_normal_equations_where_the_height_is_unknown(kind: str) -> None:
+    """A cell without a height has no samples either, so that no NaN gets into the sums."""
+    h = heights(kind)
+    s = stack(kind)
+    s[:, np.isnan(h)] = np.nan
+    lam, eta, s2, texture = run_normal_equations(s, h)
+    for a in (lam, eta, s2, texture):
+        assert np.isfinite(a).all()
+        assert (a[np.isnan(h)] == 0).all()
+
+
+@kinds
+def test_solve(kind: str) -> None:
+    h = heights(kind)
+    lam, eta, s2 = solve_input(h)
+    want = twins.solve(lam, eta, s2, h, 2, positive(4, 0.1), np.full(h.shape, 0.05, np.float32))
+    for got, w in zip(run_solve(h), want, strict=True):
+        assert_allclose(got, w, rtol=1e-4, atol=1e-6)
+
+
+@kinds
+def test_plane_prior(kind: str) -> None:
+    h = heights(kind)
+    want = twins.plane_prior(h, positive(6, 200.0, zeros=0.3), positive(7, 0.05), positive(8, 0.05), 100.0, 3)
+    same_nan(run_prior(h)[0], want, atol=2e-5)
+
+
+def test_plane_prior_leaves_a_plane_alone_and_pulls_a_spike() -> None:
+    """Where the neighbours know the same; where they do not, the damped slope leaves a trace of a millimetre."""
+    h = heights("planar")
+    even = tuple(np.full(h.shape, v, np.float32) for v in (200.0, 0.05, 0.05))
+    inner = np.s_[3:-3, 3:-3]
+    assert_allclose(run_prior(h, even)[0][inner], h[inner], atol=1e-6)
+    assert_allclose(run_prior(h)[0][inner], h[inner], atol=1e-3)
+    spiked = h.copy()
+    spiked[8, 9] += 0.05
+    assert 0.0 < run_prior(spiked, even)[0][8, 9] - h[8, 9] < 0.04
+
+
+@kinds
+def test_visibility(kind: str) -> None:
+    h = heights(kind)
+    got = run_visibility(h)[0]
+    assert_array_equal(got, twins.visibility(h, CENTRES * [1, 1, 0.2], XS, YS, CELL, 0.02))
+    assert (got == 0).any() == (kind in ("random", "step"))
+
+
+# -- projection
+
+LENSES = {
+    "none": Camera(640, 480, 512.0, 508.0, 321.3, 236.8),
+    "radial-tangential": Camera(
+        640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (-0.28, 0.08, 0.0006, -0.0004)
+    ),
+    "five numbers": Camera(640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (0.05, -0.1, 1e-3, 5e-4, 0.02)),
+    "equidistant": Camera(640, 480, 300.0, 301.0, 322.0, 239.0, "equidistant", (0.01, -0.004, 0.002, -0.0005)),
+}
+LENS = pytest.mark.parametrize("camera", LENSES.values(), ids=LENSES.keys())
+DOWN = so3_exp([0.2, -0.1, 0.7]) @ np.diag([1.0, -1.0, -1.0])  # a camera that looks down, a little askew
+
+
+def run_project(camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose) -> tuple[np.ndarray, ...]:
+    xs, ys = grid.xy()
+    H, b = ground_projection(camera, world_from_cam)
+    intrinsics = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
+    maps = tuple(np.full(h.shape, -9, np.float32) for _ in range(2))
+    size = float(camera.width), float(camera.height)
+    kernels.project(
+        H, b, intrinsics, camera.coefficients, camera.code, radius2_limit(camera), *size, xs, ys, h, *maps
+    )  # fmt: skip
+    return maps
+
+
+@LENS
+def test_project_is_the_camera(camera: Camera) -> None:
+    """To a thousandth of a pixel where the picture is, and nothing beyond it."""
+    grid = Grid(-40.0, 41.0, 0.7, 120, 110)
+    h = np.random.default_rng(0).uniform(-2, 3, grid.shape).astype(np.float32)
+    at = Pose(DOWN, np.array([1.0, 2.0, 30.0]))
+    mx, my = run_project(camera, h, grid, at)
+    x, y = np.meshgrid(*grid.xy())
+    seen_from = at.inverse.apply(np.stack([x, y, h], axis=-1))
+    uv = camera.project(seen_from)
+    inside = (uv >= 0).all(-1) & (uv[..., 0] <= camera.width - 1) & (uv[..., 1] <= camera.height - 1)
+    ideal = seen_from[..., :2] / seen_from[..., 2:]
+    inside &= (ideal**2).sum(-1) < radius2_limit(camera)  # beyond it the lens polynomial folds back
+    assert inside.mean() > 0.15
+    assert not inside.all()
+    assert_allclose(np.stack([mx, my], -1)[inside], uv[inside], atol=1e-3)
+    assert (mx[~inside] == kernels.OUTSIDE).all()
+    assert (my[~inside] == kernels.OUTSIDE).all()
+
+
+@LENS
+def test_project_shows_nothing_behind_the_camera_and_nothing_unknown(camera: Camera) -> None:
+    grid = Grid(-5.0, 5.0, 0.5, 20, 20)
+    up = Pose(np.eye(3), np.array([0.0, 0.0, 30.0]))
+    assert (run_project(camera, np.zeros(grid.shape, np.float32), grid, up)[0] == kernels.OUTSIDE).all()
+    h = np.zeros(grid.shape, np.float32)
+    h[3, 4] = np.nan
+    mx, my = run_project(camera, h, grid, Pose(DOWN, np.array([0.0, 0.0, 30.0])))
+    assert mx[3, 4] == my[3, 4] == kernels.OUTSIDE
+    assert (mx != kernels.OUTSIDE).sum() > 300
+
+
+def test_project_takes_a_single_column() -> None:
+    grid = Grid(0.5, 0.5, 1.0, 3, 1)
+    mx, my = run_project(LENSES["none"], np.zeros((3, 1), np.float32), grid, Pose(DOWN, np.array([0.0, 0.0, 30.0])))
+    want = LENSES["none"].project(
+        (Pose(DOWN, np.array([0, 0, 30.0])).inverse).apply([[0.5, 0.5 - k, 0] for k in range(3)])
+    )
+    assert_allclose(np.c_[mx, my], want, atol=1e-3)
+
+
+# -- threads
+
+CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
+    "sweep_cost": lambda: run_sweep_cost(stack("holes"), 0.7),
+    "aggregate": lambda: run_aggregate("random"),
+    "winner": lambda: run_winner("random"),
+    "template": lambda: run_template(stack("holes")),
+    "normal_equations": lambda: run_normal_equations(stack("random"), heights("step")),
+    "solve": lambda: run_solve(heights("holes")),
+    "plane_prior": lambda: run_prior(heights("holes")),
+    "visibility": lambda: run_visibility(heights("step")),
+    "project": lambda: run_project(
+        LENSES["equidistant"], heights("random"), Grid(0.0, 0.0, CELL, ROWS, COLS), Pose(DOWN, np.array([1.0, 2, 9]))
+    ),
+}
+
+
+@pytest.fixture
+def threads() -> Iterator[Any]:
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_the_number_of_threads_changes_no_bit(name: str, threads: Callable[[int], None]) -> None:
+    threads(1)
+    alone = CALLS[name]()
+    threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    for a, b in zip(alone, CALLS[name](), strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_every_kernel_is_tested_here() -> None:
+    public = {n for n in vars(kernels) if hasattr(getattr(kernels, n), "py_func") and not n.startswith("_")}
+    assert public - {"prange"} == set(CALLS)
