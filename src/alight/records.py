@@ -161,6 +161,7 @@ class Flag(IntFlag):
     RANGE = 128  # the height is at an end of the searched range
     UNSURE = 256  # the evidence together makes a wrong match likely
     FEW = 512  # seen by two views only: a note, not a reason
+    WATER = 1024  # water: what was matched is the bed, below the surface
 
 
 # a height that carries one of these is not given out (NaN in dem.tif)
@@ -173,6 +174,7 @@ REFUSED = (
     | Flag.INCONSISTENT
     | Flag.RANGE
     | Flag.UNSURE
+    | Flag.WATER
 )
 
 

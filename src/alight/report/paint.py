@@ -37,7 +37,8 @@ FLAG_COLOURS: Mapping[Flag, str] = {
     Flag.SATURATED: "#f0dc4e",
     Flag.RANGE: "#7a5c3e",
     Flag.UNSURE: "#6d4fa3",
-    Flag.FEW: "#9aa5b1",
+    Flag.FEW: "#c9ced6",
+    Flag.WATER: "#1b4f8a",
     Flag.STEP: "#8fd0c0",
     Flag.UNSEEN: "#9aa3ad",
 }

@@ -31,7 +31,8 @@ FLAGS: Mapping[Flag, str] = {
     Flag.INCONSISTENT: "views contradict each other",
     Flag.RANGE: "outside the searched heights",
     Flag.UNSURE: "probably a wrong match",
-    Flag.FEW: "seen by two views only",
+    Flag.FEW: "seen by two views only (a note)",
+    Flag.WATER: "water: the bed was seen, not the surface",
 }
 
 
