@@ -3,12 +3,18 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.kernels.compiler import kernel, parallel_kernel, prange
 
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+B = NDArray[np.bool_]
+
 
 @kernel
-def _contact(height, r, c, offsets, first, last):
+def _contact(height: F32, r: int, c: int, offsets: I64, first: int, last: int) -> float:
     """Highest ground under one foot; NaN if any cell of it is unknown or off the map."""
     rows, cols = height.shape
     top = -math.inf
@@ -21,7 +27,7 @@ def _contact(height, r, c, offsets, first, last):
 
 
 @kernel
-def _rise(height, r, c, spans, a, gx, gy, spare):
+def _rise(height: F32, r: int, c: int, spans: I64, a: float, gx: float, gy: float, spare: float) -> float:
     """Largest rise of known ground in the disc above a plane; the first one above `spare` found ends the search."""
     rows, cols = height.shape
     reach = spans.size // 2
@@ -40,21 +46,37 @@ def _rise(height, r, c, spans, a, gx, gy, spare):
 
 
 @kernel
-def _belly(height, r, c, spans, plane, a, gx, gy, spare):
+def _belly(height: F32, r: int, c: int, spans: I64, plane: F64, a: float, gx: float, gy: float, spare: float) -> float:
     """Rise of the ground above a contact plane, or a bound below -`spare` where that settles it without a search.
 
     The ground lies within `plane[3]` of the footprint's own plane (level, x, y); the two planes part by no more than
     their difference at the centre plus that of their gradients times the reach.
     """
     reach = spans.size // 2
-    bound = plane[3] + (plane[0] - a) + math.hypot(plane[1] - gx, plane[2] - gy) * reach
+    bound: float = plane[3] + (plane[0] - a) + math.hypot(plane[1] - gx, plane[2] - gy) * reach
     if bound < spare:
         return bound
-    return _rise(height, r, c, spans, a, gx, gy, spare)
+    rise: float = _rise(height, r, c, spans, a, gx, gy, spare)
+    return rise
 
 
 @parallel_kernel
-def feet_contact(height, skip, level, grad_c, grad_r, largest, xy, offsets, starts, triples, spans, spare, tilt, rise):
+def feet_contact(
+    height: F32,
+    skip: B,
+    level: F32,
+    grad_c: F32,
+    grad_r: F32,
+    largest: F32,
+    xy: F64,
+    offsets: I64,
+    starts: I64,
+    triples: I64,
+    spans: I64,
+    spare: float,
+    tilt: F32,
+    rise: F32,
+) -> None:
     """Judge a lander that rests on feet, over every heading and every three of its feet (G4).
 
     Args:
@@ -102,7 +124,7 @@ def feet_contact(height, skip, level, grad_c, grad_r, largest, xy, offsets, star
 
 
 @kernel
-def rail_support(along, profile):
+def rail_support(along: F64, profile: F64) -> tuple[float, float]:
     """Rest one rail on its profile (G5): return (height over s = 0, slope) of the line that it settles on.
 
     Args:
@@ -135,7 +157,7 @@ def rail_support(along, profile):
 
 
 @kernel
-def _clear_over(along, profile, slope):
+def _clear_over(along: F64, profile: F64, slope: float) -> tuple[float, float]:
     """Lowest height over s = 0 of a rail of a given slope that stays on or above its profile, and where it touches."""
     top, at = -math.inf, 0.0
     for i in range(along.size):
@@ -146,7 +168,7 @@ def _clear_over(along, profile, slope):
 
 
 @kernel
-def _pitch_range(along, left, right, low, high):
+def _pitch_range(along: F64, left: F64, right: F64, low: float, high: float) -> tuple[float, float]:
     """Halve the range of the common pitch of both rails until it is a milliradian wide (G5).
 
     The height over the middle, f_l + f_r, is convex in the pitch with the gradient -(s_l + s_r) where the rails touch.
@@ -165,7 +187,7 @@ def _pitch_range(along, left, right, low, high):
 
 
 @kernel
-def _profile(height, r, c, offsets, first, out):
+def _profile(height: F32, r: int, c: int, offsets: I64, first: int, out: F64) -> bool:
     """Read a rail's profile; False if any cell is unknown or off the map."""
     rows, cols = height.shape
     for i in range(out.size):
@@ -177,7 +199,22 @@ def _profile(height, r, c, offsets, first, out):
 
 
 @parallel_kernel
-def skid_contact(height, skip, level, grad_c, grad_r, largest, axes, offsets, along, gauge, spans, spare, tilt, rise):
+def skid_contact(
+    height: F32,
+    skip: B,
+    level: F32,
+    grad_c: F32,
+    grad_r: F32,
+    largest: F32,
+    axes: F64,
+    offsets: I64,
+    along: F64,
+    gauge: float,
+    spans: I64,
+    spare: float,
+    tilt: F32,
+    rise: F32,
+) -> None:
     """Judge a lander that rests on two skids, over every heading (G5).
 
     Args:

@@ -7,12 +7,17 @@ Loops run over whole rows of cells, offset by offset, so that they vectorise; an
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.kernels.compiler import kernel, parallel_kernel, prange
 
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
 
 @parallel_kernel
-def row_sums(height, sums):
+def row_sums(height: F32, sums: F64) -> None:
     """Fill sums (6, R, C + 1) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2; k = 1 if known."""
     rows, cols = height.shape
     for r in prange(rows):
@@ -33,7 +38,9 @@ def row_sums(height, sums):
 
 
 @kernel
-def _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh):
+def _solve(
+    n: float, sx: float, sy: float, sxx: float, sxy: float, syy: float, sh: float, sxh: float, syh: float
+) -> tuple[float, float, float, float]:
     """Solve the plane of G1 from its sums about the centre.
 
     Returns:
@@ -51,7 +58,7 @@ def _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh):
 
 
 @parallel_kernel
-def fit_planes(sums, spans, count, level, grad_c, grad_r, squares):
+def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_r: F32, squares: F32) -> None:
     """Fit the least-squares plane of the footprint about every cell (G1).
 
     Args:
@@ -98,7 +105,7 @@ def fit_planes(sums, spans, count, level, grad_c, grad_r, squares):
 
 
 @kernel
-def _raise_to_deviation(top, line, base, grad, x):
+def _raise_to_deviation(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
     """Keep the larger of `top` and |line - plane|, cell by cell; slices without offsets vectorise (12 times faster)."""
     for c in range(top.size):
         d = abs(line[c] - base[c] - x * grad[c])
@@ -107,7 +114,7 @@ def _raise_to_deviation(top, line, base, grad, x):
 
 
 @kernel
-def _raise_to_rise(top, line, base, grad, x):
+def _raise_to_rise(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
     """Keep the larger of `top` and line - plane, cell by cell."""
     for c in range(top.size):
         e = line[c] - base[c] - x * grad[c]
@@ -116,7 +123,7 @@ def _raise_to_rise(top, line, base, grad, x):
 
 
 @parallel_kernel
-def deviations(height, level, grad_c, grad_r, spans, largest):
+def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, largest: F32) -> None:
     """Fill largest (R, C) with the largest |h - plane| in the footprint (G2); 0 where there is no plane."""
     rows, cols = height.shape
     reach = spans.size // 2
@@ -140,7 +147,7 @@ def deviations(height, level, grad_c, grad_r, spans, largest):
 
 
 @parallel_kernel
-def neighbour_steps(height, step):
+def neighbour_steps(height: F32, step: F32) -> None:
     """Fill step (R, C) with the largest |difference| to the four known neighbours; NaN where h is unknown."""
     rows, cols = height.shape
     for r in prange(rows):
@@ -159,7 +166,7 @@ def neighbour_steps(height, step):
 
 
 @parallel_kernel
-def highest_above(height, level, grad_c, grad_r, inner, outer, out):
+def highest_above(height: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32) -> None:
     """Fill out (R, C) with the largest rise above the plane in the ring between two discs; -inf if nothing is known.
 
     `inner` has the length of `outer`, -1 in rows that the inner disc does not reach.

@@ -3,12 +3,16 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.kernels.compiler import inline, kernel
 
+F64 = NDArray[np.float64]
+B = NDArray[np.bool_]
+
 
 @inline
-def _lowest_neighbour(water, r, c):
+def _lowest_neighbour(water: F64, r: int, c: int) -> float:
     rows, cols = water.shape
     low = math.inf
     for q in range(max(0, r - 1), min(rows, r + 2)):
@@ -19,7 +23,7 @@ def _lowest_neighbour(water, r, c):
 
 
 @kernel
-def fill_basins(surface, outlet, water):
+def fill_basins(surface: F64, outlet: B, water: F64) -> None:
     """Flood the surface from its outlets: morphological reconstruction by erosion (G13).
 
     Sweeps from opposite corners until nothing sinks any more; each cell ends at the lowest level from which its water
