@@ -1,0 +1,319 @@
+"""Parallax on synthetic views: heights, edges, what must not be trusted, the range. A parallax pixel is 0.5 m."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from ground_views import DOWN, UP, Scene, Texture, box, plane
+from numpy.testing import assert_allclose, assert_array_equal
+
+from alight.geometry import Grid, Pose, so3_exp
+from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
+from alight.parallax.ground import triangulate
+from alight.parallax.sweep import parallax_per_metre
+from alight.parallax.views import choose, prepare
+from alight.records import REFUSED, Flag, Heights, View
+from alight.settings import Parallax
+
+CELL = 0.2
+GRID = Grid(-5.9, 4.5, CELL, 46, 60)
+EAST, NORTH = np.meshgrid(*GRID.xy())
+SPACING, COUNT = 1.6, 6
+PX = CELL * UP / (SPACING * (COUNT - 1))  # metres of height that move the outermost views by one cell
+LOW, HIGH = -1.5, 2.5
+BOX = 2.5  # metres: five parallax pixels
+
+
+def scene(**changes: object) -> Scene:
+    return Scene(**({"spacing": SPACING} | changes))  # type: ignore[arg-type]
+
+
+@cache
+def level_views() -> tuple[View, ...]:
+    return tuple(scene().views(COUNT))
+
+
+@cache
+def noisy_views() -> tuple[View, ...]:
+    return tuple(scene(paint=Texture(1, contrast=12.0), noise=8.0, seed=1).views(COUNT))
+
+
+@cache
+def box_views() -> tuple[View, ...]:
+    return tuple(scene(surface=box(BOX), top=BOX + 0.2).views(COUNT))
+
+
+def heights(views: list[View] | tuple[View, ...], low: float = LOW, high: float = HIGH) -> Heights:
+    found = match(Images(list(views), CELL, 0.0), GRID, low, high, Parallax())
+    assert found is not None
+    return found
+
+
+def trusted(found: Heights) -> np.ndarray:
+    return np.isfinite(found.height) & ((found.flags & np.uint16(REFUSED)) == 0)
+
+
+def nmad(error: np.ndarray) -> float:
+    return float(1.4826 * np.median(np.abs(error - np.median(error))))
+
+
+# -- heights
+
+
+@pytest.mark.parametrize("ground", [plane(), plane(level=0.8), plane(0.1, -0.08)], ids=["level", "raised", "slanted"])
+def test_a_plane_is_found_to_a_twentieth_of_a_parallax_pixel(ground: object) -> None:
+    s = scene(surface=ground, top=1.5)
+    found = heights(s.views(COUNT))
+    error = found.height - s.surface(EAST, NORTH)
+    assert trusted(found).mean() > 0.98
+    assert abs(np.median(error)) < 0.01 * PX
+    assert nmad(error) < 0.05 * PX
+    assert np.percentile(np.abs(error), 95) < 0.12 * PX
+
+
+def test_a_box_is_found_and_its_walls_are_marked() -> None:
+    """Two cells from its walls heights are right again; nearer, STEP says so."""
+    found = heights(box_views(), high=4.0)
+    out = np.maximum(np.abs(EAST), np.abs(NORTH)) - 2.0  # metres outside the box
+    error = np.abs(found.height - np.where(out < 0, BOX, 0.0))
+    assert np.percentile(error[out < -0.8], 95) < 0.1 * PX
+    assert np.percentile(error[out > 1.2], 95) < 0.1 * PX
+    assert np.median(error[np.abs(out) < 0.8]) > np.median(error[out > 1.2])
+    step = (found.flags & Flag.STEP) != 0
+    assert step[(np.abs(out) < 0.8)].mean() > 0.4
+    assert not step[out > 2.0].any()
+
+
+def test_gain_and_offset_of_the_views_do_not_matter() -> None:
+    changed = heights(scene().views(COUNT, gains=(1.0, 0.6, 1.3), offsets=(0.0, 30.0, -40.0)))
+    same = heights(level_views())
+    assert trusted(changed).mean() > 0.98
+    assert nmad(changed.height) < 0.05 * PX
+    assert np.percentile(np.abs(changed.height - same.height), 95) < 0.06 * PX
+
+
+def test_the_same_views_give_the_same_bits() -> None:
+    a, b = heights(level_views()), heights(level_views())
+    for f in ("height", "sigma", "flags", "views", "rgb", "residual"):
+        assert getattr(a, f).tobytes() == getattr(b, f).tobytes()
+
+
+# -- what is not seen
+
+
+def seeing(grid: Grid, margin: float) -> np.ndarray:
+    """How many views have level ground in their picture, or within `margin` pixels of it."""
+    x, y = np.meshgrid(*grid.xy())
+    ground = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    count = np.zeros(grid.shape, int)
+    for v in level_views():
+        uv = v.camera.project(v.world_from_cam.inverse.apply(ground))
+        last = np.array([v.camera.width, v.camera.height]) - 1 + margin
+        count += ((uv >= -margin) & (uv <= last)).all(-1)
+    return count
+
+
+def test_what_no_two_views_see_stays_unknown() -> None:
+    """A grid that reaches far beyond the pictures: NaN and UNSEEN there, never filled from the neighbours."""
+    wide = Grid(-29.9, 4.5, CELL, 46, 300)
+    found = match(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, Parallax())
+    assert found is not None
+    count, about = seeing(wide, 0.0), seeing(wide, 2.0)
+    nobody = count == 0
+    assert nobody.mean() > 0.1
+    assert np.isnan(found.height[nobody]).all()
+    unseen = (found.flags & np.uint16(Flag.UNSEEN)) != 0
+    assert unseen[nobody].all()
+    assert_array_equal(found.views[nobody], 0)
+    assert np.isfinite(found.height[count >= 3]).mean() > 0.99
+    ok = trusted(found)
+    assert not ok[about < 2].any()  # at the very border the height decides whether a second view sees the cell
+    assert np.percentile(np.abs(found.height[ok]), 99) < PX
+    few = (found.flags & np.uint16(Flag.FEW)) != 0
+    assert few[(count == 2) & np.isfinite(found.height)].mean() > 0.8
+
+
+def test_views_that_do_not_see_the_grid_are_ignored() -> None:
+    v = list(level_views())
+    away = replace(v[0], world_from_cam=Pose(DOWN, np.array([400.0, 0.0, UP])))
+    up = replace(v[0], world_from_cam=Pose(np.eye(3), np.array([0.0, 0.0, UP])))
+    together = heights([away, *v, up])
+    assert together.height.tobytes() == heights(v).height.tobytes()
+    assert match(Images([away, up, v[0]], CELL, 0.0), GRID, LOW, HIGH, Parallax()) is None
+
+
+def test_views_are_chosen_for_their_baseline() -> None:
+    """Three of thirty: both ends and about the middle."""
+    first = level_views()[0]
+    views = [replace(first, world_from_cam=Pose(DOWN, np.array([0.2 * k - 3.0, 0.0, UP]))) for k in range(30)]
+    chosen = choose(views, GRID, 0.0, 3, 0.4)
+    x = np.array([views[k].centre[0] for k in chosen])
+    assert np.ptp(x) > 3.0
+    assert np.diff(x).min() > 1.0
+
+
+# -- what must not be trusted
+
+
+def test_ground_without_texture_is_not_trusted() -> None:
+    texture = Texture(1)
+    found = heights(scene(paint=lambda e, n, k: np.where(e > 0, 128.0, texture(e, n))).views(COUNT))
+    inside, outside = EAST > 1.0, EAST < -1.0
+    bad = (found.flags & np.uint16(Flag.TEXTURE | Flag.UNSURE)) != 0
+    assert bad[inside].mean() > 0.99
+    assert not trusted(found)[inside].any()
+    assert trusted(found)[outside].mean() > 0.95
+
+
+def test_ground_that_changes_in_every_view_is_not_trusted() -> None:
+    """As water without a bed: another texture in each view. Its heights are wrong, and not given out."""
+    still, waves = Texture(1), [Texture(100 + k) for k in range(COUNT)]
+    found = heights(scene(paint=lambda e, n, k: np.where(e > 0, waves[k](e, n), still(e, n))).views(COUNT))
+    inside, outside = EAST > 1.4, EAST < -1.4
+    assert np.median(np.abs(found.height[inside])) > 0.5 * PX  # the test is hard: what is found is wrong
+    assert trusted(found)[inside].mean() < 0.02
+    assert trusted(found)[outside].mean() > 0.95
+    assert np.median(found.residual[inside]) > 5 * np.median(found.residual[outside])
+
+
+def test_a_burnt_out_picture_is_not_trusted() -> None:
+    found = heights(scene().views(COUNT, offsets=(400.0,)))
+    assert not trusted(found).any()
+    assert ((found.flags & np.uint16(Flag.SATURATED)) != 0).all()
+
+
+def test_heights_at_the_end_of_the_range_are_marked() -> None:
+    """The ground lies at 0.8 m, outside what is searched."""
+    found = heights(scene(surface=plane(level=0.8), top=1.0).views(COUNT), low=-1.5, high=0.5)
+    assert not trusted(found).any()
+
+
+# -- sigma
+
+
+@pytest.mark.parametrize(("make", "largest"), [(level_views, 10), (noisy_views, 3)], ids=["quiet", "noisy"])
+def test_sigma_covers_the_error_and_is_not_merely_large(make: Callable[[], tuple[View, ...]], largest: float) -> None:
+    """It covers what it promises, and is never below 0.1 parallax pixels, which many views do not average away."""
+    found = heights(make())
+    ok = trusted(found)
+    assert ok.mean() > 0.9
+    error, sigma = found.height[ok], found.sigma[ok]
+    assert (np.abs(error) < sigma).mean() > 0.68
+    assert (np.abs(error) < 1.96 * sigma).mean() > 0.95
+    assert sigma.min() >= 0.099 * PX
+    assert np.median(sigma) < largest * nmad(error)
+
+
+def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
+    quiet = np.median(heights(level_views()).sigma)
+    noisy = np.median(heights(noisy_views()).sigma)
+    short = np.median(heights(level_views()[1:5]).sigma)  # three fifths of the baseline
+    assert noisy > 1.2 * quiet
+    assert short > 1.25 * quiet
+
+
+# -- one step at a time
+
+
+def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
+    """Flat ground from nothing, first look at the first baseline, every later keyframe starts from the map."""
+    s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
+    truth = s.surface(EAST, NORTH)
+    ring = Ring(Parallax(), CELL, 0.0)
+    height, sigma = (np.full(GRID.shape, np.nan, np.float32) for _ in range(2))
+    views = s.views(COUNT)
+    ring.push([views[0]])
+    assert ring.step(GRID, height, sigma, LOW, HIGH) is None  # one view sees no parallax
+    spread = []
+    for v in views[1:]:
+        ring.push([v])
+        found = ring.step(GRID, height, sigma, LOW, HIGH)
+        assert found is not None
+        height, sigma = found.height, found.sigma
+        spread.append(nmad(height - truth))
+    assert trusted(found).mean() > 0.95
+    assert spread[-1] < 0.5 * spread[0]
+    assert spread[-1] < 0.08 * PX
+    assert np.percentile(np.abs(height - truth), 95) < 0.25 * PX
+
+
+def test_the_ring_never_fills_what_it_does_not_see() -> None:
+    wide = Grid(-29.9, 4.5, CELL, 46, 300)
+    ring = Ring(Parallax(), CELL, 0.0)
+    for v in level_views():
+        ring.push([v])
+    nothing = np.full(wide.shape, np.nan, np.float32)
+    found = ring.step(wide, nothing, nothing, LOW, HIGH)
+    assert found is not None
+    assert np.isnan(found.height[:, :60]).all()
+    assert ((found.flags[:, :60] & np.uint16(Flag.UNSEEN)) != 0).all()
+
+
+# -- where the ground is
+
+
+def test_points_of_the_ground_and_the_range_to_search() -> None:
+    flat = find_points(level_views())
+    assert len(flat) > 300
+    assert np.percentile(np.abs(flat[:, 2]), 90) < 0.25
+    low, high = height_range(flat, UP)
+    assert -2.5 < low < -0.3
+    assert 0.3 < high < 3.0
+    stands = find_points(box_views())
+    assert height_range(stands, UP)[1] > BOX + 0.5
+    assert np.percentile(stands[:, 2], 98) == pytest.approx(BOX, abs=0.4)
+
+
+def test_the_range_of_a_place_is_that_of_its_own_points() -> None:
+    rng = np.random.default_rng(0)
+    here = np.c_[rng.uniform(-5, 5, (200, 2)), rng.normal(0, 0.05, 200)]
+    hill = here + np.array([100.0, 0.0, 15.0])
+    points = np.concatenate([here, hill])
+    assert height_range(points, 40.0)[1] > 15.0
+    assert height_range(points, 40.0, (0.0, 0.0, 10.0))[1] < 5.0
+    assert height_range(points, 40.0, (500.0, 0.0, 10.0)) == height_range(points, 40.0)  # nothing near: all
+
+
+def test_nothing_moves_nothing_is_found() -> None:
+    still = [replace(v, world_from_cam=level_views()[0].world_from_cam, image=level_views()[0].image)
+             for v in level_views()]  # fmt: skip
+    assert len(find_points(still)) == 0
+    blank = [replace(v, image=np.full_like(v.image, 100)) for v in level_views()]
+    assert len(find_points(blank)) == 0
+
+
+def test_triangulation_meets_points_and_sees_what_cannot_meet() -> None:
+    rng = np.random.default_rng(1)
+    X = rng.uniform([-5, -5, -1], [5, 5, 1], (20, 3))
+    a, b = np.array([-1.0, 0, 20.0]), np.array([1.0, 0.5, 19.0])
+    ra, rb = ((X - c) / np.linalg.norm(X - c, axis=1)[:, None] for c in (a, b))
+    points, angle, miss = triangulate(a, ra, b, rb)
+    assert_allclose(points, X, atol=1e-9)
+    assert_allclose(angle, np.arccos((ra * rb).sum(1)), rtol=5e-3)  # its sine: small angles
+    assert (miss < 1e-9).all()
+    assert np.isinf(triangulate(a, -ra, b, -rb)[2]).all()
+    skewed = rb + np.array([0.0, 0.05, 0.0])
+    aside = triangulate(a, ra, b, skewed / np.linalg.norm(skewed, axis=1)[:, None])[2]
+    assert np.median(aside) > 0.02
+
+
+def test_the_size_of_a_pixel_on_the_ground() -> None:
+    v = level_views()[0]
+    straight = replace(v, world_from_cam=Pose(DOWN, np.array([0.0, 0.0, UP])))
+    assert ground_sampling(straight, 0.0) == pytest.approx(UP / 150.0)
+    assert ground_sampling(straight, 5.0) == pytest.approx((UP - 5.0) / 150.0)
+    tilted = replace(v, world_from_cam=Pose(so3_exp([np.pi / 3, 0, 0]) @ DOWN, np.array([0.0, 0.0, UP])))
+    assert ground_sampling(tilted, 0.0) == pytest.approx(2 * UP / 150.0)
+
+
+def test_parallax_per_metre_is_the_widest_baseline_over_the_height() -> None:
+    views = [
+        replace(level_views()[0], world_from_cam=Pose(DOWN, np.array([x, y, UP]))) for x, y in [(0, 0), (3, 4), (1, 1)]
+    ]
+    ready = [prepare(v, CELL, 0.0) for v in views]
+    assert parallax_per_metre(ready, 0.0) == pytest.approx(5.0 / UP)
+    assert parallax_per_metre(ready, 10.0) == pytest.approx(5.0 / (UP - 10.0))
