@@ -184,7 +184,8 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 
 
 SLOW = """
-import time
+import signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background start with it ignored
 from alight import cli, replay
 from some_run import some_run
 def find(source, out, *_):

@@ -1,1 +1,1 @@
-"""Every compiled loop. Kernels take and fill bare C-contiguous arrays and scalars; each has a NumPy twin in the tests."""
+"""Every compiled loop. Kernels take and fill bare C-contiguous arrays and scalars; the tests have a twin of each."""

@@ -1,7 +1,7 @@
 """Edges: beside a height step a window takes the stronger texture of both sides, and walls come out too wide.
 
-Each cell near a step is asked again, in small windows, whether it lies at its own height, at the lowest or at the highest
-height nearby. On real photos a sixth of the cells that walls had swallowed came back.
+Each cell near a step is asked again, in small windows, whether it lies at its own height, at the lowest or at the
+highest height nearby. On real photos a sixth of the cells that walls had swallowed came back.
 """
 
 from __future__ import annotations

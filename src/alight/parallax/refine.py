@@ -1,4 +1,4 @@
-"""Gauss-Newton on the world grid: sub-pixel heights from the gradient of the fused template (docs/method.md, eqs. 8-12)."""
+"""Gauss-Newton on the world grid: sub-pixel heights from the fused template's gradient (docs/method.md, eqs. 8-12)."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def metres_per_pixel(prepared: list[Prepared], height: F32, grid: Grid) -> F32:
     centres = centres_of(prepared)
     spread = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=2).max()
     drop = np.maximum(centres[:, 2].mean() - np.nan_to_num(height, nan=float(np.nanmedian(height))), 1e-2)
-    return (grid.cell * drop / max(spread, 1e-6)).astype(np.float32)
+    return np.asarray(grid.cell * drop / max(spread, 1e-6), dtype=np.float32)
 
 
 def visible_from(prepared: list[Prepared], grid: Grid, height: F32, margin: float) -> NDArray[np.bool_]:
@@ -72,12 +72,8 @@ def gauss_newton(
     `hidden` (N, R, C) leaves views out where the map stands in their way.
     """
     shape, xs_ys = grid.shape, grid.xy()
-    fit = Fit(
-        height.copy(),
-        *(np.zeros(shape, np.float32) for _ in range(3)),
-        np.zeros(shape, np.uint8),
-        np.zeros(shape, np.uint8),
-    )
+    a, b, c = (np.zeros(shape, np.float32) for _ in range(3))
+    fit = Fit(height.copy(), a, b, c, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8))
     lam, eta, s2, texture, step = (np.zeros(shape, np.float32) for _ in range(5))
     weights = np.empty((len(prepared), *shape), np.float32)
     centres = centres_of(prepared)

@@ -35,11 +35,11 @@ def planes(prepared: list[Prepared], low: float, high: float, cell: float) -> F3
 def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float) -> tuple[F32, F32]:
     """Find the height of every cell among `levels` (docs/method.md, eqs. 6 and 7).
 
-    Cells that two views would not see if they lay at `ground` (metres) are left out: at the border of what is seen, only
-    a wrong height brings them into a second image.
+    Cells that two views would not see if they lay at `ground` (metres) are left out: at the border of what is seen,
+    only a wrong height brings them into a second image.
 
     Returns:
-        heights (R, C), NaN where fewer than two views see, and best/second cost (R, C), near 1 where a second height fits.
+        heights (R, C), NaN where fewer than two views see, and best/second cost (R, C), near 1 where a second one fits.
     """
     rows, cols = grid.shape
     cost = np.empty((rows, cols, len(levels)), np.float32)

@@ -109,7 +109,7 @@ def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tan
     """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
 
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
-    are already in. Views flatter than `max_tangent` (horizontal over vertical distance) are used where nothing else sees.
+    are already in. Views flatter than `max_tangent` (horizontal over vertical distance) serve where nothing else sees.
     """
     xs, ys = grid.xy()
     px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))

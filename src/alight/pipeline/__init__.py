@@ -1,4 +1,4 @@
-"""The core: events in, a landing decision out. No file, clock or thread: replay, simulation and flight run the same code."""
+"""The core: events in, a landing decision out. No file, clock or thread: replay and flight run the same code."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Pipeline:
 
     Args:
         rig: the cameras.
-        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment), unless the settings say otherwise.
+        kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may say otherwise.
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
     """

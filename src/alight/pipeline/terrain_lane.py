@@ -45,9 +45,10 @@ def core(heights: Heights, margin: int) -> Heights:
 
 
 def footprint(view: View, height: float) -> NDArray[np.float64]:
-    """Where the image's border meets level ground at `height`, (N, 2) east and north; rays flatter than 75 degrees end there."""
+    """Where the image's border meets level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
     w, h = view.camera.width - 1.0, view.camera.height - 1.0
-    rays = view.camera.rays([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
+    border = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
+    rays = view.camera.rays(border)
     rays = rays @ view.world_from_cam.rotation.T
     down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
@@ -65,7 +66,7 @@ class TerrainLane:
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
 
     def learn(self, views: Sequence[View]) -> bool:
-        """Find where the ground is and how fine the map shall be; False, with the reason, when nothing can be measured."""
+        """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured."""
         down = looking_down(views)
         if len(down) < 2:
             self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
@@ -114,7 +115,7 @@ class TerrainLane:
         return done
 
     def step(self, views: Sequence[View]) -> bool:
-        """Recursive parallax: take one keyframe into the ring and improve the map under it; False while there is no baseline."""
+        """Recursive parallax: take a keyframe into the ring and improve the map; False without a baseline yet."""
         if self.elevation is None or self.ground is None:
             return False
         if self._ring is None:
