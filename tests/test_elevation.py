@@ -1,0 +1,244 @@
+"""The elevation map: one raster for everything, the more trusted height wins, nothing is lost when tiles are packed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from alight.elevation import FIELDS, Elevation, cropped
+from alight.geometry import Grid
+from alight.records import REFUSED, Flag, Heights
+
+CELL, SIDE = 0.25, 16
+SPAN = CELL * SIDE
+
+
+def aligned(col: int, row: int, rows: int, cols: int) -> Grid:
+    """The grid whose first cell is cell (row, col) of the world, rows counted north."""
+    return Grid((col + 0.5) * CELL, (row + 0.5) * CELL, CELL, rows, cols)
+
+
+def heights(grid: Grid, seed: int = 0, **changes: Any) -> Heights:
+    """Heights that are all different, all seen and trusted, unless `changes` say otherwise."""
+    rng = np.random.default_rng(seed)
+    shape = grid.shape
+    fields: dict[str, Any] = {
+        "height": rng.normal(0, 2, shape).astype(np.float32),
+        "sigma": rng.uniform(0.02, 0.1, shape).astype(np.float32),
+        "flags": np.zeros(shape, np.uint16),
+        "views": rng.integers(2, 12, shape, dtype=np.uint8),
+        "rgb": rng.integers(0, 255, (*shape, 3), dtype=np.uint8),
+        "residual": rng.uniform(0, 1, shape).astype(np.float32),
+    }
+    for k, v in changes.items():
+        fields[k] = np.broadcast_to(np.asarray(v, FIELDS[k][0]), fields[k].shape).copy()
+    return Heights(grid, **fields)
+
+
+def same(a: Any, b: Any) -> None:
+    """All fields of two maps, bit for bit."""
+    for k in FIELDS:
+        assert_array_equal(getattr(a, k), getattr(b, k), err_msg=k)
+
+
+def one(height: float, sigma: float, flags: int = 0) -> Heights:
+    return heights(aligned(3, 3, 1, 1), height=height, sigma=sigma, flags=flags)
+
+
+def fused(*steps: Heights) -> float:
+    e = Elevation(CELL, SIDE)
+    for h in steps:
+        e.add(h)
+    return float(e.read(steps[0].grid).height[0, 0])
+
+
+# -- the raster
+
+index = st.integers(-70, 70)
+size = st.integers(1, 40)
+
+
+@given(index, index, size, size)
+@settings(derandomize=True, database=None, deadline=None, max_examples=40)
+def test_what_is_added_anywhere_is_read_back(col: int, row: int, rows: int, cols: int) -> None:
+    """Over tile borders, on both sides of the origin."""
+    e = Elevation(CELL, SIDE)
+    h = heights(aligned(col, row, rows, cols))
+    e.add(h)
+    same(e.read(h.grid), h)
+    snapshot = e.snapshot()
+    assert snapshot is not None
+    assert snapshot.grid == h.grid
+    same(snapshot, h)
+
+
+@given(index, index)
+@settings(derandomize=True, database=None, deadline=None, max_examples=20)
+def test_tiles_meet_without_gap_or_overlap(row: int, col: int) -> None:
+    e = Elevation(CELL, SIDE)
+    xs, ys = e.tile_grid((row, col)).xy()
+    assert_allclose(e.tile_grid((row, col + 1)).xy()[0][0] - xs[-1], CELL)
+    assert_allclose(ys[-1] - e.tile_grid((row - 1, col)).xy()[1][0], CELL)
+    assert_allclose([xs[0], ys[-1]], [col * SPAN + CELL / 2, row * SPAN + CELL / 2])
+    wide = e.tile_grid((row, col), margin=3)
+    assert wide.shape == (SIDE + 6, SIDE + 6)
+    assert_allclose(wide.xy()[0][3:-3], xs)
+    assert_allclose(wide.xy()[1][3:-3], ys)
+
+
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-7.3, 2.2), (-0.1, -0.1), (12.9, -30.4)])
+def test_a_window_covers_its_rectangle_with_whole_cells(at: tuple[float, float]) -> None:
+    e = Elevation(CELL, SIDE)
+    east, north = (at[0], at[0] + 3.1), (at[1], at[1] + 1.7)
+    grid = e.window(east, north)
+    xs, ys = grid.xy()
+    for centres in (xs, ys):
+        assert_allclose(centres / CELL - 0.5, np.round(centres / CELL - 0.5), atol=1e-9)
+    half = CELL / 2
+    assert xs[0] - half <= east[0] < xs[0] + half
+    assert xs[-1] - half <= east[1] < xs[-1] + half
+    assert ys[-1] - half <= north[0] < ys[-1] + half
+    assert ys[0] - half <= north[1] < ys[0] + half
+
+
+def test_cover_names_every_tile_a_rectangle_touches() -> None:
+    e = Elevation(CELL, SIDE)
+    assert list(e.cover((-0.1, 0.1), (-0.1, 0.1))) == [(-1, -1), (-1, 0), (0, -1), (0, 0)]
+    assert list(e.cover((0.1, SPAN - 0.1), (SPAN + 0.1, SPAN + 0.2))) == [(1, 0)]
+
+
+def test_what_was_never_seen_reads_as_unknown() -> None:
+    got = Elevation(CELL, SIDE).read(aligned(-5, 5, 9, 9))
+    assert np.isnan(got.height).all()
+    assert np.isnan(got.sigma).all()
+    assert (got.flags == np.uint16(Flag.UNSEEN)).all()
+    assert (got.views == 0).all()
+    assert not got.trusted.any()
+
+
+# -- which height stays
+
+
+@pytest.mark.parametrize("flag", [f for f in Flag if f & REFUSED and f != Flag.UNSEEN])
+def test_trusted_comes_before_refused_in_any_order(flag: Flag) -> None:
+    good, bad = one(1.0, 0.5), one(2.0, 0.01, int(flag))
+    assert fused(good, bad) == fused(bad, good) == 1.0
+
+
+@pytest.mark.parametrize("flags", [0, int(Flag.MOVING), int(Flag.STEP | Flag.FEW)])
+def test_among_equals_the_smaller_sigma_stays(flags: int) -> None:
+    fine, coarse = one(1.0, 0.02, flags), one(2.0, 0.03, flags)
+    assert fused(fine, coarse) == fused(coarse, fine) == 1.0
+
+
+def test_a_note_is_no_reason() -> None:
+    """STEP and FEW do not make a height refused, so that the smaller sigma decides."""
+    assert fused(one(1.0, 0.05), one(2.0, 0.02, int(Flag.STEP | Flag.FEW))) == 2.0
+
+
+def test_unseen_takes_nothing_away_and_gives_nothing() -> None:
+    nothing = one(np.nan, np.nan, int(Flag.UNSEEN))
+    assert fused(one(1.0, 0.5, int(Flag.MOVING)), nothing) == 1.0
+    assert fused(nothing, one(1.0, 0.5, int(Flag.MOVING))) == 1.0
+    e = Elevation(CELL, SIDE)
+    e.add(one(1.0, 0.5))
+    e.add(nothing, replace_all=True)
+    assert e.read(nothing.grid).height[0, 0] == 1.0
+
+
+def test_the_first_stays_where_nothing_tells_them_apart() -> None:
+    assert fused(one(1.0, 0.02), one(2.0, 0.02)) == 1.0
+
+
+def test_all_fields_of_a_cell_come_from_one_step() -> None:
+    grid = aligned(-9, 20, 30, 30)
+    a, b = heights(grid, 1), heights(grid, 2)
+    e = Elevation(CELL, SIDE)
+    e.add(a)
+    e.add(b)
+    got, first = e.read(grid), a.sigma <= b.sigma
+    for k in FIELDS:
+        where = first[..., None] if k == "rgb" else first
+        assert_array_equal(getattr(got, k), np.where(where, getattr(a, k), getattr(b, k)), err_msg=k)
+    assert 0.3 < first.mean() < 0.7
+
+
+def test_the_ring_writes_over_what_was_there() -> None:
+    e = Elevation(CELL, SIDE)
+    e.add(one(1.0, 0.01))
+    e.add(one(2.0, 0.50, int(Flag.MOVING)), replace_all=True)
+    assert e.read(aligned(3, 3, 1, 1)).height[0, 0] == 2.0
+
+
+# -- rolling
+
+
+def test_rolling_packs_and_unpacks_without_loss() -> None:
+    grid = aligned(-50, 60, 100, 120)
+    rough = heights(grid, flags=np.random.default_rng(1).integers(0, 1024, grid.shape))
+    rolled, still = Elevation(CELL, SIDE), Elevation(CELL, SIDE)
+    for e in (rolled, still):
+        e.add(rough)
+    rolled.roll((0.0, 0.0), 5.0)
+    assert 0 < len(rolled._near) < len(still._near)  # some are packed, those near the vehicle are not
+    same(rolled.read(grid), still.read(grid))
+    rolled.roll((1e4, 1e4), 5.0)
+    assert not rolled._near
+    assert len(rolled._far) == len(still._near)
+    same(rolled.read(grid), still.read(grid))
+    a, b = rolled.snapshot(), still.snapshot()
+    assert a is not None
+    assert b is not None
+    assert a.grid == b.grid
+    same(a, b)
+
+
+def test_a_packed_tile_takes_new_heights() -> None:
+    grid = aligned(0, 10, 8, 8)
+    old, new = heights(grid, 1, sigma=0.5), heights(grid, 2, sigma=0.1)
+    e = Elevation(CELL, SIDE)
+    e.add(old)
+    e.roll((1e3, 0.0), 1.0)
+    e.add(new)
+    same(e.read(grid), new)
+    assert not e._far  # one truth: a tile is near or packed, never both
+
+
+def test_a_reading_is_a_copy() -> None:
+    e = Elevation(CELL, SIDE)
+    h = heights(aligned(0, 10, 4, 4))
+    e.add(h)
+    e.read(h.grid).height[:] = 99.0
+    same(e.read(h.grid), h)
+
+
+# -- snapshots
+
+
+def test_a_snapshot_is_cropped_to_what_was_seen() -> None:
+    e = Elevation(CELL, SIDE)
+    grid = aligned(-20, 33, 40, 50)
+    flags = np.full(grid.shape, np.uint16(Flag.UNSEEN))
+    flags[7:19, 11:30] = 0
+    flags[18, 11:29] = np.uint16(Flag.UNSEEN | Flag.STEP)
+    e.add(heights(grid, flags=flags))
+    got = e.snapshot()
+    assert got is not None
+    assert got.grid == grid.window(7, 11, 12, 19)
+    assert got.height.flags.c_contiguous
+    seen = flags[7:19, 11:30] == 0
+    assert np.isfinite(got.height[seen]).all()
+    assert np.isnan(got.height[~seen]).all()
+
+
+def test_nothing_seen_is_no_snapshot() -> None:
+    e = Elevation(CELL, SIDE)
+    assert e.snapshot() is None
+    e.add(heights(aligned(0, 0, 3, 3), flags=int(Flag.UNSEEN)))
+    assert e.snapshot() is None
+    assert cropped(e.read(aligned(0, 0, 3, 3))) is None
