@@ -50,6 +50,7 @@ def replay(
         InputError: nothing in the recording can be used.
     """
     pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter)
+    log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
     for event in source.events():
         pipeline.feed(event)
@@ -58,7 +59,10 @@ def replay(
             tell("reading", frames / max(source.length, 1))
     if not frames:
         raise InputError(f"{source.name}: not one image could be read; {' '.join(source.warnings[:2])}")
-    return result_of(source, settings, pipeline.finish(tell), pipeline.timings)
+    decision = pipeline.finish(tell)
+    for stage, seconds in pipeline.timings.items():
+        log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
+    return result_of(source, settings, decision, pipeline.timings)
 
 
 def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str, list[float]]) -> RunResult:

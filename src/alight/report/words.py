@@ -109,6 +109,8 @@ def value(thing: object) -> str:
         return ", ".join(f"{k}: {value(v)}" for k, v in thing.items())
     if isinstance(thing, (list, tuple, np.ndarray)):
         return ", ".join(value(v) for v in thing)
+    if isinstance(thing, bool):
+        return "yes" if thing else "no"
     if isinstance(thing, (float, np.floating)):
         return f"{float(thing):.4g}" if abs(float(thing)) < 1000 else f"{float(thing):.1f}"
     return str(thing)
