@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from alight import hazards, route, sites, terrain
+from alight.geometry import Grid
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
 from alight.pipeline.terrain_lane import TerrainLane, footprint, looking_down
@@ -126,20 +127,22 @@ class Pipeline:
         return views_of(self._store.frames, self._motions, self._navigation.rig)
 
     def _make_room(self) -> None:
-        """Match the tiles that only the older half of the store sees, then forget that half: memory is bounded."""
+        """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
+
+        Tiles that the newer half sees as well are matched again later, and the better height of each cell stays.
+        """
         half = len(self._store.frames) // 2
-        newer = views_of(self._store.frames[half:], self._motions, self._navigation.rig)
-        if self._terrain.ground is not None or self._terrain.learn(self._views()):
-            ground = self._terrain.ground or 0.0
-            ahead = np.concatenate([footprint(v, ground) for v in looking_down(newer)] or [np.full((1, 2), np.inf)])
-            low, high = ahead.min(axis=0), ahead.max(axis=0)
+        older = looking_down(views_of(self._store.frames[:half], self._motions, self._navigation.rig))
+        self._terrain.learn(self._views())
+        if self._terrain.ground is not None and older:
+            behind = np.concatenate([footprint(v, self._terrain.ground) for v in older])
+            low, high = behind.min(axis=0), behind.max(axis=0)
 
-            def left(grid: Any) -> bool:
+            def leaving(grid: Grid) -> bool:
                 e, n = grid.xy()
-                return bool(e[-1] < low[0] or e[0] > high[0] or n[0] < low[1] or n[-1] > high[1])
+                return bool(e[-1] >= low[0] and e[0] <= high[0] and n[0] >= low[1] and n[-1] <= high[1])
 
-            self._terrain.learn(self._views())
-            self._terrain.build(self._views(), lambda _: None, left)
+            self._terrain.build(self._views(), lambda _: None, leaving)
         self._store.drop_oldest(half)
         log.info("frame store full: the older half was mapped and forgotten")
 

@@ -94,9 +94,9 @@ class TerrainLane:
 
     def build(self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True) -> int:
         """Match all tiles under `views` for which `only` holds; return how many."""
-        if self.elevation is None or self.ground is None:
-            return 0
         views = looking_down(views)
+        if self.elevation is None or self.ground is None or not views:
+            return 0
         images = Images(views, self.elevation.cell, self.ground)
         corners = np.concatenate([footprint(v, self.ground) for v in views])
         camera = float(np.median([v.centre[2] for v in views]))
