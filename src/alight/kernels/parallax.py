@@ -4,14 +4,20 @@ Equation numbers are those of docs/method.md. Sample stacks are (N, R, C) float3
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.kernels.compiler import inline, kernel, parallel_kernel, prange
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+B = NDArray[np.bool_]
 
 OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
 
 
 @kernel
-def _pinhole_row(p, b, step, h, mapx, mapy):
+def _pinhole_row(p: F64, b: F64, step: F64, h: F32, mapx: F32, mapy: F32) -> None:
     for c in range(h.size):
         z = p[2] + c * step[2] + h[c] * b[2]
         mapx[c] = (p[0] + c * step[0] + h[c] * b[0]) / z
@@ -19,7 +25,7 @@ def _pinhole_row(p, b, step, h, mapx, mapy):
 
 
 @kernel
-def _radtan_row(k, mapx, mapy):
+def _radtan_row(k: F64, mapx: F32, mapy: F32) -> None:
     for c in range(mapx.size):
         x, y = np.float64(mapx[c]), np.float64(mapy[c])
         r2 = x * x + y * y
@@ -30,7 +36,7 @@ def _radtan_row(k, mapx, mapy):
 
 
 @kernel
-def _equidistant_row(k, mapx, mapy):
+def _equidistant_row(k: F64, mapx: F32, mapy: F32) -> None:
     for c in range(mapx.size):
         x, y = np.float64(mapx[c]), np.float64(mapy[c])
         r = max(np.sqrt(x * x + y * y), 1e-9)
@@ -42,7 +48,7 @@ def _equidistant_row(k, mapx, mapy):
 
 
 @kernel
-def _pixel_row(intrinsics, width, height, seen, mapx, mapy):
+def _pixel_row(intrinsics: F64, width: int, height: int, seen: B, mapx: F32, mapy: F32) -> None:
     fu, fv, cu, cv = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     for c in range(mapx.size):
         u, v = fu * mapx[c] + cu, fv * mapy[c] + cv
@@ -52,7 +58,21 @@ def _pixel_row(intrinsics, width, height, seen, mapx, mapy):
 
 
 @parallel_kernel
-def project(H, b, intrinsics, k, model, r2_max, width, height, xs, ys, h, mapx, mapy):
+def project(
+    H: F64,
+    b: F64,
+    intrinsics: F64,
+    k: F64,
+    model: int,
+    r2_max: float,
+    width: int,
+    height: int,
+    xs: F64,
+    ys: F64,
+    h: F32,
+    mapx: F32,
+    mapy: F32,
+) -> None:
     """Fill `mapx`, `mapy` with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3).
 
     Row by row in short loops without branches, which the compiler turns into vector code: 8 times faster than one loop.
@@ -75,7 +95,7 @@ def project(H, b, intrinsics, k, model, r2_max, width, height, xs, ys, h, mapx, 
 
 
 @inline
-def _sort(a, n):
+def _sort(a: F32, n: int) -> None:
     for i in range(1, n):
         x = a[i]
         j = i - 1
@@ -86,7 +106,7 @@ def _sort(a, n):
 
 
 @parallel_kernel
-def sweep_cost(samples, keep, truncation, cost, count):
+def sweep_cost(samples: F32, keep: float, truncation: float, cost: F32, count: U8) -> None:
     """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
 
     Occluded and moving views are the largest deviations; leaving them out is what keeps walls upright.
@@ -119,7 +139,7 @@ def sweep_cost(samples, keep, truncation, cost, count):
 
 
 @kernel
-def _path(cost, image, p1, p2, edge, dr, dc, total):
+def _path(cost: F32, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int, total: F32) -> None:
     """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) over `cost` (R, C, D) to `total`."""
     rows, cols, depth = cost.shape
     previous = np.empty((2, cols, depth), np.float32)
@@ -154,7 +174,7 @@ def _path(cost, image, p1, p2, edge, dr, dc, total):
 
 
 @kernel
-def aggregate(cost, image, p1, p2, edge, total):
+def aggregate(cost: F32, image: F32, p1: float, p2: float, edge: float, total: F32) -> None:
     """Fill `total` (R, C, D) with the sum of eight scanline optimisations of `cost` (eq. 7)."""
     total[:] = 0.0
     for dr in range(-1, 2):
@@ -164,7 +184,7 @@ def aggregate(cost, image, p1, p2, edge, total):
 
 
 @parallel_kernel
-def winner(total, cost, count, height, ratio):
+def winner(total: F32, cost: F32, count: U8, height: F32, ratio: F32) -> None:
     """Per cell: the best plane with sub-plane parabola (as a fractional index) and best/second cost; NaN if unseen."""
     rows, cols, depth = total.shape
     for r in prange(rows):
@@ -199,8 +219,8 @@ def winner(total, cost, count, height, ratio):
 
 
 @parallel_kernel
-def template(samples, weights, tau, mean, used):
-    """Fill `weights` (N, R, C) and the robust mean m of the samples (eq. 8): Huber, nothing beyond 4 tau of the median."""
+def template(samples: F32, weights: F32, tau: float, mean: F32, used: U8) -> None:
+    """Fill `weights` (N, R, C) and the samples' robust mean m (eq. 8): Huber, nothing beyond 4 tau of the median."""
     n, rows, cols = samples.shape
     for r in prange(rows):
         a = np.empty(n, np.float32)
@@ -235,7 +255,20 @@ def template(samples, weights, tau, mean, used):
 
 
 @parallel_kernel
-def normal_equations(samples, weights, mean, centres, xs, ys, h, cell, lam, eta, s2, texture):
+def normal_equations(
+    samples: F32,
+    weights: F32,
+    mean: F32,
+    centres: F64,
+    xs: F64,
+    ys: F64,
+    h: F32,
+    cell: float,
+    lam: F32,
+    eta: F32,
+    s2: F32,
+    texture: F32,
+) -> None:
     """Fill Lambda, eta (eqs. 9, 10) and the residual variance of every cell from the template's gradient.
 
     q_i = grad m . (v_i - vbar), v_i = ((X, Y) - C_i,xy) / (C_i,z - h): how far view i's sample slides over the ground a
@@ -283,7 +316,9 @@ def normal_equations(samples, weights, mean, centres, xs, ys, h, cell, lam, eta,
 
 
 @parallel_kernel
-def solve(lam, eta, s2, h, radius, spread, limit, step, precision, noise):
+def solve(
+    lam: F32, eta: F32, s2: F32, h: F32, radius: int, spread: F32, limit: F32, step: F32, precision: F32, noise: F32
+) -> None:
     """Window the normal equations over (2 radius + 1)^2 cells of like height, fill the step (eq. 11).
 
     Neighbours count by 1 / (1 + (dh / spread)^2): a window that straddles a height step takes its own side.
@@ -319,11 +354,11 @@ def solve(lam, eta, s2, h, radius, spread, limit, step, precision, noise):
 
 
 @parallel_kernel
-def plane_prior(h, precision, noise, spread, strength, radius, out):
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, radius: int, out: F32) -> None:
     """Pull each height towards the robust local plane of its neighbours (eq. 12); what is unseen stays NaN and unused.
 
-    Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull is
-    `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
+    Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull
+    is `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
     """
     rows, cols = h.shape
     for r in prange(rows):
@@ -378,7 +413,7 @@ def plane_prior(h, precision, noise, spread, strength, radius, out):
 
 
 @parallel_kernel
-def visibility(h, top, centres, xs, ys, cell, margin, visible):
+def visibility(h: F32, top: float, centres: F64, xs: F64, ys: F64, cell: float, margin: float, visible: U8) -> None:
     """Fill `visible` (N, R, C) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
 
     `top` is the highest height of the map: the march ends once the ray is above it. `margin` (metres) is forgiven.
