@@ -1,0 +1,253 @@
+"""The core from events to a decision, on a tiny simulated flight with true poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from alight.geometry import Camera, Pose
+from alight.pipeline import Decision, Pipeline
+from alight.pipeline.terrain_lane import nice_cell
+from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, NavSample, Rig, RigCamera
+from alight.settings import Settings, load
+from alight.simulate import SimulatedFlight, default_rig, fly
+
+LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
+FORWARD = Pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # optical axis along the nose
+
+
+def one_camera(body_from_cam: Pose | None = None) -> Rig:
+    return Rig((RigCamera("cam0", LENS, body_from_cam or default_rig().cameras[0].body_from_cam),))
+
+
+@cache
+def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
+    """40 m over the demo's meadow, 15 m above it, 41 frames of 160 x 120."""
+    f = fly("demo", 1, 8.0, rig=one_camera(), rate_hz=5.0, height=15.0)
+    return f, tuple(e for e in f.events() if not isinstance(e, ImuSample))
+
+
+def settings_of(*assignments: str) -> Settings:
+    return load("", ["parallax.cell=0.25", "elevation.tile=64", *assignments])
+
+
+@dataclass(frozen=True)
+class Run:
+    """A decision and how it came about."""
+
+    decision: Decision
+    most_bytes: int  # of pixels that were held at a time
+    given: list[Motion | None]  # what `feed` returned for each exposure
+
+
+def run(settings: Settings, events: tuple[Event, ...] | None = None, rig: Rig | None = None) -> Run:
+    f, all_events = flight()
+    p = Pipeline(rig or f.rig, "flight", settings, f.truth_trajectory)
+    most, given = 0, []
+    for e in events or all_events:
+        motion = p.feed(e)
+        if isinstance(e, Frame):
+            given.append(motion)
+        most = max(most, p._store.bytes)
+    return Run(p.finish(), most, given)
+
+
+@cache
+def batch() -> Run:
+    return run(settings_of())
+
+
+def errors(elevation: ElevationMap) -> np.ndarray:
+    """Found less true height of every cell; NaN where nothing was found or the world ends."""
+    f, _ = flight()
+    x, y = np.meshgrid(*elevation.grid.xy())
+    g = f.world.grid
+    row, col = (np.round(k).astype(int) for k in g.index(x, y))
+    inside = (row >= 0) & (row < g.rows) & (col >= 0) & (col < g.cols)
+    truth = np.where(inside, f.world.height[row.clip(0, g.rows - 1), col.clip(0, g.cols - 1)], np.nan)
+    return np.asarray(elevation.height - truth)
+
+
+def trusted_of(d: Decision) -> ElevationMap:
+    assert d.elevation is not None
+    return d.elevation
+
+
+def with_frames(**changes: object) -> tuple[Event, ...]:
+    """The flight with every frame changed."""
+    return tuple(replace(e, **changes) if isinstance(e, Frame) else e for e in flight()[1])  # type: ignore[arg-type]
+
+
+# -- the whole way
+
+
+@pytest.mark.parametrize("method", ["batch", "ring"])
+def test_heights_are_right(method: str) -> None:
+    """Half a percent of the height above ground, with 160 x 120 pixels."""
+    d = batch().decision if method == "batch" else run(settings_of("parallax.method=ring")).decision
+    m = trusted_of(d)
+    error = errors(m)[m.trusted]
+    error = error[np.isfinite(error)]
+    assert len(error) > 5000
+    assert abs(np.median(error)) < 0.03
+    assert np.median(np.abs(error)) < 0.005 * 15.0
+    assert np.percentile(np.abs(error), 95) < 0.3
+    assert d.height_above_ground == pytest.approx(15.0, abs=0.7)
+    assert d.hazards is not None
+    assert d.terrain is not None
+    assert len(d.motions) == flight()[0].length
+
+
+def test_a_site_is_found_and_a_way_to_it() -> None:
+    d = batch().decision
+    best = d.sites.sites[0]
+    f, _ = flight()
+    assert abs(f.world.height_at(best.east, best.north) - best.up) < 0.15
+    assert d.route is not None
+    assert np.allclose(d.route.waypoints[-1].position_world[:2], [best.east, best.north])
+
+
+def test_the_map_lies_on_its_raster_and_uses_the_cell_asked_for() -> None:
+    g = trusted_of(batch().decision).grid
+    assert g.cell == 0.25
+    assert (g.east / g.cell - 0.5) % 1.0 == pytest.approx(0.0, abs=1e-6)
+    assert (g.north / g.cell - 0.5) % 1.0 == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_same_events_give_the_same_bits() -> None:
+    again = run(settings_of()).decision
+    a, b = trusted_of(batch().decision), trusted_of(again)
+    assert a.grid == b.grid
+    for f in ("height", "sigma", "flags", "views", "rgb", "residual"):
+        assert getattr(a, f).tobytes() == getattr(b, f).tobytes(), f
+    assert again.sites == batch().decision.sites
+
+
+def test_motion_is_given_out_as_it_becomes_known() -> None:
+    f, _ = flight()
+    given = batch().given
+    assert [m.t_ns for m in given if m] == f.frame_times.tolist()
+    assert given[7] is not None
+    assert np.allclose(given[7].world_from_body.matrix, f.pose(int(f.frame_times[7])).matrix)
+
+
+def test_what_is_too_vague_is_refused() -> None:
+    d = run(settings_of("elevation.max_sigma=0.04")).decision
+    m = trusted_of(d)
+    assert not m.trusted[m.sigma > 0.04].any()
+    assert ((m.flags[m.sigma > 0.04] & np.uint16(Flag.UNSURE)) != 0).all()
+    assert m.trusted.sum() < trusted_of(batch().decision).trusted.sum()
+
+
+# -- memory
+
+
+def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
+    """Ten frames fit: the older half is mapped before it is forgotten, tiles that both halves see included."""
+    frame = 160 * 120 * 3
+    s = settings_of()
+    small = s.model_copy(update={"parallax": s.parallax.model_copy(update={"store_mb": 10 * frame / 1e6})})
+    bounded = run(small)
+    assert batch().most_bytes > 20 * frame
+    assert bounded.most_bytes <= 11 * frame
+    a, b = trusted_of(batch().decision), trusted_of(bounded.decision)
+    assert b.trusted.sum() > 0.95 * a.trusted.sum()
+    r, c = round((a.grid.north - b.grid.north) / 0.25), round((b.grid.east - a.grid.east) / 0.25)
+    rows = slice(max(0, r), min(a.grid.rows + r, b.grid.rows))  # rows of b that a has as well
+    cols = slice(max(0, -c), min(a.grid.cols - c, b.grid.cols))
+    part = np.s_[rows.start - r : rows.stop - r, cols.start + c : cols.stop + c]
+    both = b.trusted[rows, cols] & a.trusted[part]
+    assert both.sum() > 0.85 * a.trusted.sum()
+    apart = np.abs(b.height[rows, cols] - a.height[part])[both]
+    assert np.median(apart) < 0.05
+    assert np.percentile(apart, 95) < 0.3
+    error = errors(b)[b.trusted]
+    assert np.nanmedian(np.abs(error)) < 0.005 * 15.0
+
+
+# -- reasons
+
+
+def test_no_navigation_no_site() -> None:
+    """Frames alone: the filter has nothing to start from, and says so."""
+    f, events = flight()
+    p = Pipeline(f.rig, "flight", settings_of())
+    for e in events:
+        if isinstance(e, Frame):
+            assert p.feed(e) is None
+    d = p.finish()
+    assert not d.sites.sites
+    assert "no motion" in d.sites.reason
+    assert "nav0" in d.sites.reason
+    assert d.elevation is None
+
+
+def test_nothing_at_all_is_a_reason_too() -> None:
+    d = Pipeline(one_camera(), "flight", settings_of()).finish()
+    assert not d.sites.sites
+    assert "no motion" in d.sites.reason
+
+
+def test_a_camera_that_looks_ahead_finds_nothing() -> None:
+    d = run(settings_of(), rig=one_camera(FORWARD)).decision
+    assert not d.sites.sites
+    assert "no camera looks down" in d.sites.reason
+
+
+def test_a_blank_picture_shows_no_parallax() -> None:
+    d = run(settings_of(), with_frames(images=(np.full((120, 160, 3), 90, np.uint8),))).decision
+    assert not d.sites.sites
+    assert "no parallax" in d.sites.reason
+
+
+def test_an_aircraft_that_stands_still_shows_no_parallax() -> None:
+    f, events = flight()
+    frames = [e for e in events if isinstance(e, Frame)]
+    still = (f.frame_times, [f.pose(int(f.frame_times[0]))] * f.length)
+    p = Pipeline(f.rig, "flight", settings_of(), still)
+    for e in frames:
+        p.feed(replace(e, images=frames[0].images))
+    d = p.finish()
+    assert not d.sites.sites
+    assert "no" in d.sites.reason
+
+
+def test_frames_without_a_picture_or_a_pose_are_left_out() -> None:
+    """Every third image is missing, and the poses end early; the rest is mapped, with a warning."""
+    f, events = flight()
+    times, poses = f.truth_trajectory
+    last = f.frame_times[30]
+    early = times <= last
+    p = Pipeline(f.rig, "flight", settings_of(), (times[early], [q for q, e in zip(poses, early, strict=True) if e]))
+    n = 0
+    for e in events:
+        if isinstance(e, Frame):
+            n += 1
+            e = replace(e, images=(None,)) if n % 3 == 0 else e
+        p.feed(e)
+    d = p.finish()
+    assert trusted_of(d).trusted.sum() > 4000
+    assert len(d.motions) == 31
+    assert [w for w in d.warnings if "none for 10 exposures" in w]
+
+
+def test_given_poses_replace_what_navigation_says() -> None:
+    """True poses are used as they are: navigation samples far off change nothing."""
+    wrong = tuple(
+        replace(e, position_world=np.asarray(e.position_world) + 500.0) if isinstance(e, NavSample) else e
+        for e in flight()[1]
+    )
+    assert trusted_of(run(settings_of(), wrong).decision).height.tobytes() == trusted_of(
+        batch().decision
+    ).height.tobytes()  # fmt: skip
+
+
+# -- the cell
+
+
+@pytest.mark.parametrize(("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.55, 1.0)])
+def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
+    assert nice_cell(sampling) == cell
