@@ -87,20 +87,12 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     if not np.isfinite(start).any():
         return None
     fine = [images.get(i, coarse=False) for i in chosen]
-    return _finish(
-        [images.views[i] for i in chosen], fine, grid, start, enlarge(ratio, grid, COARSE, smooth=False), low, high
-    )
-
-
-def _finish(
-    views: list[View], fine: list[Prepared], grid: Grid, start: F32, ratio: F32, low: float, high: float
-) -> Heights:
     per_px = refine.metres_per_pixel(fine, start, grid)
     start = sharpen(fine, grid, start, per_px)
-    hidden = ~refine.visible_from(fine, grid, start, 2.0 * float(np.nanmedian(per_px)))
+    hidden = refine.hidden_from(fine, grid, start, per_px)
     fit = refine.gauss_newton(fine, grid, start, hidden, ITERATIONS)
-    disagreement = _disagreement(fine, grid, fit.height, hidden)
-    return judged(views, fine, grid, fit, ratio, disagreement, hidden, (low, high))
+    ambiguity = enlarge(ratio, grid, COARSE, smooth=False)
+    return judged([images.views[i] for i in chosen], fine, grid, fit, ambiguity, hidden, (low, high))
 
 
 def judged(
@@ -109,25 +101,17 @@ def judged(
     grid: Grid,
     fit: refine.Fit,
     ratio: F32,
-    disagreement: F32,
     hidden: NDArray[np.bool_],
     searched: tuple[float, float],
 ) -> Heights:
     """Put sigma, flags and colour to a fit."""
     per_px = refine.metres_per_pixel(fine, fit.height, grid)
     contrast, grey = trust.photometry(fine, grid, fit.height)
-    seen = trust.Evidence(ratio, disagreement, contrast, grey, *searched)
+    seen = trust.Evidence(ratio, contrast, grey, *searched)
     sigma = trust.sigma(fit, per_px, grid.cell)
     flags = trust.flags(fit, seen, sigma, per_px)
     rgb = colour(views, fine, grid, fit.height, hidden)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))
-
-
-def _disagreement(fine: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_]) -> F32:
-    """Metres between the heights that the even and the odd views give on their own."""
-    halves = [refine.gauss_newton(fine[k::2], grid, height, hidden[k::2], 2) for k in (0, 1)]
-    known = (halves[0].used >= 2) & (halves[1].used >= 2)
-    return np.where(known, np.abs(halves[0].height - halves[1].height), 0).astype(np.float32)
 
 
 def colour(views: list[View], fine: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_]) -> U8:

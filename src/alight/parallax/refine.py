@@ -15,6 +15,7 @@ from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
 RADIUS = 2  # cells: 5x5 windows
+HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
 PRIOR = (
     1600.0  # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they
@@ -48,15 +49,21 @@ def metres_per_pixel(prepared: list[Prepared], height: F32, grid: Grid) -> F32:
     return np.asarray(grid.cell * drop / max(spread, 1e-6), dtype=np.float32)
 
 
-def visible_from(prepared: list[Prepared], grid: Grid, height: F32, margin: float) -> NDArray[np.bool_]:
-    """(N, R, C): the ray from each cell to each camera clears the map by `-margin` (eq. 13)."""
+def hidden_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.bool_]:
+    """(N, R, C): the map stands between the cell and the camera (eq. 13).
+
+    Single spikes hide nothing. Where the map hides a cell from all cameras but one, the map is wrong, and no view is
+    left out.
+    """
     out = np.empty((len(prepared), *grid.shape), np.uint8)
     xs, ys = grid.xy()
-    top = np.float32(np.nanmax(height)) if np.isfinite(height).any() else np.float32(0)
-    filled = cv2.medianBlur(np.nan_to_num(height, nan=-1e4).astype(np.float32), 3)
-    filled[filled < -9e3] = np.nan
-    kernels.visibility(filled, top, centres_of(prepared), xs, ys, grid.cell, np.float32(margin), out)
-    return out.astype(bool)
+    solid = cv2.medianBlur(np.nan_to_num(height, nan=-1e4).astype(np.float32), 5)
+    solid[solid < -9e3] = np.nan
+    margin = np.float32(HIDE_PX * np.nanmedian(metres_per_px))
+    kernels.visibility(solid, np.float32(np.nanmax(height)), centres_of(prepared), xs, ys, grid.cell, margin, out)
+    hidden = out == 0
+    hidden[:, (out.sum(axis=0) < 2)] = False
+    return hidden
 
 
 def gauss_newton(

@@ -62,11 +62,10 @@ class Ring:
         if not np.isfinite(start).any():
             return None
         per_px = refine.metres_per_pixel(fine, start, grid)
-        hidden = ~refine.visible_from(fine, grid, start, 2.0 * float(np.nanmedian(per_px)))
+        hidden = refine.hidden_from(fine, grid, start, per_px)
         fit = refine.gauss_newton(fine, grid, start, hidden, STEPS)
         self._ratio = (grid, ratio)
-        quiet = np.zeros(grid.shape, np.float32)
-        new = judged([v for v, _, _ in views], fine, grid, fit, ratio, quiet, hidden, (low, high))
+        new = judged([v for v, _, _ in views], fine, grid, fit, ratio, hidden, (low, high))
         return fused(new, before, sigma, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:

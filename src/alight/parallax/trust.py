@@ -18,19 +18,18 @@ from alight.parallax.views import Prepared, maps, sample
 from alight.records import F32, U16, Flag
 
 MIN_CONTRAST = 1.2  # grey levels: less is noise
-MAX_RESIDUAL = 0.7  # share of the samples' variance that the views do not have in common
-MAX_COST_RATIO = 0.97  # best over second-best sweep cost, mean over the neighbourhood: one cell alone means little
+MAX_RESIDUAL = 0.8  # share of the samples' variance that the views do not have in common
+MAX_COST_RATIO = 0.995  # best over second-best sweep cost, mean over the neighbourhood
 FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
 FLOOR_CELL = 0.3  # cells: a window is no point
 ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
-DISAGREEMENT_PX = 1.5  # parallax pixels between disjoint sets of views
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 5  # reach of the window over a step
 MAX_DOUBT = 0.2  # probability of a wrong match that is still given out
 
 # Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means the
 # same for any camera and height. Fitted by bench/doubt.py on simulated flights only; it holds on real photos unchanged.
-DOUBT = {"ambiguity": 1.16, "residual": 1.36, "sigma": 1.06, "drop": 0.15, "rise": 0.27, "one": 0.62}
+DOUBT = {"ambiguity": 1.21, "residual": 1.13, "sigma": 1.26, "drop": 0.07, "rise": 0.33, "one": 0.18}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,6 @@ class Evidence:
     """What is known of each cell beside the fit; all (R, C)."""
 
     cost_ratio: F32  # best over second-best sweep cost
-    difference: F32  # metres between the heights of two disjoint sets of views
     contrast: F32  # grey levels, local sd seen by the median view
     grey: F32  # mean grey level of the views
     low: float  # metres, lowest searched height
@@ -89,7 +87,7 @@ def _near(values: F32) -> F32:
     return np.asarray(cv2.blur(np.nan_to_num(values, nan=1.0).astype(np.float32), (9, 9)), dtype=np.float32)
 
 
-def evidence(fit: Fit, cost_ratio: F32, sigma_: F32, metres_per_px: F32) -> dict[str, F32]:
+def evidence(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> dict[str, F32]:
     """What speaks for a wrong match, each (R, C) and without unit: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost nearby; residual: share of the variance that the views do not share, nearby;
@@ -99,7 +97,7 @@ def evidence(fit: Fit, cost_ratio: F32, sigma_: F32, metres_per_px: F32) -> dict
     height = _filled(fit.height)
     sigma_px = np.minimum(np.nan_to_num(sigma_ / metres_per_px, nan=5.0), 5.0)
     return {
-        "ambiguity": np.clip(_near(cost_ratio), 1e-2, 1.0),
+        "ambiguity": np.clip(_near(seen.cost_ratio), 1e-2, 1.0),
         "residual": np.clip(_near(residual_share(fit)), 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
         "drop": np.clip((height - cv2.erode(height, _disc(5))) / metres_per_px, 5e-2, 50.0),
@@ -133,15 +131,15 @@ def flags(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> U16:
     def mark(where: NDArray[np.bool_], flag: Flag) -> None:
         out[where] |= np.uint16(flag)
 
-    terms = evidence(fit, seen.cost_ratio, sigma_, metres_per_px)
+    terms = evidence(fit, seen, sigma_, metres_per_px)
     edge = 0.01 * (seen.high - seen.low)
-    mark(~np.isfinite(fit.height) | (fit.used < 2) | (fit.precision <= 0), Flag.UNSEEN)
+    mark(~np.isfinite(fit.height) | (fit.seen < 2), Flag.UNSEEN)
+    mark((fit.used < 2) | (fit.precision <= 0), Flag.INCONSISTENT)
     mark(fit.seen < 3, Flag.FEW)
     mark(seen.contrast < MIN_CONTRAST, Flag.TEXTURE)
     mark(residual_share(fit) > MAX_RESIDUAL, Flag.MOVING)
     mark(terms["ambiguity"] > MAX_COST_RATIO, Flag.AMBIGUOUS)
     mark((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
-    mark(seen.difference > np.maximum(DISAGREEMENT_PX * metres_per_px, 4.0 * sigma_), Flag.INCONSISTENT)
     mark((fit.height < seen.low + edge) | (fit.height > seen.high - edge), Flag.RANGE)
     mark(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
     mark(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
