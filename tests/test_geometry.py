@@ -33,7 +33,9 @@ number = st.floats(-1.0, 1.0, allow_subnormal=False)
 vector = st.tuples(number, number, number).map(np.array)
 axis = vector.filter(lambda v: np.linalg.norm(v) > 1e-3).map(lambda v: v / np.linalg.norm(v))
 # from nothing to half a turn, with both ends where formulas break
-angle = st.one_of(st.floats(0.0, np.pi), st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 0.999e-6, 1.001e-6, 1e-3, np.pi]))
+angle = st.one_of(
+    st.floats(0.0, np.pi), st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 0.999e-6, 1.001e-6, 1e-3, 0.03, np.pi])
+)
 near_pi = st.floats(1e-12, 1e-3).map(lambda e: np.pi - e)
 rotation = st.tuples(axis, angle).map(lambda p: so3_exp(p[0] * p[1]))
 pose = st.tuples(rotation, vector).map(lambda p: Pose(p[0], 100 * p[1]))
