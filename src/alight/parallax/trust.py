@@ -29,7 +29,7 @@ MAX_DOUBT = 0.2  # probability of a wrong match that is still given out
 
 # Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means the
 # same for any camera and height. Fitted by bench/doubt.py on simulated flights only; it holds on real photos unchanged.
-DOUBT = {"ambiguity": 1.21, "residual": 1.13, "sigma": 1.26, "drop": 0.07, "rise": 0.33, "one": 0.18}
+DOUBT = {"ambiguity": 1.2, "residual": 1.12, "sigma": 1.26, "drop": 0.07, "rise": 0.34, "one": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
