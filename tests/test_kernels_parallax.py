@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
 from alight.kernels import parallax as kernels
+from alight.kernels import surface
 from alight.parallax.views import radius2_limit
 
 N, ROWS, COLS, DEPTH = 6, 17, 19, 12
@@ -103,7 +104,7 @@ def solve_input(h: np.ndarray) -> tuple[np.ndarray, ...]:
 def run_prior(h: np.ndarray, args: tuple[np.ndarray, ...] | None = None) -> tuple[np.ndarray, ...]:
     out = np.full(h.shape, -9, np.float32)
     args = args or (positive(6, 200.0, zeros=0.3), positive(7, 0.05), positive(8, 0.05))
-    kernels.plane_prior(h, *args, np.float32(100.0), 3, out)
+    surface.plane_prior(h, *args, np.float32(100.0), 3, out)
     return (out,)
 
 
@@ -111,7 +112,7 @@ def run_visibility(h: np.ndarray, margin: float = 0.02) -> tuple[np.ndarray, ...
     low = CENTRES * [1, 1, 0.2]  # four metres up: walls hide something
     out = np.full((N, *h.shape), 9, np.uint8)
     top = np.float32(np.nanmax(h)) if np.isfinite(h).any() else np.float32(0)
-    kernels.visibility(h, top, low, XS, YS, CELL, np.float32(margin), out)
+    surface.visibility(h, top, low, XS, YS, CELL, np.float32(margin), out)
     return (out,)
 
 
@@ -360,5 +361,6 @@ def test_the_number_of_threads_changes_no_bit(name: str, threads: Callable[[int]
 
 
 def test_every_kernel_is_tested_here() -> None:
-    public = {n for n in vars(kernels) if hasattr(getattr(kernels, n), "py_func") and not n.startswith("_")}
+    made = {**vars(kernels), **vars(surface)}
+    public = {n for n, k in made.items() if hasattr(k, "py_func") and not n.startswith("_")}
     assert public - {"prange"} == set(CALLS)

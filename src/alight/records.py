@@ -157,7 +157,7 @@ class Flag(IntFlag):
     SATURATED = 8  # the pixels are at an end of their range
     MOVING = 16  # the views disagree although the geometry fits: water, swaying plants, moving shadow
     STEP = 32  # within a window of a height step: the height may be that of the neighbour
-    INCONSISTENT = 64  # disjoint subsets of the views give different heights
+    INCONSISTENT = 64  # fewer than two of the views that see the cell agree on what is there
     RANGE = 128  # the height is at an end of the searched range
     UNSURE = 256  # the evidence together makes a wrong match likely
     FEW = 512  # seen by two views only: a note, not a reason

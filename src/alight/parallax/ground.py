@@ -48,8 +48,8 @@ def triangulate(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F
     """Meet rays (N, 3) from two centres half way between their nearest points.
 
     Returns:
-        points (N, 3), the angle between the rays (N,) rad, and the miss as an angle seen from the cameras (N,) rad; the
-        miss is infinite where the rays meet behind a camera.
+        points (N, 3), the sine of the angle between the rays (N,), and the miss as an angle seen from the cameras
+        (N,) rad, infinite where the rays meet behind a camera.
     """
     base = cb - ca
     dot = (rays_a * rays_b).sum(1)

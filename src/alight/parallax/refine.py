@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.kernels import parallax as kernels
+from alight.kernels import surface
 from alight.parallax.views import Prepared, stack
 from alight.records import F32, F64
 
@@ -60,10 +61,8 @@ def hidden_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px
     solid = cv2.medianBlur(np.nan_to_num(height, nan=-1e4).astype(np.float32), 5)
     solid[solid < -9e3] = np.nan
     margin = np.float32(HIDE_PX * np.nanmedian(metres_per_px))
-    kernels.visibility(solid, np.float32(np.nanmax(height)), centres_of(prepared), xs, ys, grid.cell, margin, out)
-    hidden = out == 0
-    hidden[:, (out.sum(axis=0) < 2)] = False
-    return hidden
+    surface.visibility(solid, np.float32(np.nanmax(height)), centres_of(prepared), xs, ys, grid.cell, margin, out)
+    return np.asarray((out == 0) & (out.sum(axis=0) >= 2))
 
 
 def gauss_newton(
@@ -99,5 +98,5 @@ def gauss_newton(
         if last:
             break
         moved = fit.height + step
-        kernels.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_RADIUS, fit.height)
+        surface.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_RADIUS, fit.height)
     return fit

@@ -1,8 +1,8 @@
 """Recursive parallax: a ring of keyframes, one step for each new one, heights carried from step to step.
 
 The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
-sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. Cells that are
-seen for the first time get a sweep of their own; the others start from the map.
+sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. Cells that
+are seen for the first time get a sweep of their own; the others start from the map.
 """
 
 from __future__ import annotations

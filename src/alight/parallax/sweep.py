@@ -26,7 +26,7 @@ def parallax_per_metre(prepared: list[Prepared], height: float) -> float:
 
 
 def planes(prepared: list[Prepared], low: float, high: float, cell: float) -> F32:
-    """The heights to try: one cell of parallax apart between the outermost views, at most `MOST_PLANES`."""
+    """The heights to try: 0.7 cells of parallax apart between the outermost views, at most `MOST_PLANES`."""
     slide = max(parallax_per_metre(prepared, 0.5 * (low + high)), 1e-3)
     count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, MOST_PLANES))
     return np.linspace(low, high, count).astype(np.float32)

@@ -1,7 +1,7 @@
 """How far a height can be trusted: sigma, and the flags that override it (docs/method.md, section 4).
 
-Sigma says how well a surface fits; whether it is the right surface needs its own evidence: texture, the second-best cost,
-the agreement of disjoint sets of views, neighbours, steps.
+Sigma says how well a surface fits; whether it is the right surface needs its own evidence: texture, the second-best
+cost, what the views do not share, neighbours, steps.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ FLOOR_CELL = 0.3  # cells: a window is no point
 ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 5  # reach of the window over a step
-MAX_DOUBT = 0.2  # probability of a wrong match that is still given out
+MAX_DOUBT = 0.25  # probability of a wrong match that is still given out
 
-# Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means the
-# same for any camera and height. Fitted by bench/doubt.py on simulated flights only; it holds on real photos unchanged.
+# Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means
+# the same for any camera and height. Fitted by bench/doubt.py on simulated flights; it holds on real photos unchanged.
 DOUBT = {"ambiguity": 1.2, "residual": 1.12, "sigma": 1.26, "drop": 0.07, "rise": 0.34, "one": 0.14}
 
 
@@ -37,7 +37,7 @@ class Evidence:
     """What is known of each cell beside the fit; all (R, C)."""
 
     cost_ratio: F32  # best over second-best sweep cost
-    contrast: F32  # grey levels, local sd seen by the median view
+    contrast: F32  # grey levels, largest local sd that a view saw
     grey: F32  # mean grey level of the views
     low: float  # metres, lowest searched height
     high: float
@@ -66,7 +66,7 @@ def roughness(height: F32) -> F32:
 
 
 def sigma(fit: Fit, metres_per_px: F32, cell: float) -> F32:
-    """1-sigma of each height relative to the map (eq. 14): fit, a floor in parallax pixels and cells, local roughness."""
+    """1-sigma of each height relative to the map (eq. 14): fit, a floor in pixels and cells, local roughness."""
     with np.errstate(divide="ignore", invalid="ignore"):
         fitted = 2.0 * fit.noise / fit.precision
     floor = (FLOOR_PX * metres_per_px) ** 2 + (FLOOR_CELL * cell) ** 2
@@ -121,7 +121,7 @@ def photometry(prepared: list[Prepared], grid: Grid, height: F32) -> tuple[F32, 
         contrast = np.fmax(contrast, sample(p.contrast, mx, my))
         total += np.where(seen, np.nan_to_num(sample(p.grey, mx, my)), 0)
         count += seen
-    return contrast, total / np.maximum(count, 1)
+    return contrast, np.asarray(total / np.maximum(count, 1), dtype=np.float32)
 
 
 def flags(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> U16:
