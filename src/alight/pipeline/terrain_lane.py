@@ -17,6 +17,7 @@ from alight.settings import Settings
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
 LEAST_POINTS = 20
+NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 CELL_OVER_PIXEL = 1.8
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
@@ -110,6 +111,7 @@ class TerrainLane:
                 heights = match(images, grid, *self._range(grid, camera), self.settings.parallax)
                 if heights is not None:
                     self.elevation.add(core(heights, MARGIN))
+                    self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
                     done += 1
             progress((n + 1) / len(keys))
         return done
