@@ -18,7 +18,7 @@ from alight.parallax.views import Prepared, maps, sample
 from alight.records import F32, U16, Flag
 
 MIN_CONTRAST = 1.2  # grey levels: less is noise
-MAX_RESIDUAL = 0.8  # share of the samples' variance that the views do not have in common
+MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
 FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
 FLOOR_CELL = 0.3  # cells: a window is no point
@@ -137,7 +137,7 @@ def flags(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> U16:
     mark((fit.used < 2) | (fit.precision <= 0), Flag.INCONSISTENT)
     mark(fit.seen < 3, Flag.FEW)
     mark(seen.contrast < MIN_CONTRAST, Flag.TEXTURE)
-    mark(residual_share(fit) > MAX_RESIDUAL, Flag.MOVING)
+    mark(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
     mark(_near(seen.cost_ratio) > MAX_COST_RATIO, Flag.AMBIGUOUS)
     mark((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
     mark((fit.height < seen.low + edge) | (fit.height > seen.high - edge), Flag.RANGE)
