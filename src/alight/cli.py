@@ -109,7 +109,9 @@ def _place(result: RunResult) -> str:
 
 def _answer(result: RunResult) -> None:
     """The answer in one line on stdout, the warnings on stderr."""
-    for w in result.warnings:
+    from alight.report import warnings
+
+    for w in warnings(result):
         _complain(f"warning: {w}", "yellow")
     if not result.sites.sites:
         _say(f"NO SITE  {result.sites.reason}")

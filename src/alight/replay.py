@@ -1,4 +1,4 @@
-"""Run the whole way over a recording: a source in, a folder of results out."""
+"""Run the whole way over a recording: a source in, everything that was found out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alight.records import InputError, RunResult
 from alight.settings import Settings
 from alight.sources import Source, open_source, read_tum
 
-__all__ = ["find", "given_poses", "replay", "run", "write_run"]
+__all__ = ["find", "given_poses", "replay", "write_run"]
 
 log = logging.getLogger(__name__)
 
@@ -82,7 +82,7 @@ def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str
         height_above_ground=d.height_above_ground,
         counts=source.counts,
         notes={**source.notes, **d.notes},
-        warnings=[*source.warnings, *d.warnings, *(d.route.warnings if d.route else ())],
+        warnings=[*source.warnings, *d.warnings],
         timings=timings,
     )
 
@@ -103,21 +103,3 @@ def find(
     source = open_source(path, settings)
     prepare(out, overwrite)
     return replay(source, settings, poses, tell)
-
-
-def run(
-    path: Path,
-    out: Path,
-    settings: Settings,
-    poses: str | None = None,
-    overwrite: bool = False,
-    tell: Tell = lambda stage, share: None,
-) -> RunResult:
-    """Find a landing site in a flight log or a folder of photos and write what was found to `out`.
-
-    Raises:
-        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
-    """
-    result = find(path, out, settings, poses, overwrite, tell)
-    write_run(result, out, overwrite)
-    return result

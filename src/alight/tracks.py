@@ -81,7 +81,7 @@ class Tracker:
     """Follows features through the exposures of a rig; `feed` gives one `Tracks` an exposure."""
 
     def __init__(self, rig: Rig, settings: TracksSettings) -> None:
-        self._rig, self._settings = rig, settings
+        self._settings = settings
         self._cameras = [c.camera for c in rig.cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]

@@ -46,15 +46,6 @@ class State:
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
 
 
-@dataclass(frozen=True, eq=False)
-class System:
-    """Normal equations, points already split off."""
-
-    S: F64  # (p, p) without points: 6 a photo (position, rotation), then free lens numbers, then mounting
-    b: F64  # (p,)
-    cost: float
-
-
 def lens_camera(prior: Camera, lens: F64) -> Camera:
     """Return the prior camera moved by lens offsets (k,) (eq. 3)."""
     s, a, du, dv = lens[:4]

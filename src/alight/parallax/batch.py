@@ -106,23 +106,31 @@ def judged(
 ) -> Heights:
     """Put sigma, flags and colour to a fit."""
     per_px = refine.metres_per_pixel(fine, fit.height, grid)
-    contrast, grey = trust.photometry(fine, grid, fit.height)
+    placed = [maps(p, grid, fit.height) for p in fine]
+    contrast, grey = trust.photometry(fine, placed)
     seen = trust.Evidence(ratio, contrast, grey, *searched)
     sigma = trust.sigma(fit, per_px, grid.cell)
     flags = trust.flags(fit, seen, sigma, per_px)
-    rgb = colour(views, fine, grid, fit.height, hidden)
+    rgb = colour(views, fine, grid, placed, np.isfinite(fit.height), hidden)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))
 
 
-def colour(views: list[View], fine: list[Prepared], grid: Grid, height: F32, hidden: NDArray[np.bool_]) -> U8:
-    """What the steepest view that sees each cell saw, (R, C, 3)."""
+def colour(
+    views: list[View],
+    fine: list[Prepared],
+    grid: Grid,
+    placed: list[tuple[F32, F32]],
+    wanted: NDArray[np.bool_],
+    hidden: NDArray[np.bool_],
+) -> U8:
+    """What the steepest view that sees each wanted cell saw, (R, C, 3); `placed` are the maps of `fine`."""
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
-    left = np.isfinite(height)
+    left = wanted.copy()
     order = np.argsort([np.hypot(v.centre[0] - xs.mean(), v.centre[1] - ys.mean()) for v in views])
     for strict in (True, False):
         for i in order:
-            mx, my = maps(fine[i], grid, height)
+            mx, my = placed[i]
             ok = left & (mx >= 0) & ~(hidden[i] & strict)
             if ok.any():
                 scale = views[i].camera.width / fine[i].camera.width

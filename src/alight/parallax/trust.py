@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid
 from alight.parallax.refine import Fit
-from alight.parallax.views import Prepared, maps, sample
+from alight.parallax.views import Prepared, sample
 from alight.records import F32, U16, Flag
 
 MIN_CONTRAST = 1.2  # grey levels: less is noise
@@ -57,8 +56,8 @@ def residual_share(fit: Fit) -> F32:
 
 
 def roughness(height: F32) -> F32:
-    """Deviation of each height from its 3x3 median-smoothed neighbourhood, metres."""
-    filled = np.nan_to_num(height, nan=float(np.nanmedian(height)) if np.isfinite(height).any() else 0.0)
+    """Rms deviation from the smoothed heights over 5x5 cells, metres."""
+    filled = _filled(height)
     return np.asarray(
         np.sqrt(np.maximum(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5)), 0)),
         dtype=np.float32,
@@ -72,10 +71,6 @@ def sigma(fit: Fit, metres_per_px: F32, cell: float) -> F32:
     floor = (FLOOR_PX * metres_per_px) ** 2 + (FLOOR_CELL * cell) ** 2
     total = fitted + floor + (ROUGH_SHARE * roughness(fit.height)) ** 2
     return np.asarray(np.where(np.isfinite(total), np.sqrt(total), np.nan), dtype=np.float32)
-
-
-def _disc(reach: int) -> NDArray[np.uint8]:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)), dtype=np.uint8)
 
 
 def _filled(height: F32) -> F32:
@@ -95,13 +90,14 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> dict[
     (the high side of a step is where windows smear).
     """
     height = _filled(fit.height)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * STEP_CELLS + 1, 2 * STEP_CELLS + 1))
     sigma_px = np.minimum(np.nan_to_num(sigma_ / metres_per_px, nan=5.0), 5.0)
     return {
         "ambiguity": np.clip(_near(seen.cost_ratio), 1e-2, 1.0),
         "residual": np.clip(_near(residual_share(fit)), 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
-        "drop": np.clip((height - cv2.erode(height, _disc(5))) / metres_per_px, 5e-2, 50.0),
-        "rise": np.clip((cv2.dilate(height, _disc(5)) - height) / metres_per_px, 5e-2, 50.0),
+        "drop": np.clip((height - cv2.erode(height, disc)) / metres_per_px, 5e-2, 50.0),
+        "rise": np.clip((cv2.dilate(height, disc) - height) / metres_per_px, 5e-2, 50.0),
     }
 
 
@@ -111,12 +107,10 @@ def doubt(terms: dict[str, F32]) -> F32:
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
-def photometry(prepared: list[Prepared], grid: Grid, height: F32) -> tuple[F32, F32]:
-    """Largest local contrast and mean grey level of the views on the grid, grey levels."""
-    contrast, total = np.zeros(grid.shape, np.float32), np.zeros(grid.shape, np.float32)
-    count = np.zeros(grid.shape, np.float32)
-    for p in prepared:
-        mx, my = maps(p, grid, height)
+def photometry(prepared: list[Prepared], placed: list[tuple[F32, F32]]) -> tuple[F32, F32]:
+    """Largest local contrast and mean grey level of the views, sampled at their maps `placed`, grey levels."""
+    contrast, total, count = (np.zeros(placed[0][0].shape, np.float32) for _ in range(3))
+    for p, (mx, my) in zip(prepared, placed, strict=True):
         seen = mx >= 0
         contrast = np.fmax(contrast, sample(p.contrast, mx, my))
         total += np.where(seen, np.nan_to_num(sample(p.grey, mx, my)), 0)

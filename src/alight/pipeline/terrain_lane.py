@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.elevation import Elevation
+from alight.elevation import FIELDS, Elevation
 from alight.geometry import Grid
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
 from alight.records import F64, ElevationMap, Flag, Heights, View
@@ -40,9 +40,8 @@ def looking_down(views: Sequence[View]) -> list[View]:
 def core(heights: Heights, margin: int) -> Heights:
     """The heights without their margin."""
     inner = slice(margin, -margin)
-    fields = ("height", "sigma", "flags", "views", "rgb", "residual")
     grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
-    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in fields})
+    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})
 
 
 def footprint(view: View, height: float) -> NDArray[np.float64]:

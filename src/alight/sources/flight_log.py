@@ -16,7 +16,7 @@ from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
-from alight.sources.source import Findings
+from alight.sources.source import Findings, Recording
 from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_truth
 from alight.sources.tables import read_names
 
@@ -28,7 +28,7 @@ IMU_NOISE = (
 )
 
 
-class FlightLog:
+class FlightLog(Recording):
     """One flight on disk.
 
     Raises:
@@ -55,14 +55,6 @@ class FlightLog:
         self.length = len(self._exposures)
         self.truth_trajectory = read_truth(self._root, self._findings)
         self._note()
-
-    @property
-    def counts(self) -> dict[str, int]:
-        return {**self._findings.counts, "exposures": self.length}
-
-    @property
-    def warnings(self) -> list[str]:
-        return self._findings.warnings
 
     def events(self) -> Iterator[Event]:
         streams: list[Iterator[Event]] = [

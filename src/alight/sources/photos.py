@@ -17,7 +17,7 @@ from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import photo_camera
 from alight.sources.photo_pose import BODY_FROM_CAM, attitude, local_frame, nav_sample, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
-from alight.sources.source import Findings, Trajectory
+from alight.sources.source import Findings, Recording, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
@@ -31,7 +31,7 @@ def find_photos(folder: Path) -> list[Path]:
     return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file())
 
 
-class Photos:
+class Photos(Recording):
     """The photos of one camera in one folder.
 
     Raises:
@@ -60,14 +60,6 @@ class Photos:
         self.local = local_frame([p for _, p in ordered])
         self.rig, self.notes = self._calibrate(settings)
         self._note()
-
-    @property
-    def counts(self) -> dict[str, int]:
-        return {**self._findings.counts, "exposures": self.length}
-
-    @property
-    def warnings(self) -> list[str]:
-        return self._findings.warnings
 
     def events(self) -> Iterator[Event]:
         lens = self.rig.cameras[0].camera

@@ -96,3 +96,20 @@ class Findings:
     def warnings(self) -> list[str]:
         """All sentences, losses first."""
         return [*(self._loss(g) for g in self._lost), *self._sentences]
+
+
+class Recording:
+    """What both kinds of source tell of themselves, from the notebook `_findings`."""
+
+    _findings: Findings
+    length: int
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How much was read and lost."""
+        return {**self._findings.counts, "exposures": self.length}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What could not be read and why."""
+        return self._findings.warnings
