@@ -1,4 +1,4 @@
-"""The command line: the one place that catches, prints and exits."""
+"""The application, the options that commands share, and what turns an error into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from alight import __version__
-from alight.records import AlightError, OutputError, RunResult, SettingsError
+from alight.records import AlightError, OutputError, SettingsError
 from alight.settings import Settings, load
 
 MENDABLE, INTERRUPTED = 2, 130  # exit codes
@@ -79,12 +79,12 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield tell
 
 
-def _complain(line: str, style: str) -> None:
+def complain(line: str, style: str) -> None:
     """One line on stderr, however long: a terminal wraps it by itself, and a log wants it whole."""
     _stderr.print(" ".join(line.split()), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
     """One line on stdout. That nobody reads it (`| head`) is no error.
 
     Raises:
@@ -98,113 +98,6 @@ def _say(line: str) -> None:
         raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
 
 
-def _place(result: RunResult) -> str:
-    """Where the best site is: degrees, or metres from the origin where the place on Earth is unknown."""
-    s = result.sites.sites[0]
-    if not result.georeferenced:
-        return f"east {s.east:.2f} m north {s.north:.2f} m"
-    latitude, longitude, _ = result.local.to_geodetic([s.east, s.north, s.up])
-    return f"{float(latitude):.7f} {float(longitude):.7f}"
-
-
-def _answer(result: RunResult) -> None:
-    """The answer in one line on stdout, the warnings on stderr."""
-    from alight.report import warnings
-
-    for w in warnings(result):
-        _complain(f"warning: {w}", "yellow")
-    if not result.sites.sites:
-        _say(f"NO SITE  {result.sites.reason}")
-        return
-    s = result.sites.sites[0]
-    _say(
-        f"SITE  {_place(result)}  slope {s.slope * 57.29578:.1f} deg  rough {s.roughness:.2f} m  "
-        f"clear {s.clearance:.1f} m  P(safe) {s.p_safe:.3f}  ({len(result.sites.sites)} found)"
-    )
-
-
-@app.command()
-def run(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/) or a folder of photos.")],
-    out: OutOption,
-    poses: Annotated[
-        str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
-    ] = None,
-    settings: SettingsOption = None,
-    assign: SetOption = None,
-    force: ForceOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Find a landing site in a recorded flight or a folder of photos."""
-    chosen = read_settings(settings, assign)
-    from alight import replay
-
-    with progress_bar() as tell:
-        result = replay.find(source, out, chosen, poses, force, tell)
-    _answer(result)  # first: it is not lost when it cannot be written
-    replay.write_run(result, out, force)
-    _say(f"report: {out / 'report.html'}")
-
-
-@app.command()
-def evaluate(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that a run left.")],
-    truth: Annotated[
-        Path,
-        typer.Option(
-            metavar="FOLDER", help="A flight with truth/, or a folder with a structure-from-motion reference."
-        ),
-    ],
-    verbose: VerboseOption = False,
-) -> None:
-    """Compare a run with the truth and print the numbers."""
-    from alight.evaluate import evaluate as compare
-
-    for line in compare(out, truth).lines():
-        _say(line)
-
-
-@app.command()
-def demo(
-    out: OutOption = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 1,
-    settings: SettingsOption = None,
-    assign: SetOption = None,
-    force: ForceOption = False,
-    verbose: VerboseOption = False,
-) -> None:
-    """Simulate a small flight, find a landing site in it and compare with the truth."""
-    chosen = read_settings(settings, assign)
-    from alight import demo as show
-    from alight import replay
-    from alight.evaluate import evaluate as compare
-
-    with progress_bar() as tell:
-        flight, result = show.fly(out, seed, chosen, force, tell)
-    _answer(result)
-    replay.write_run(result, out, force)
-    for line in compare(out, flight).lines():
-        _say(line)
-    _say(f"report: {out / 'report.html'}")
-    _say(f"flight: {flight}  (alight run takes it, alight evaluate compares with it)")
-
-
-@app.command("settings")
-def show_settings(settings: SettingsOption = None, assign: SetOption = None) -> None:
-    """Print every setting with its value, as YAML that --settings takes back."""
-    _say(read_settings(settings, assign).to_yaml().rstrip("\n"))
-
-
-@app.command()
-def warmup(verbose: VerboseOption = False) -> None:
-    """Compile every kernel, so that the first run does not wait for it."""
-    from alight import demo as show
-
-    with progress_bar() as tell:
-        show.warmup(tell)
-    _say("ready")
-
-
 @app.callback(invoke_without_command=True)
 def _top(
     context: typer.Context,
@@ -212,10 +105,10 @@ def _top(
     verbose: VerboseOption = False,
 ) -> None:
     if version:
-        _say(__version__)
+        say(__version__)
         raise typer.Exit
     if context.invoked_subcommand is None:
-        _say(context.get_help())
+        say(context.get_help())
 
 
 def _log_to_stderr() -> None:
@@ -248,14 +141,14 @@ def call(arguments: Sequence[str] | None = None) -> int:
     try:
         code = _exit_code(arguments)
         if code == INTERRUPTED:
-            _complain("interrupted: files that were finished are whole, the rest was not written", "yellow")
+            complain("interrupted: files that were finished are whole, the rest was not written", "yellow")
         return code
     except AlightError as e:
-        _complain(f"error: {e}", "bold red")
+        complain(f"error: {e}", "bold red")
     except UsageError as e:
-        _complain(f"error: {_usage(e)}", "bold red")
+        complain(f"error: {_usage(e)}", "bold red")
     except MemoryError:
-        _complain("error: not enough memory; choose a larger parallax.cell or a smaller parallax.store_mb", "bold red")
+        complain("error: not enough memory; choose a larger parallax.cell or a smaller parallax.store_mb", "bold red")
     return MENDABLE
 
 

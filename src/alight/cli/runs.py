@@ -1,0 +1,129 @@
+"""Commands that run the whole way: run, evaluate, demo, settings, warmup."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from alight.cli.app import (
+    ForceOption,
+    OutOption,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    complain,
+    progress_bar,
+    read_settings,
+    say,
+)
+from alight.records import RunResult
+
+
+def _place(result: RunResult) -> str:
+    """Where the best site is: degrees, or metres from the origin where the place on Earth is unknown."""
+    s = result.sites.sites[0]
+    if not result.georeferenced:
+        return f"east {s.east:.2f} m north {s.north:.2f} m"
+    latitude, longitude, _ = result.local.to_geodetic([s.east, s.north, s.up])
+    return f"{float(latitude):.7f} {float(longitude):.7f}"
+
+
+def _answer(result: RunResult) -> None:
+    """The answer in one line on stdout, the warnings on stderr."""
+    from alight.report import warnings
+
+    for w in warnings(result):
+        complain(f"warning: {w}", "yellow")
+    if not result.sites.sites:
+        say(f"NO SITE  {result.sites.reason}")
+        return
+    s = result.sites.sites[0]
+    say(
+        f"SITE  {_place(result)}  slope {s.slope * 57.29578:.1f} deg  rough {s.roughness:.2f} m  "
+        f"clear {s.clearance:.1f} m  P(safe) {s.p_safe:.3f}  ({len(result.sites.sites)} found)"
+    )
+
+
+@app.command()
+def run(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/) or a folder of photos.")],
+    out: OutOption,
+    poses: Annotated[
+        str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
+    ] = None,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    force: ForceOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Find a landing site in a recorded flight or a folder of photos."""
+    chosen = read_settings(settings, assign)
+    from alight import replay
+
+    with progress_bar() as tell:
+        result = replay.find(source, out, chosen, poses, force, tell)
+    _answer(result)  # first: it is not lost when it cannot be written
+    replay.write_run(result, out, force)
+    say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def evaluate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that a run left.")],
+    truth: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER", help="A flight with truth/, or a folder with a structure-from-motion reference."
+        ),
+    ],
+    verbose: VerboseOption = False,
+) -> None:
+    """Compare a run with the truth and print the numbers."""
+    from alight.evaluate import evaluate as compare
+
+    for line in compare(out, truth).lines():
+        say(line)
+
+
+@app.command()
+def demo(
+    out: OutOption = Path("out/demo"),
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 1,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    force: ForceOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Simulate a small flight, find a landing site in it and compare with the truth."""
+    chosen = read_settings(settings, assign)
+    from alight import demo as show
+    from alight import replay
+    from alight.evaluate import evaluate as compare
+
+    with progress_bar() as tell:
+        flight, result = show.fly(out, seed, chosen, force, tell)
+    _answer(result)
+    replay.write_run(result, out, force)
+    for line in compare(out, flight).lines():
+        say(line)
+    say(f"report: {out / 'report.html'}")
+    say(f"flight: {flight}  (alight run takes it, alight evaluate compares with it)")
+
+
+@app.command("settings")
+def show_settings(settings: SettingsOption = None, assign: SetOption = None) -> None:
+    """Print every setting with its value, as YAML that --settings takes back."""
+    say(read_settings(settings, assign).to_yaml().rstrip("\n"))
+
+
+@app.command()
+def warmup(verbose: VerboseOption = False) -> None:
+    """Compile every kernel, so that the first run does not wait for it."""
+    from alight import demo as show
+
+    with progress_bar() as tell:
+        show.warmup(tell)
+    say("ready")
