@@ -84,8 +84,10 @@ def subpixel_depth(world, camera, pose, pixels):
     to_grid = np.diag([1 / world.grid.cell, -1 / world.grid.cell, 1.0])
     row, col = world.grid.index(*pose.translation[:2])
     out = np.empty((1, len(pixels)))
-    origin = np.array([float(col), float(row), pose.translation[2]])
-    cast_rays(world.height, *world.pyramid, origin, camera.rays(pixels)[None], to_grid @ pose.rotation, out)
+    origins, low = np.array([[float(col), float(row), pose.translation[2]]]), float(world.height.min())
+    cast_rays(
+        world.height, *world.pyramid, origins, camera.rays(pixels)[None], (to_grid @ pose.rotation)[None], low, out
+    )
     return out[0]
 
 

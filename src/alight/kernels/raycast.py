@@ -22,6 +22,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MISS = -1.0
+START_LEVEL = 1
+STRIP = 32  # pixels of a row that start their rays together
 
 
 @kernel
@@ -83,22 +85,24 @@ def _exit(position: float, inverse: float, low: int, high: int) -> float:
 
 
 @kernel
-def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, ray: F64) -> float:
+def cast_ray(
+    height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, ray: F64, ceiling: float = math.inf
+) -> float:
     """Return the parameter of the ray's first point at or below the surface, or MISS.
 
     `origin`, `ray` (3,): grid coordinates (column, row) and metres up. `pyramid`, `offsets`, `widths`: see
-    `max_pyramid`.
+    `max_pyramid`. A falling ray meets nothing above `ceiling`, which the caller knows.
     """
     rows, cols = height.shape
     last = offsets.size - 1
-    t, t_end = _clip(origin, ray, (rows, cols), pyramid[offsets[last]])
+    t, t_end = _clip(origin, ray, (rows, cols), min(float(pyramid[offsets[last]]), ceiling))
     if t > t_end:
         return MISS
     ix = min(max(math.floor(origin[0] + t * ray[0]), 0), cols - 2)
     iy = min(max(math.floor(origin[1] + t * ray[1]), 0), rows - 2)
     per_x = 1.0 / ray[0] if ray[0] != 0.0 else 0.0
     per_y = 1.0 / ray[1] if ray[1] != 0.0 else 0.0
-    level = last
+    level = min(last, START_LEVEL) if ceiling < math.inf else last
     while True:
         nx, ny = ix >> level, iy >> level
         x0, y0, x1, y1 = nx << level, ny << level, (nx + 1) << level, (ny + 1) << level
@@ -133,24 +137,84 @@ def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, 
         level = min(level + 1, last)
 
 
+@kernel
+def _highest(pyramid: F32, offsets: I64, widths: I64, box: F64, shape: tuple[int, int]) -> float:
+    """Return a bound from above on the surface over a box (x0, x1, y0, y1) of grid coordinates."""
+    x0, x1 = min(max(int(box[0]), 0), shape[1] - 2), min(max(int(box[1]), 0), shape[1] - 2)
+    y0, y1 = min(max(int(box[2]), 0), shape[0] - 2), min(max(int(box[3]), 0), shape[0] - 2)
+    level = 0
+    while (x1 >> level) - (x0 >> level) > 2 or (y1 >> level) - (y0 >> level) > 2:
+        level += 1
+    top = -math.inf
+    for j in range(y0 >> level, (y1 >> level) + 1):
+        for i in range(x0 >> level, (x1 >> level) + 1):
+            top = max(top, float(pyramid[offsets[level] + j * widths[level] + i]))
+    return top
+
+
+@kernel
+def _ceiling(
+    pyramid: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, fan: F64, top: float, low: float
+) -> float:
+    """Return a height down to which all rays of a fan meet nothing.
+
+    `fan` (x0, x1, y0, y1): smallest and largest slopes of the rays, grid columns and rows a metre of fall. Over the box
+    that the rays cross between `top` and `low`, nothing is higher than the pyramid says: that is the next `top`.
+    """
+    box = np.empty(4)
+    for _ in range(5):
+        far, near = origin[2] - low, max(origin[2] - top, 0.0)
+        for k in range(2):
+            a, b = fan[2 * k], fan[2 * k + 1]
+            box[2 * k] = origin[k] + min(a * far, a * near)
+            box[2 * k + 1] = origin[k] + max(b * far, b * near)
+        before, top = top, min(top, _highest(pyramid, offsets, widths, box, shape) + 1e-6)
+        if before - top < 0.02:
+            break
+    return top
+
+
+@kernel
+def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64, rays: F64, fan: F64) -> bool:
+    """Fill `rays` (STRIP, 3) with a strip's rays in grid coordinates, `fan` with their slopes; False: some look up."""
+    falls = True
+    fan[0], fan[1], fan[2], fan[3] = math.inf, -math.inf, math.inf, -math.inf
+    for c in range(first, last):
+        dx, dy, dz = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
+        ray = rays[c - first]
+        for k in range(3):
+            ray[k] = turn[k, 0] * dx + turn[k, 1] * dy + turn[k, 2] * dz
+        if ray[2] > -0.05:
+            falls = False
+            continue
+        a, b = -ray[0] / ray[2], -ray[1] / ray[2]
+        fan[0], fan[1], fan[2], fan[3] = min(fan[0], a), max(fan[1], a), min(fan[2], b), max(fan[3], b)
+    return falls
+
+
 @parallel_kernel
 def cast_rays(
-    height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, directions: F32 | F64, turn: F64, out: F64
-) -> None:
+    height: F32, pyramid: F32, offsets: I64, widths: I64, origins: F64, directions: F32 | F64, turns: F64, low: float,
+    out: F64,
+) -> None:  # fmt: skip
     """Fill `out` (H, W) with each pixel's ray parameter at its first hit (depth along the optical axis), MISS without.
 
-    `directions` (H, W, 3): rays in the camera, z = 1; `turn` (3, 3): grid coordinates from the camera's axes.
+    `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
+    camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. Rays start where the highest ground below
+    their strip begins: a third of the time of a walk from the camera.
     """
+    rows, cols = height.shape
+    summit = float(pyramid[offsets[offsets.size - 1]])
     for r in prange(out.shape[0]):
-        ray = np.empty(3)
-        for c in range(out.shape[1]):
-            for k in range(3):
-                ray[k] = (
-                    turn[k, 0] * directions[r, c, 0]
-                    + turn[k, 1] * directions[r, c, 1]
-                    + turn[k, 2] * directions[r, c, 2]
-                )
-            out[r, c] = cast_ray(height, pyramid, offsets, widths, origin, ray)
+        n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)
+        rays, fan = np.empty((STRIP, 3)), np.empty(4)
+        for first in range(0, out.shape[1], STRIP):
+            last = min(first + STRIP, out.shape[1])
+            top = math.inf
+            if _turn_strip(directions, r, first, last, turns[n], rays, fan):
+                top = _ceiling(pyramid, offsets, widths, (rows, cols), origins[n], fan, summit, low)
+            for c in range(first, last):
+                out[r, c] = cast_ray(height, pyramid, offsets, widths, origins[n], rays[c - first], top)
 
 
 @kernel

@@ -67,8 +67,9 @@ class Eye:
         row, col = grid.index(centre[0], centre[1])
         to_grid = np.diag([1.0 / grid.cell, -1.0 / grid.cell, 1.0])
         out = np.empty((self.camera.height, self.camera.width))
-        origin = np.array([float(col), float(row), centre[2]])
-        cast_rays(world.height, *world.pyramid, origin, self.rays[sample], to_grid @ world_from_cam.rotation, out)
+        origins = np.array([[float(col), float(row), centre[2]]])
+        turns, low = (to_grid @ world_from_cam.rotation)[None], float(world.height.min())
+        cast_rays(world.height, *world.pyramid, origins, self.rays[sample], turns, low, out)
         return out
 
     def radiance(self, world: World, world_from_cam: Pose, time: float) -> F32:
