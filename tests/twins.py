@@ -80,13 +80,13 @@ def template(samples: F32, tau: float) -> tuple[F64, F64, NDArray[np.int64]]:
 
 def normal_equations(
     samples: F32, weights: F32, mean: F32, centres: F64, xs: F64, ys: F64, h: F32, cell: float
-) -> tuple[F64, F64, F64, F64]:
+) -> tuple[F64, F64, F64]:
     """Eqs. 9 and 10, as the weighted covariance of slide and deviation over the views."""
     m = mean.astype(np.float64)
     gx, gy = np.full(m.shape, np.nan), np.full(m.shape, np.nan)
     gx[1:-1, 1:-1] = (m[1:-1, 2:] - m[1:-1, :-2]) / (2 * cell)
     gy[1:-1, 1:-1] = (m[:-2, 1:-1] - m[2:, 1:-1]) / (2 * cell)  # rows go south
-    lam, eta, s2, texture = (np.zeros(m.shape) for _ in range(4))
+    lam, eta, s2 = (np.zeros(m.shape) for _ in range(3))
     for r, c in np.ndindex(*m.shape):
         w = weights[:, r, c].astype(np.float64)
         used = w > 0
@@ -98,8 +98,7 @@ def normal_equations(
         lam[r, c] = (w * (q - q_mean) ** 2).sum()
         eta[r, c] = -(w * (q - q_mean) * (e - e_mean)).sum()
         s2[r, c] = (w * e * e).sum() / w.sum() * used.sum() / (used.sum() - 1)
-        texture[r, c] = gx[r, c] ** 2 + gy[r, c] ** 2
-    return lam, eta, s2, texture
+    return lam, eta, s2
 
 
 def solve(lam: F32, eta: F32, s2: F32, h: F32, radius: int, spread: F32, limit: F32) -> tuple[F64, F64, F64]:
@@ -141,7 +140,8 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
             p, s2 = float(precision[r + dy, c + dx]), float(noise[r + dy, c + dx])
             A.append([1.0, dx, dy])
             b.append(v)
-            W.append((0.05 + p / (p + s2 / px**2 + 1e-12)) / (1 + d * d) ** 2)
+            own = float(spread[r + dy, c + dx])
+            W.append((0.05 + p / (p + s2 / own**2 + 1e-12)) / (1 + d * d) ** 2)
         if sum(W) < 1e-3:
             continue
         w = np.array(W)

@@ -1,257 +1,115 @@
-"""Loops of planar parallax: grid -> image maps, robust sweep cost, semi-global aggregation, Gauss-Newton.
+"""Loops of Gauss-Newton on the world grid: template, normal equations, windowed step (docs/method.md, eqs. 8 to 11).
 
-Equation numbers are those of docs/method.md. Sample stacks are (N, R, C) float32 with NaN outside an image.
+Sample stacks are (N, R, C) float32 with NaN outside an image. Everything runs row by row in short loops without
+branches, which the compiler turns into vector code: five to twelve times faster than cell by cell.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import inline, kernel, parallel_kernel, prange
+from alight.kernels.compiler import kernel, parallel_kernel, prange
+from alight.kernels.sorting import fill_row, median_row, sort_rows
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-B = NDArray[np.bool_]
+I64 = NDArray[np.int64]
 
-OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
-
-
-@kernel
-def _pinhole_row(p: F64, b: F64, step: F64, h: F32, mapx: F32, mapy: F32) -> None:
-    for c in range(h.size):
-        z = p[2] + c * step[2] + h[c] * b[2]
-        mapx[c] = (p[0] + c * step[0] + h[c] * b[0]) / z
-        mapy[c] = (p[1] + c * step[1] + h[c] * b[1]) / z
+UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
-def _radtan_row(k: F64, mapx: F32, mapy: F32) -> None:
-    for c in range(mapx.size):
-        x, y = np.float64(mapx[c]), np.float64(mapy[c])
-        r2 = x * x + y * y
-        s = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-        xy2 = 2.0 * x * y
-        mapx[c] = x * s + k[2] * xy2 + k[3] * (r2 + 2.0 * x * x)
-        mapy[c] = y * s + k[2] * (r2 + 2.0 * y * y) + k[3] * xy2
+def _weigh_row(s: F32, median: F32, seen: F32, tau: np.float32, w: F32, sw: F32, sm: F32, used: F32) -> None:
+    cut = np.float32(4) * tau
+    for c in range(s.size):
+        v = s[c]
+        e = abs(v - median[c])
+        good = (e < cut) & (seen[c] >= TWO)  # False for NaN
+        weight = tau / (e if e > tau else tau)
+        weight = weight if good else ZERO
+        v = v if good else ZERO
+        w[c] = weight
+        sw[c] += weight
+        sm[c] += weight * v
+        used[c] += ONE if good else ZERO
 
 
 @kernel
-def _equidistant_row(k: F64, mapx: F32, mapy: F32) -> None:
-    for c in range(mapx.size):
-        x, y = np.float64(mapx[c]), np.float64(mapy[c])
-        r = max(np.sqrt(x * x + y * y), 1e-9)
-        t = np.arctan(r)
-        t2 = t * t
-        s = t * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
-        mapx[c] = x * s
-        mapy[c] = y * s
-
-
-@kernel
-def _pixel_row(intrinsics: F64, width: int, height: int, seen: B, mapx: F32, mapy: F32) -> None:
-    fu, fv, cu, cv = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
-    for c in range(mapx.size):
-        u, v = fu * mapx[c] + cu, fv * mapy[c] + cv
-        ok = seen[c] & (u >= 0.0) & (u <= width - 1.0) & (v >= 0.0) & (v <= height - 1.0)
-        mapx[c] = u if ok else OUTSIDE
-        mapy[c] = v if ok else OUTSIDE
+def _mean_row(sw: F32, sm: F32, count: F32, mean: F32, used: U8) -> None:
+    for c in range(sw.size):
+        mean[c] = sm[c] / sw[c] if sw[c] > ZERO else np.float32(np.nan)
+        used[c] = np.uint8(count[c])
 
 
 @parallel_kernel
-def project(
-    H: F64,
-    b: F64,
-    intrinsics: F64,
-    k: F64,
-    model: int,
-    r2_max: float,
-    width: int,
-    height: int,
-    xs: F64,
-    ys: F64,
-    h: F32,
-    mapx: F32,
-    mapy: F32,
+def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32, used: U8) -> None:
+    """Fill `weights` (N, R, C) and the samples' robust mean m (eq. 8): Huber, nothing beyond 4 tau of the median.
+
+    `pairs`: the sorting network of N.
+    """
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        views = np.empty((n, cols), np.float32)
+        rest = np.zeros((5, cols), np.float32)
+        seen, median, sw, sm, count = rest[0], rest[1], rest[2], rest[3], rest[4]
+        for i in range(n):
+            fill_row(samples[i, r], views[i], seen)
+        sort_rows(views, pairs)
+        median_row(views, seen, median)
+        for i in range(n):
+            _weigh_row(samples[i, r], median, seen, np.float32(tau), weights[i, r], sw, sm, count)
+        _mean_row(sw, sm, count, mean[r], used[r])
+
+
+@kernel
+def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F32) -> None:
+    for c in range(1, m.size - 1):
+        gx[c] = (m[c + 1] - m[c - 1]) * scale
+        gy[c] = (up[c] - down[c]) * scale  # rows go south
+
+
+@kernel
+def _sum_row(
+    s: F32, w: F32, m: F32, h: F32, gx: F32, gy: F32, east: F32, north: np.float32, up: np.float32, sums: F32
 ) -> None:
-    """Fill `mapx`, `mapy` with the pixel of each cell (xs[c], ys[r]) at height h[r, c] (eqs. 1 to 3).
-
-    Row by row in short loops without branches, which the compiler turns into vector code: 8 times faster than one loop.
-    """
-    rows, cols = h.shape
-    step = H[:, 0] * ((xs[-1] - xs[0]) / max(cols - 1, 1))
-    for r in prange(rows):
-        p = H[:, 0] * xs[0] + H[:, 1] * ys[r] + H[:, 2]
-        seen = np.empty(cols, np.bool_)
-        x, y = mapx[r], mapy[r]
-        _pinhole_row(p, b, step, h[r], x, y)
-        for c in range(cols):
-            z = p[2] + c * step[2] + h[r, c] * b[2]
-            seen[c] = (z > 1e-3) & (x[c] * x[c] + y[c] * y[c] < r2_max)
-        if model == 1:
-            _radtan_row(k, x, y)
-        elif model == 2:
-            _equidistant_row(k, x, y)
-        _pixel_row(intrinsics, width, height, seen, x, y)
-
-
-@inline
-def _sort(a: F32, n: int) -> None:
-    for i in range(1, n):
-        x = a[i]
-        j = i - 1
-        while j >= 0 and a[j] > x:
-            a[j + 1] = a[j]
-            j -= 1
-        a[j + 1] = x
-
-
-@parallel_kernel
-def sweep_cost(samples: F32, keep: float, truncation: float, cost: F32, count: U8) -> None:
-    """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
-
-    Occluded and moving views are the largest deviations; leaving them out is what keeps walls upright.
-    """
-    n, rows, cols = samples.shape
-    for r in prange(rows):
-        a = np.empty(n, np.float32)
-        for c in range(cols):
-            k = 0
-            for i in range(n):
-                s = samples[i, r, c]
-                if not np.isnan(s):
-                    a[k] = s
-                    k += 1
-            count[r, c] = k
-            if k < 2:
-                cost[r, c] = truncation
-                continue
-            _sort(a, k)
-            med = 0.5 * (a[(k - 1) // 2] + a[k // 2])
-            for i in range(k):
-                a[i] = abs(a[i] - med)
-            _sort(a, k)
-            m = max(2, int(np.ceil(keep * k)))
-            total = np.float32(0.0)
-            for i in range(m):
-                total += min(a[i], truncation)
-            # two views: |s - median| is half their difference, N views approach the mean deviation: same scale for all
-            cost[r, c] = total / m * np.sqrt(k / (k - 1.0))
+    """Add one view's row to the sums of w, w q, w q^2, w e, w q e, w e^2."""
+    sw, sq, sqq, se, sqe, see = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    for c in range(s.size):
+        used = w[c] > ZERO
+        q = (gx[c] * east[c] + gy[c] * north) / (up - h[c])
+        e = s[c] - m[c]
+        q, e = (q if used else ZERO), (e if used else ZERO)
+        wq, we = w[c] * q, w[c] * e
+        sw[c] += w[c]
+        sq[c] += wq
+        sqq[c] += wq * q
+        se[c] += we
+        sqe[c] += wq * e
+        see[c] += we * e
 
 
 @kernel
-def _path(cost: F32, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int, total: F32) -> None:
-    """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) over `cost` (R, C, D) to `total`."""
-    rows, cols, depth = cost.shape
-    previous = np.empty((2, cols, depth), np.float32)
-    best = np.empty((2, cols), np.float32)
-    r0, r1, rs = (0, rows, 1) if dr >= 0 else (rows - 1, -1, -1)
-    c0, c1, cs = (0, cols, 1) if (dc > 0 or (dc == 0 and dr >= 0)) else (cols - 1, -1, -1)
-    for r in range(r0, r1, rs):
-        now = r & 1
-        for c in range(c0, c1, cs):
-            pr, pc = r - dr, c - dc
-            low = np.float32(1e9)
-            if pr < 0 or pr >= rows or pc < 0 or pc >= cols:
-                for d in range(depth):
-                    v = cost[r, c, d]
-                    previous[now, c, d] = v
-                    total[r, c, d] += v
-                    low = min(low, v)
-            else:
-                was = pr & 1
-                jump = best[was, pc] + p2 / (np.float32(1.0) + edge * abs(image[r, c] - image[pr, pc]))
-                for d in range(depth):
-                    m = min(previous[was, pc, d], jump)
-                    if d > 0:
-                        m = min(m, previous[was, pc, d - 1] + p1)
-                    if d + 1 < depth:
-                        m = min(m, previous[was, pc, d + 1] + p1)
-                    v = cost[r, c, d] + m - best[was, pc]
-                    previous[now, c, d] = v
-                    total[r, c, d] += v
-                    low = min(low, v)
-            best[now, c] = low
+def _normal_row(sums: F32, gx: F32, gy: F32, m: F32, used: U8, lam: F32, eta: F32, s2: F32) -> None:
+    sw, sq, sqq, se, sqe, see = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    for c in range(m.size):
+        k = np.float32(used[c])
+        known = gx[c] + gy[c] + m[c]
+        good = (k >= TWO) & (known == known)
+        inverse = ONE / (sw[c] if good else ONE)
+        many = k if good else TWO
+        a = sqq[c] - sq[c] * sq[c] * inverse
+        b = sq[c] * se[c] * inverse - sqe[c]
+        v = see[c] * inverse * many / (many - ONE)
+        lam[c] = a if good else ZERO
+        eta[c] = b if good else ZERO
+        s2[c] = v if good else ZERO
 
 
 @kernel
-def aggregate(cost: F32, image: F32, p1: float, p2: float, edge: float, total: F32) -> None:
-    """Fill `total` (R, C, D) with the sum of eight scanline optimisations of `cost` (eq. 7)."""
-    total[:] = 0.0
-    for dr in range(-1, 2):
-        for dc in range(-1, 2):
-            if dr != 0 or dc != 0:
-                _path(cost, image, p1, p2, edge, dr, dc, total)
-
-
-@parallel_kernel
-def winner(total: F32, cost: F32, count: U8, height: F32, ratio: F32) -> None:
-    """Per cell: the best plane with sub-plane parabola (as a fractional index) and best/second cost; NaN if unseen."""
-    rows, cols, depth = total.shape
-    for r in prange(rows):
-        for c in range(cols):
-            height[r, c] = np.nan
-            ratio[r, c] = np.nan
-            if count[r, c] < 2:
-                continue
-            k = 0
-            for d in range(1, depth):
-                if total[r, c, d] < total[r, c, k]:
-                    k = d
-            offset = 0.0
-            if 0 < k < depth - 1:
-                a, m, z = total[r, c, k - 1], total[r, c, k], total[r, c, k + 1]
-                bend = a - 2.0 * m + z
-                if bend > 1e-9:
-                    offset = min(0.5, max(-0.5, 0.5 * (a - z) / bend))
-            height[r, c] = k + offset
-            second = np.float32(0.0)  # the best other local minimum; without one, the worst cost
-            for d in range(depth):
-                second = max(second, cost[r, c, d])
-            for d in range(depth):
-                v = cost[r, c, d]
-                valley = (d == 0 or cost[r, c, d - 1] >= v) and (d + 1 == depth or cost[r, c, d + 1] >= v)
-                if abs(d - k) > 2 and valley:
-                    second = min(second, v)
-            low = cost[r, c, k]
-            for d in range(max(0, k - 1), min(depth, k + 2)):
-                low = min(low, cost[r, c, d])
-            ratio[r, c] = low / max(second, np.float32(1e-6))
-
-
-@parallel_kernel
-def template(samples: F32, weights: F32, tau: float, mean: F32, used: U8) -> None:
-    """Fill `weights` (N, R, C) and the samples' robust mean m (eq. 8): Huber, nothing beyond 4 tau of the median."""
-    n, rows, cols = samples.shape
-    for r in prange(rows):
-        a = np.empty(n, np.float32)
-        for c in range(cols):
-            k = 0
-            for i in range(n):
-                weights[i, r, c] = 0.0
-                s = samples[i, r, c]
-                if not np.isnan(s):
-                    a[k] = s
-                    k += 1
-            used[r, c] = 0
-            mean[r, c] = np.nan
-            if k < 2:
-                continue
-            _sort(a, k)
-            med = 0.5 * (a[(k - 1) // 2] + a[k // 2])
-            sw = np.float32(0.0)
-            sm = np.float32(0.0)
-            for i in range(n):
-                s = samples[i, r, c]
-                if not np.isnan(s):
-                    e = abs(s - med)
-                    if e < 4.0 * tau:
-                        w = np.float32(1.0) if e <= tau else tau / e
-                        weights[i, r, c] = w
-                        sw += w
-                        sm += w * s
-                        used[r, c] += 1
-            if sw > 0.0:
-                mean[r, c] = sm / sw
+def _east_row(xs: F64, centre: np.float64, out: F32) -> None:
+    for c in range(xs.size):
+        out[c] = xs[c] - centre
 
 
 @parallel_kernel
@@ -259,6 +117,7 @@ def normal_equations(
     samples: F32,
     weights: F32,
     mean: F32,
+    used: U8,
     centres: F64,
     xs: F64,
     ys: F64,
@@ -267,7 +126,6 @@ def normal_equations(
     lam: F32,
     eta: F32,
     s2: F32,
-    texture: F32,
 ) -> None:
     """Fill Lambda, eta (eqs. 9, 10) and the residual variance of every cell from the template's gradient.
 
@@ -275,44 +133,54 @@ def normal_equations(
     metre of height. The template's gradient carries none of the single views' noise.
     """
     n, rows, cols = samples.shape
+    scale = np.float32(0.5 / cell)
     for r in prange(rows):
-        for c in range(cols):
-            lam[r, c] = 0.0
-            eta[r, c] = 0.0
-            s2[r, c] = 0.0
-            texture[r, c] = 0.0
-            if r == 0 or c == 0 or r == rows - 1 or c == cols - 1:
-                continue
-            gx = 0.5 * (mean[r, c + 1] - mean[r, c - 1]) / cell
-            gy = 0.5 * (mean[r - 1, c] - mean[r + 1, c]) / cell  # rows go south
-            if np.isnan(gx) or np.isnan(gy) or np.isnan(mean[r, c]):
-                continue
-            sw = 0.0
-            sq = 0.0
-            sqq = 0.0
-            se = 0.0
-            sqe = 0.0
-            see = 0.0
-            k = 0
+        sums = np.zeros((6, cols), np.float32)
+        gx, gy = np.full(cols, np.nan, np.float32), np.full(cols, np.nan, np.float32)
+        if 0 < r < rows - 1:
+            _gradient_row(mean[r], mean[r - 1], mean[r + 1], scale, gx, gy)
+            east = np.empty(cols, np.float32)
             for i in range(n):
-                w = weights[i, r, c]
-                if w > 0.0:
-                    f = 1.0 / (centres[i, 2] - h[r, c])
-                    q = (gx * (xs[c] - centres[i, 0]) + gy * (ys[r] - centres[i, 1])) * f
-                    e = samples[i, r, c] - mean[r, c]
-                    sw += w
-                    sq += w * q
-                    sqq += w * q * q
-                    se += w * e
-                    sqe += w * q * e
-                    see += w * e * e
-                    k += 1
-            if k < 2:
-                continue
-            lam[r, c] = sqq - sq * sq / sw
-            eta[r, c] = -(sqe - sq * se / sw)
-            s2[r, c] = see / sw * k / (k - 1.0)
-            texture[r, c] = gx * gx + gy * gy
+                _east_row(xs, centres[i, 0], east)
+                north, up = np.float32(ys[r] - centres[i, 1]), np.float32(centres[i, 2])
+                _sum_row(samples[i, r], weights[i, r], mean[r], h[r], gx, gy, east, north, up, sums)
+        _normal_row(sums, gx, gy, mean[r], used[r], lam[r], eta[r], s2[r])
+
+
+@kernel
+def _fill_known(h: F32, out: F32) -> None:
+    for c in range(h.size):
+        out[c] = h[c] if h[c] == h[c] else UNKNOWN
+
+
+@kernel
+def _window_row(h: F32, near: F32, lam: F32, eta: F32, s2: F32, spread: F32, dx: int, sums: F32) -> None:
+    """Add the neighbours `dx` columns to the right, of one row, to the windowed sums."""
+    low, high = max(0, -dx), min(h.size, h.size - dx)
+    here, there, p = h[low:high], near[low + dx : high + dx], spread[low:high]
+    lam, eta, s2 = lam[low + dx : high + dx], eta[low + dx : high + dx], s2[low + dx : high + dx]
+    sl, se, sn, sw = sums[0, low:high], sums[1, low:high], sums[2, low:high], sums[3, low:high]
+    for c in range(here.size):
+        d = (there[c] - here[c]) / p[c]
+        w = ONE / (ONE + d * d)
+        w = w if lam[c] > ZERO else ZERO
+        sl[c] += w * lam[c]
+        se[c] += w * eta[c]
+        sn[c] += w * s2[c]
+        sw[c] += w
+
+
+@kernel
+def _step_row(sums: F32, h: F32, spread: F32, limit: F32, step: F32, precision: F32, noise: F32) -> None:
+    for c in range(h.size):
+        good = (sums[3, c] > ZERO) & (h[c] < UNKNOWN)
+        damping = np.float32(0.02) * sums[2, c] / (spread[c] * spread[c]) + np.float32(1e-9)
+        s = sums[1, c] / (sums[0, c] + damping)
+        s = s if s < limit[c] else limit[c]
+        s = s if s > -limit[c] else -limit[c]
+        step[c] = s if good else ZERO
+        precision[c] = sums[0, c] if good else ZERO
+        noise[c] = sums[2, c] / (sums[3, c] if good else ONE) if good else ZERO
 
 
 @parallel_kernel
@@ -326,28 +194,11 @@ def solve(
     """
     rows, cols = h.shape
     for r in prange(rows):
-        for c in range(cols):
-            step[r, c] = 0.0
-            precision[r, c] = 0.0
-            noise[r, c] = 0.0
-            hc = h[r, c]
-            if np.isnan(hc):
-                continue
-            sl = 0.0
-            se = 0.0
-            sn = 0.0
-            sw = 0.0
-            for y in range(max(0, r - radius), min(rows, r + radius + 1)):
-                for x in range(max(0, c - radius), min(cols, c + radius + 1)):
-                    if lam[y, x] > 0.0:
-                        d = (h[y, x] - hc) / spread[r, c]
-                        w = 1.0 / (1.0 + d * d)
-                        sl += w * lam[y, x]
-                        se += w * eta[y, x]
-                        sn += w * s2[y, x]
-                        sw += w
-            if sw > 0.0:
-                precision[r, c] = sl
-                noise[r, c] = sn / sw
-                s = se / (sl + 0.02 * sn / (spread[r, c] * spread[r, c]) + 1e-9)
-                step[r, c] = min(limit[r, c], max(-limit[r, c], s))
+        sums = np.zeros((4, cols), np.float32)
+        here, there = np.empty(cols, np.float32), np.empty(cols, np.float32)
+        _fill_known(h[r], here)
+        for y in range(max(0, r - radius), min(rows, r + radius + 1)):
+            _fill_known(h[y], there)
+            for dx in range(-radius, radius + 1):
+                _window_row(here, there, lam[y], eta[y], s2[y], spread[r], dx, sums)
+        _step_row(sums, here, spread[r], limit[r], step[r], precision[r], noise[r])

@@ -3,12 +3,70 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import parallel_kernel, prange
+from alight.kernels.compiler import kernel, parallel_kernel, prange
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-B = NDArray[np.bool_]
+
+UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
+ZERO, ONE = np.float32(0), np.float32(1)
+
+
+@kernel
+def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
+    """Fill a row with the heights, far away where unknown, and with what each is worth as a neighbour."""
+    for c in range(h.size):
+        known = h[c] == h[c]
+        information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
+        height[c] = h[c] if known else UNKNOWN
+        trust[c] = np.float32(0.05) + information if known else ZERO
+
+
+@kernel
+def _pair_row(
+    h: F32, h1: F32, h2: F32, t1: F32, t2: F32, spread: F32, dx: np.float32, dy: np.float32, sums: F32
+) -> None:
+    """Add two opposite neighbours, at (dx, dy) and (-dx, -dy), to the sums of the weighted plane."""
+    s0, sx, sy, sxx, sxy, syy = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
+    sh, shx, shy = sums[6], sums[7], sums[8]
+    xx, xy, yy = dx * dx, dx * dy, dy * dy
+    for c in range(h.size):
+        v1, v2 = h1[c] - h[c], h2[c] - h[c]
+        d1, d2 = v1 / spread[c], v2 / spread[c]
+        both = np.float32(0.5) * (d1 + d2)  # on a plane the two deviate by equal and opposite amounts
+        d1, d2, both = d1 * d1, d2 * d2, both * both
+        d1 = (both if both < d1 else d1) + ONE
+        d2 = (both if both < d2 else d2) + ONE
+        w1, w2 = t1[c] / (d1 * d1), t2[c] / (d2 * d2)
+        v1, v2 = w1 * v1, w2 * v2
+        even, odd = w1 + w2, w1 - w2
+        s0[c] += even
+        sx[c] += dx * odd
+        sy[c] += dy * odd
+        sxx[c] += xx * even
+        sxy[c] += xy * even
+        syy[c] += yy * even
+        sh[c] += v1 + v2
+        shx[c] += dx * (v1 - v2)
+        shy[c] += dy * (v1 - v2)
+
+
+@kernel
+def _pull_row(sums: F32, h: F32, precision: F32, noise: F32, spread: F32, strength: np.float32, out: F32) -> None:
+    """Pull each height to the value of its plane, by weighted least squares v = a + bx dx + by dy, at the centre."""
+    for c in range(h.size):
+        s0, sx, sy, sxy = sums[0, c], sums[1, c], sums[2, c], sums[4, c]
+        sh, shx, shy = sums[6, c], sums[7, c], sums[8, c]
+        sxx, syy = sums[3, c] + np.float32(0.1) * s0, sums[5, c] + np.float32(0.1) * s0
+        m0, m1, m2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
+        det = s0 * m0 - sx * m1 + sy * m2
+        good = (s0 >= np.float32(1e-3)) & (det > np.float32(1e-9) * s0 * s0 * s0)
+        a = (sh * m0 - sx * (shx * syy - sxy * shy) + sy * (shx * sxy - sxx * shy)) / (det if good else ONE)
+        share = s0 if s0 < ONE else ONE
+        weight = strength * (noise[c] + np.float32(1e-3)) / (spread[c] * spread[c]) * share
+        pull = a * weight / (weight + precision[c] + np.float32(1e-12))
+        out[c] = h[c] + (pull if good else ZERO)  # NaN stays NaN
 
 
 @parallel_kernel
@@ -19,55 +77,22 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
     is `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
     """
     rows, cols = h.shape
+    height = np.full((rows + 2 * radius, cols + 2 * radius), UNKNOWN, np.float32)
+    trust = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
     for r in prange(rows):
-        for c in range(cols):
-            hc = h[r, c]
-            out[r, c] = hc
-            if np.isnan(hc):
-                continue
-            s0 = 0.0
-            sx = 0.0
-            sy = 0.0
-            sxx = 0.0
-            sxy = 0.0
-            syy = 0.0
-            sh = 0.0
-            shx = 0.0
-            shy = 0.0
-            for dy in range(-radius, radius + 1):
-                for dx in range(-radius, radius + 1):
-                    y, x = r + dy, c + dx
-                    if (dx != 0 or dy != 0) and 0 <= y < rows and 0 <= x < cols and not np.isnan(h[y, x]):
-                        mirror_y, mirror_x = r - dy, c - dx
-                        d = (h[y, x] - hc) / spread[r, c]
-                        if 0 <= mirror_y < rows and 0 <= mirror_x < cols and not np.isnan(h[mirror_y, mirror_x]):
-                            # on a plane the two opposite neighbours deviate by equal and opposite amounts
-                            both = 0.5 * (h[y, x] + h[mirror_y, mirror_x] - 2.0 * hc) / spread[r, c]
-                            if abs(both) < abs(d):
-                                d = both
-                        info = precision[y, x] / (precision[y, x] + noise[y, x] / (spread[r, c] * spread[r, c]) + 1e-12)
-                        w = (0.05 + info) / (1.0 + d * d) ** 2
-                        v = h[y, x] - hc
-                        s0 += w
-                        sx += w * dx
-                        sy += w * dy
-                        sxx += w * dx * dx
-                        sxy += w * dx * dy
-                        syy += w * dy * dy
-                        sh += w * v
-                        shx += w * v * dx
-                        shy += w * v * dy
-            if s0 < 1e-3:
-                continue
-            sxx += 0.1 * s0
-            syy += 0.1 * s0
-            # weighted least squares v = a + bx dx + by dy, value at the centre a
-            det = s0 * (sxx * syy - sxy * sxy) - sx * (sx * syy - sxy * sy) + sy * (sx * sxy - sxx * sy)
-            if det <= 1e-9 * s0 * s0 * s0:
-                continue
-            a = (sh * (sxx * syy - sxy * sxy) - sx * (shx * syy - sxy * shy) + sy * (shx * sxy - sxx * shy)) / det
-            weight = strength * (noise[r, c] + 1e-3) / (spread[r, c] * spread[r, c]) * min(1.0, s0)
-            out[r, c] = hc + a * weight / (weight + precision[r, c] + 1e-12)
+        inner = slice(radius, radius + cols)
+        _known_row(h[r], precision[r], noise[r], spread[r], height[r + radius, inner], trust[r + radius, inner])
+    for r in prange(rows):
+        sums = np.zeros((9, cols), np.float32)
+        for dy in range(radius + 1):
+            for dx in range(-radius if dy > 0 else 1, radius + 1):
+                ahead, behind = slice(radius + dx, radius + dx + cols), slice(radius - dx, radius - dx + cols)
+                down, up = r + radius + dy, r + radius - dy
+                _pair_row(
+                    h[r], height[down, ahead], height[up, behind], trust[down, ahead], trust[up, behind], spread[r],
+                    np.float32(dx), np.float32(dy), sums,
+                )  # fmt: skip
+        _pull_row(sums, h[r], precision[r], noise[r], spread[r], np.float32(strength), out[r])
 
 
 @parallel_kernel

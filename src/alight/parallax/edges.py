@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from alight.geometry import Grid
-from alight.kernels import parallax as kernels
+from alight.kernels.sorting import network
+from alight.kernels.sweep import sweep_cost
 from alight.parallax.sweep import TRUNCATION
 from alight.parallax.views import Prepared, stack
 from alight.records import F32
@@ -24,7 +25,7 @@ LEAST_STEP_PX = 4.0  # parallax pixels
 
 def _cost(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
     cost, count = np.empty(grid.shape, np.float32), np.zeros(grid.shape, np.int32)
-    kernels.sweep_cost(stack(prepared, grid, height), KEEP, TRUNCATION, cost, count)
+    sweep_cost(stack(prepared, grid, height), network(len(prepared)), KEEP, TRUNCATION, cost, count)
     return np.asarray(cv2.blur(np.where(count < 2, TRUNCATION, cost), (WINDOW, WINDOW)), dtype=np.float32)
 
 

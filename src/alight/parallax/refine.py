@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from alight.geometry import Grid
 from alight.kernels import parallax as kernels
 from alight.kernels import surface
+from alight.kernels.sorting import network
 from alight.parallax.views import Prepared, stack
 from alight.records import F32, F64
 
@@ -80,7 +81,7 @@ def gauss_newton(
     shape, xs_ys = grid.shape, grid.xy()
     a, b, c = (np.zeros(shape, np.float32) for _ in range(3))
     fit = Fit(height.copy(), a, b, c, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8))
-    lam, eta, s2, texture, step = (np.zeros(shape, np.float32) for _ in range(5))
+    lam, eta, s2, step = (np.zeros(shape, np.float32) for _ in range(4))
     weights = np.empty((len(prepared), *shape), np.float32)
     centres = centres_of(prepared)
     for last in [False] * iterations + [True]:
@@ -88,9 +89,9 @@ def gauss_newton(
         fit.seen = np.isfinite(samples).sum(axis=0).astype(np.uint8)
         if hidden is not None:
             samples[hidden] = np.nan
-        kernels.template(samples, weights, TAU, fit.mean, fit.used)
+        kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used)
         kernels.normal_equations(
-            samples, weights, fit.mean, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2, texture
+            samples, weights, fit.mean, fit.used, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2
         )  # fmt: skip
         spread = metres_per_pixel(prepared, fit.height, grid)
         limit = (STEP_PX * spread).astype(np.float32)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from alight.geometry import Grid
-from alight.kernels import parallax as kernels
+from alight.kernels import sweep as kernels
+from alight.kernels.sorting import network
 from alight.parallax.views import Prepared, stack
 from alight.records import F32
 
@@ -47,14 +48,16 @@ def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float) -> t
     seen = np.zeros((rows, cols), np.int32)
     usual = int(np.argmin(np.abs(levels - ground)))
     for k, z in enumerate(levels):
-        kernels.sweep_cost(stack(prepared, grid, np.full((rows, cols), z, np.float32)), KEEP, TRUNCATION, plane, count)
+        samples = stack(prepared, grid, np.full((rows, cols), z, np.float32))
+        kernels.sweep_cost(samples, network(len(samples)), KEEP, TRUNCATION, plane, count)
         cost[:, :, k] = plane
         if k == usual:
             seen = count.copy()
     smooth = window3(cost)
     guide = stack(prepared[:1], grid, np.full((rows, cols), np.median(levels), np.float32))[0]
-    total = np.empty_like(cost)
-    kernels.aggregate(smooth, np.nan_to_num(guide), P1, P2, EDGE, total)
+    halves = np.empty((2, *cost.shape), np.float32)
+    kernels.aggregate(smooth, np.nan_to_num(guide), P1, P2, EDGE, halves)
+    total = np.add(halves[0], halves[1], out=halves[0])
     index, ratio = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
     kernels.winner(total, smooth, seen, index, ratio)
     spacing = levels[1] - levels[0]

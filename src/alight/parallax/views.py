@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Grid, ground_projection
-from alight.kernels import parallax as kernels
+from alight.kernels.projection import project
 from alight.records import F32, F64, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
@@ -83,7 +83,7 @@ def maps(p: Prepared, grid: Grid, h: F32) -> tuple[F32, F32]:
     """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
     mapx, mapy = np.empty(h.shape, np.float32), np.empty(h.shape, np.float32)
     xs, ys = grid.xy()
-    kernels.project(
+    project(
         p.H, p.b, p.intrinsics, p.camera.coefficients, p.camera.code, p.r2_max,
         float(p.camera.width), float(p.camera.height), xs, ys, h, mapx, mapy,
     )  # fmt: skip
