@@ -1,0 +1,221 @@
+"""What matchers make of a recording whose poses and ground are known: the estimator, StereoSGBM, and tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from subjects import Points, Subject
+
+from alight import replay
+from alight.evaluate.report import nmad
+from alight.records import F32, F64, ElevationMap, Flag, Terrain, View
+
+WRONG = 0.01  # of the height above ground
+STEP = 0.13  # of the height between the pictures of a pair: every second photo
+PAIRS = 4
+Mask = NDArray[np.bool_]
+ByGroup = dict[str, tuple[float, float, float]]  # given out, wrong before any refusal, wrong and given out; percent
+
+
+def _grey(view: View) -> NDArray[np.uint8]:
+    return np.asarray(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY) if view.image.ndim == 3 else view.image)
+
+
+def groups(points: Points) -> dict[str, Mask]:
+    """Which points are judged together: all, open and rough ground, each class of the truth."""
+    out = {"all": np.ones(len(points.xyz), bool), "open": points.open, "rough": ~points.open}
+    for t in Terrain:
+        if t != Terrain.UNKNOWN and (points.kind == t).sum() >= 50:
+            out[t.name.lower()] = points.kind == t
+    return out
+
+
+def _wrong(error: F64, given: Mask, above: float) -> float:
+    return 100 * float((np.abs(error[given]) > WRONG * above).mean()) if given.sum() >= 50 else np.nan
+
+
+def _at(values: NDArray[np.generic], grid_map: ElevationMap, points: Points) -> tuple[NDArray[np.generic], Mask]:
+    r, c = (np.rint(i).astype(int) for i in grid_map.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
+    inside = (r >= 0) & (r < grid_map.grid.rows) & (c >= 0) & (c < grid_map.grid.cols)
+    return values[r.clip(0, grid_map.grid.rows - 1), c.clip(0, grid_map.grid.cols - 1)], inside
+
+
+def estimator(
+    subject: Subject, points: Points
+) -> tuple[dict[str, float], dict[str, tuple[float, float, float]], float]:
+    """Run the whole way with true poses.
+
+    Returns:
+        the row of the estimator; by group: accepted, wrong before refusal, wrong and given out (percent); the height.
+    """
+    result = replay.replay(subject.source, subject.settings, subject.poses)
+    found = result.elevation
+    if found is None:
+        return {"accepted %": 0.0}, {}, 30.0
+    above = float(result.height_above_ground or 1.0)
+    seen = (found.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
+    texture = 1.0 - found.residual[seen]
+    height, inside = _at(found.height.astype(np.float64), found, points)
+    accepted, _ = _at(found.trusted, found, points)
+    visible, _ = _at(seen, found, points)
+    error = height - points.xyz[:, 2]
+    usable = inside & visible & np.isfinite(error)
+    accepted &= usable
+    by_group = {}
+    for name, group in groups(points).items():
+        if (usable & group).sum() >= 50:
+            e = error - np.median(error[accepted & points.open]) if (accepted & points.open).any() else error
+            by_group[name] = (
+                100 * float(accepted[usable & group].mean()),
+                _wrong(e, usable & group, above),
+                _wrong(e, accepted & group, above),
+            )
+    good = error[accepted & points.open] if (accepted & points.open).any() else np.array([np.nan])
+    row = {
+        "height m": above,
+        "accepted %": 100 * float(found.trusted[seen].mean()),
+        "texture P10": float(np.nanpercentile(texture, 10)),
+        "P50": float(np.nanpercentile(texture, 50)),
+        "< 0.6 %": 100 * float((texture < 0.6).mean()),
+        "open NMAD %": 100 * nmad(good) / above if len(good) > 50 else np.nan,
+        "open P95 %": 100 * float(np.percentile(np.abs(good - np.median(good)), 95)) / above
+        if len(good) > 50
+        else np.nan,
+    }
+    for flag in (Flag.TEXTURE, Flag.AMBIGUOUS, Flag.MOVING, Flag.UNSURE, Flag.SATURATED, Flag.STEP):
+        row[f"{flag.name.lower()} %"] = 100 * float(((found.flags[seen] & np.uint16(flag)) > 0).mean())
+    return row, by_group, above
+
+
+def pairs(views: list[View], above: float, step: float = STEP) -> Iterator[tuple[View, View]]:
+    """Some pairs of pictures about `step` of the height apart, spread over the recording."""
+    for i in np.unique(np.linspace(0, len(views) - 1, 3 * PAIRS).astype(int)):
+        gaps = np.array([np.linalg.norm(v.centre - views[i].centre) for v in views[i + 1 :]])
+        if len(gaps) and np.abs(gaps - step * above).min() < 0.3 * step * above:
+            yield views[i], views[i + 1 + int(np.argmin(np.abs(gaps - step * above)))]
+
+
+class Rectified:
+    """Two views turned so that rows match; `a` is the left one."""
+
+    def __init__(self, a: View, b: View) -> None:
+        base = b.centre - a.centre
+        self.baseline = float(np.linalg.norm(base))
+        x = base / self.baseline
+        z = a.world_from_cam.rotation[:, 2] + b.world_from_cam.rotation[:, 2]
+        z = z - (z @ x) * x
+        z /= np.linalg.norm(z)
+        self.world_from_rect = np.column_stack([x, np.cross(z, x), z])
+        self.f = 0.5 * (a.camera.fu + a.camera.fv)
+        self.centre = a.centre
+        edge = np.concatenate([self._border(v) for v in (a, b)])
+        low, high = np.floor(edge.min(0)), np.ceil(edge.max(0))
+        self.c = -low
+        w, h = (int(v) + 1 for v in high - low)
+        self.left, self.right = self._turn(a, w, h), self._turn(b, w, h)
+
+    def _border(self, v: View) -> F64:
+        w, h = v.camera.width - 1.0, v.camera.height - 1.0
+        rays = v.camera.rays(np.array([[0, 0], [w, 0], [w, h], [0, h], [w / 2, 0], [w / 2, h], [0, h / 2], [w, h / 2]]))
+        rays = rays @ (v.world_from_cam.rotation.T @ self.world_from_rect)
+        return np.asarray(self.f * rays[:, :2] / rays[:, 2:])
+
+    def _turn(self, v: View, w: int, h: int) -> NDArray[np.uint8]:
+        x, y = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+        rays = np.stack([(x - self.c[0]) / self.f, (y - self.c[1]) / self.f, np.ones_like(x)], -1)
+        uv = v.camera.project(rays @ (self.world_from_rect.T @ v.world_from_cam.rotation)).astype(np.float32)
+        return np.asarray(cv2.remap(_grey(v), uv[..., 0], uv[..., 1], cv2.INTER_LINEAR))
+
+    def project(self, xyz: F64) -> tuple[F64, F64]:
+        """Pixels (N, 2) in the left picture, and depths (N,)."""
+        p = (xyz - self.centre) @ self.world_from_rect
+        return self.f * p[:, :2] / p[:, 2:] + self.c, p[:, 2]
+
+
+def _disparity(pair: Rectified, near: float, far: float, strict: bool) -> F32:
+    """StereoSGBM over the true range of depths; `strict` with every check of its own that it has."""
+    low = int(pair.f * pair.baseline / far) - 4
+    count = -(-int(pair.f * pair.baseline / near + 4 - low) // 16) * 16
+    checks = {"uniquenessRatio": 10, "speckleWindowSize": 100, "speckleRange": 2, "disp12MaxDiff": 1}
+    matcher = cv2.StereoSGBM_create(low, count, 5, P1=200, P2=800, **(checks if strict else {"disp12MaxDiff": -1}))
+    return np.asarray(matcher.compute(pair.left, pair.right), np.float32) / 16
+
+
+def _visible(subject: Subject, xyz: F64, view: View) -> Mask:
+    """Whether nothing of the truth stands between the points and a camera. A reference's points are seen."""
+    if subject.truth is None:
+        return np.ones(len(xyz), bool)
+    surface, grid = subject.surface(), subject.truth.grid
+    top, clear = float(np.nanmax(surface)), np.ones(len(xyz), bool)
+    way = view.centre - xyz
+    for rise in np.arange(0.2, top - float(np.nanmin(surface)), 0.2):
+        p = xyz + way * (rise / way[:, 2:])
+        r, c = (np.rint(i).astype(int) for i in grid.index(p[:, 0], p[:, 1]))
+        clear &= ~(surface[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)] > p[:, 2] + 0.1)
+    return clear
+
+
+def sgbm(subject: Subject, points: Points, views: list[View], above: float) -> ByGroup:
+    """StereoSGBM on pairs of the motion."""
+    errors, given, which = [], [], []
+    for a, b in pairs(views, above):
+        pair = Rectified(a, b)
+        uv, z = pair.project(points.xyz)
+        h, w = pair.left.shape
+        inside = np.ones(len(z), bool)
+        for v in (a, b):
+            seen = v.camera.project(v.world_from_cam.inverse.apply(points.xyz))
+            inside &= (seen > 8).all(1) & (seen < [v.camera.width - 8, v.camera.height - 8]).all(1)
+        inside[inside] &= _visible(subject, points.xyz[inside], a) & _visible(subject, points.xyz[inside], b)
+        k = np.flatnonzero(inside)
+        if len(k) < 100:
+            continue
+        col, row = np.rint(uv[k]).astype(int).T
+        keep = (col >= 0) & (col < w) & (row >= 0) & (row < h)
+        k, col, row = k[keep], col[keep], row[keep]
+        near, far = float(z[k].min()), float(z[k].max())
+        loose, strict = (_disparity(pair, near, far, s)[row, col] for s in (False, True))
+        low = pair.f * pair.baseline / far - 4
+        errors.append(z[k] - pair.f * pair.baseline / np.where(loose > low, loose, 1e-3))
+        given.append(strict > low)
+        which.append(k)
+    if not which:
+        return {}
+    error, ok, index = np.concatenate(errors), np.concatenate(given), np.concatenate(which)
+    out = {}
+    for name, group in groups(points).items():
+        g = group[index]
+        if g.sum() >= 50:
+            out[name] = (100 * float(ok[g].mean()), _wrong(error, g, above), _wrong(error, g & ok, above))
+    return out
+
+
+def _plane_guess(a: View, b: View, pixels: F32, ground: float) -> F32:
+    rays = a.camera.rays(pixels.astype(np.float64)) @ a.world_from_cam.rotation.T
+    xyz = a.centre + rays * ((ground - a.centre[2]) / rays[:, 2:])
+    return b.camera.project(b.world_from_cam.inverse.apply(xyz)).astype(np.float32)
+
+
+def survival(views: list[View], above: float, ground: float, step: float) -> float:
+    """Percent of corners that Lucas-Kanade finds again `step` of the height on, to 0.5 px there and back."""
+    kept, all_ = 0, 0
+    for a, b in pairs(views, above, step):
+        one, two = _grey(a), _grey(b)
+        found = cv2.goodFeaturesToTrack(one, 400, 1e-4, 0.03 * one.shape[1], blockSize=11)
+        if found is None:
+            continue
+        start = found.reshape(-1, 2)
+        guess = _plane_guess(a, b, start, ground)
+        inside = ((guess > 20) & (guess < [one.shape[1] - 20, one.shape[0] - 20])).all(1)
+        start, guess = np.ascontiguousarray(start[inside]), np.ascontiguousarray(guess[inside])
+        if not len(start):
+            continue
+        more = {"winSize": (21, 21), "maxLevel": 3, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+        there, ok, _ = cv2.calcOpticalFlowPyrLK(one, two, start, guess.copy(), **more)
+        back, ok2, _ = cv2.calcOpticalFlowPyrLK(two, one, there, start.copy(), **more)
+        good = (ok[:, 0] > 0) & (ok2[:, 0] > 0) & (np.linalg.norm(back - start, axis=1) < 0.5)
+        kept, all_ = kept + int(good.sum()), all_ + len(start)
+    return 100 * kept / all_ if all_ else np.nan

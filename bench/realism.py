@@ -1,0 +1,123 @@
+"""How real the simulator is: the same estimator, settings and statistics on simulated, rendered and real recordings.
+
+    python bench/realism.py                        # every built-in scene, as the sample flight flies and as the photos
+    python bench/realism.py --scenes demo,meadow   # some
+
+The rendered sample flight and the photos lie beside the project (ALIGHT_DATA, or ../shared/data); without them the
+simulated rows stand alone. Simulated flights are made twice: with the sample's rig at 30 m, and with the photos' lens
+and spacing at 47 m, so that pictures are compared at the same ground sampling.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from matchers import estimator, sgbm, survival
+from pictures import statistics
+from subjects import Subject, flight, photos
+
+from alight import simulate
+from alight.geometry import Camera, Pose
+from alight.records import AlightError, Rig, RigCamera
+
+DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+OUT = Path("out/realism")
+SEED = 1
+PHOTO_LENS = Camera(
+    1600, 1300, 1956.0, 1956.0, 788.5, 660.1, "radial-tangential", (-0.40097, 0.20014, 0.00109, 0.00012)
+)
+LOOK_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+COLUMNS = ("given out", "off by more than 1 % of the height before any refusal", "the same and given out")
+Row = Mapping[str, float]
+
+
+def simulated(scene: str, like: str) -> Path:
+    """The folder of a simulated flight, as the sample (30 m, stereo, 5 m/s) or as the photos (47 m, one each 3 m)."""
+    out = OUT / f"{scene}-{like}"
+    if like == "sample":
+        made = simulate.fly(scene, SEED, 6.0, height=30.0, speed=5.0, rate_hz=10.0)
+    else:
+        rig = Rig((RigCamera("cam0", PHOTO_LENS, Pose(LOOK_DOWN, np.zeros(3))),))
+        made = simulate.fly(scene, SEED, 6.0, height=47.0, speed=6.12, rate_hz=2.0, rig=rig)
+    simulate.write(made, out, overwrite=True)
+    return out
+
+
+def measure(subject: Subject) -> dict[str, Row]:
+    """All tables' rows of one recording."""
+    points = subject.points()
+    views = subject.views()
+    some = [views[i].image for i in np.unique(np.linspace(0, len(views) - 1, 8).astype(int))]
+    looks = statistics(some)
+    spectrum = {k: v for k, v in looks.items() if k.endswith(" px") or k == "slope"}
+    row, by_class, above = estimator(subject, points)
+    ground = float(np.median(points.xyz[:, 2]))
+    tracks = {f"{100 * s:g} % of height": survival(views, above, ground, s) for s in (0.02, 0.065, 0.13)}
+    pair = sgbm(subject, points, views, above)
+    return {
+        "pictures": {k: v for k, v in looks.items() if k not in spectrum},
+        "spectrum": spectrum,
+        "estimator": row,
+        "tracks": tracks,
+    } | {
+        f"{matcher}: {column}": {group: numbers[k] for group, numbers in failures.items()}
+        for matcher, failures in (("estimator", by_class), ("StereoSGBM", pair))
+        for k, column in enumerate(COLUMNS)
+    }
+
+
+def show(title: str, rows: Mapping[str, Row]) -> None:
+    """One table as Markdown, a column a quantity that any row has."""
+    keys = list(dict.fromkeys(k for row in rows.values() for k in row))
+    if not keys:
+        return
+    print(f"\n### {title}\n")
+    print("| | " + " | ".join(keys) + " |\n| --- |" + " --- |" * len(keys))
+    for name, row in rows.items():
+        print(f"| {name} | " + " | ".join(_number(row.get(k, np.nan)) for k in keys) + " |", flush=True)
+
+
+def _number(v: float) -> str:
+    return "" if np.isnan(v) else f"{v:.3g}" if abs(v) < 100 else f"{v:.0f}"
+
+
+def recordings(scenes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
+    """What is compared, by name; made when called."""
+    out: dict[str, Callable[[], Subject]] = {}
+    if (DATA / "sample").is_dir():
+        out["SAMPLE (rendered, 30 m)"] = lambda: flight("sample", DATA / "sample")
+    else:
+        print(f"{DATA / 'sample'}: absent, so nothing is compared with it")
+    if (DATA / "mirafiori").is_dir():
+        out["PHOTOS (real, 47 m)"] = lambda: photos("photos", DATA / "mirafiori", OUT)
+    else:
+        print(f"{DATA / 'mirafiori'}: absent, so nothing is compared with it")
+    for like in ("sample", "photos"):
+        for s in scenes:
+            out[f"{s} as {like}"] = lambda s=s, like=like: flight(s, simulated(s, like))  # type: ignore[misc]
+    return out
+
+
+def main() -> None:
+    """Print all tables."""
+    logging.disable(logging.WARNING)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--scenes", default=",".join(simulate.SCENES))
+    scenes = [s for s in parser.parse_args().scenes.split(",") if s]
+    results: dict[str, dict[str, Row]] = {}
+    for name, make in recordings(scenes).items():
+        try:
+            results[name] = measure(make())
+        except AlightError as e:
+            print(f"{name}: {e}")
+    for title in next(iter(results.values()), {}):
+        show(title, {name: r[title] for name, r in results.items()})
+
+
+if __name__ == "__main__":
+    main()
