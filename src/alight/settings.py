@@ -118,7 +118,7 @@ class Parallax(_Model):
     method: Literal["auto", "batch", "ring"] = Field("auto", description="auto: batch for recordings")
     cell: Positive | None = Field(None, description="m; None: from the ground sampling distance")
     views: int = Field(16, ge=2, le=32, description="most views a cell uses (batch)")
-    ring: int = Field(6, ge=3, le=16, description="keyframes in the ring (recursive)")
+    ring: int = Field(7, ge=3, le=16, description="keyframes in the ring (recursive)")
     height_range: tuple[float, float] | None = Field(
         None, description="m above the origin, searched; None: from matches"
     )

@@ -49,6 +49,12 @@ class Grid:
         """The part that starts at (row, col)."""
         return Grid(self.east + col * self.cell, self.north - row * self.cell, self.cell, rows, cols)
 
+    def coarser(self, factor: int) -> Grid:
+        """The grid of `factor` x `factor` cells taken as one; the last row and column may reach beyond."""
+        shift = 0.5 * (factor - 1) * self.cell
+        rows, cols = -(-self.rows // factor), -(-self.cols // factor)
+        return Grid(self.east + shift, self.north - shift, self.cell * factor, rows, cols)
+
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
         """Affine coefficients (a, b, c, d, e, f) from (column, row) corners to world, as rasters store it."""

@@ -63,6 +63,36 @@ def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32, used
 
 
 @kernel
+def _reach_row(s: F32, east: np.float32, north: np.float32, box: F32) -> None:
+    """Widen the box (east, west, north, south, number) of the centres that see each cell."""
+    for c in range(s.size):
+        seen = s[c] == s[c]
+        box[0, c] = east if seen & (east > box[0, c]) else box[0, c]
+        box[1, c] = east if seen & (east < box[1, c]) else box[1, c]
+        box[2, c] = north if seen & (north > box[2, c]) else box[2, c]
+        box[3, c] = north if seen & (north < box[3, c]) else box[3, c]
+        box[4, c] += ONE if seen else ZERO
+
+
+@parallel_kernel
+def baseline(samples: F32, centres: F64, out: F32, seen: U8) -> None:
+    """Fill `out` (R, C) with the diagonal of the box, level with the ground, of the cameras that see each cell.
+
+    `seen` gets their number.
+    """
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        box = np.zeros((5, cols), np.float32)
+        box[0], box[1], box[2], box[3] = -UNKNOWN, UNKNOWN, -UNKNOWN, UNKNOWN
+        for i in range(n):
+            _reach_row(samples[i, r], np.float32(centres[i, 0]), np.float32(centres[i, 1]), box)
+        for c in range(cols):
+            de, dn = box[0, c] - box[1, c], box[2, c] - box[3, c]
+            out[r, c] = np.sqrt(de * de + dn * dn) if de >= ZERO else ZERO
+            seen[r, c] = np.uint8(box[4, c])
+
+
+@kernel
 def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F32) -> None:
     for c in range(1, m.size - 1):
         gx[c] = (m[c + 1] - m[c - 1]) * scale

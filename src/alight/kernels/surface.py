@@ -96,19 +96,23 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
 
 
 @parallel_kernel
-def visibility(h: F32, top: float, centres: F64, xs: F64, ys: F64, cell: float, margin: float, visible: U8) -> None:
+def visibility(
+    h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, visible: U8
+) -> None:
     """Fill `visible` (N, R, C) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
 
-    `top` is the highest height of the map: the march ends once the ray is above it. `margin` (metres) is forgiven.
+    `tops`: for each block of `block` x `block` cells the highest height that a ray from it can meet: the march ends
+    once the ray is above it, and on open ground it does not begin. `margin` (R, C) metres are forgiven.
     """
     n, rows, cols = visible.shape
     for r in prange(rows):
+        for i in range(n):
+            visible[i, r] = 1
         for c in range(cols):
-            hc = h[r, c]
+            hc, top, spare = h[r, c], tops[r // block, c // block], margin[r, c]
+            if not top > hc + spare:  # NaN too
+                continue
             for i in range(n):
-                visible[i, r, c] = 1
-                if np.isnan(hc):
-                    continue
                 dx = (centres[i, 0] - xs[c]) / cell
                 dy = -(centres[i, 1] - ys[r]) / cell
                 dz = centres[i, 2] - hc
@@ -116,13 +120,13 @@ def visibility(h: F32, top: float, centres: F64, xs: F64, ys: F64, cell: float, 
                 if length < 1e-6 or dz <= 0.0:
                     continue
                 rise = dz / length  # metres a cell of march
-                steps = int(min(length, (top - hc) / rise))
+                steps = int(min(length, (top - hc - spare) / rise))
                 for s in range(1, steps + 1):
                     y = int(np.floor(r + dy * s / length + 0.5))
                     x = int(np.floor(c + dx * s / length + 0.5))
                     if y < 0 or y >= rows or x < 0 or x >= cols:
                         break
                     over = h[y, x]
-                    if not np.isnan(over) and over > hc + rise * s + margin:
+                    if not np.isnan(over) and over > hc + rise * s + spare:
                         visible[i, r, c] = 0
                         break

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust
@@ -24,14 +23,6 @@ from alight.settings import Parallax
 COARSE = 2  # cells of the sweep over cells of the grid
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
-
-
-def coarse_grid(grid: Grid, factor: int) -> Grid:
-    """The grid of `factor` x `factor` cells taken as one."""
-    shift = 0.5 * (factor - 1) * grid.cell
-    return Grid(
-        grid.east + shift, grid.north - shift, grid.cell * factor, -(-grid.rows // factor), -(-grid.cols // factor)
-    )
 
 
 def enlarge(values: F32, grid: Grid, factor: int, smooth: bool) -> F32:
@@ -80,7 +71,7 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     chosen = choose(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
     if len(chosen) < 2:
         return None
-    wide = coarse_grid(grid, COARSE)
+    wide = grid.coarser(COARSE)
     coarse = [images.get(i, coarse=True) for i in chosen]
     found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell), images.height)
     start = enlarge(found, grid, COARSE, smooth=True)
@@ -89,29 +80,21 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     fine = [images.get(i, coarse=False) for i in chosen]
     per_px = refine.metres_per_pixel(fine, start, grid)
     start = sharpen(fine, grid, start, per_px)
-    hidden = refine.hidden_from(fine, grid, start, per_px)
-    fit = refine.gauss_newton(fine, grid, start, hidden, ITERATIONS)
+    visible = refine.visible_from(fine, grid, start, per_px)
+    fit = refine.gauss_newton(fine, grid, start, visible, ITERATIONS)
     ambiguity = enlarge(ratio, grid, COARSE, smooth=False)
-    return judged([images.views[i] for i in chosen], fine, grid, fit, ambiguity, hidden, (low, high))
+    rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
+    return judged(fine, grid, fit, ambiguity, (low, high), rgb)
 
 
 def judged(
-    views: list[View],
-    fine: list[Prepared],
-    grid: Grid,
-    fit: refine.Fit,
-    ratio: F32,
-    hidden: NDArray[np.bool_],
-    searched: tuple[float, float],
+    fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
 ) -> Heights:
-    """Put sigma, flags and colour to a fit."""
-    per_px = refine.metres_per_pixel(fine, fit.height, grid)
-    placed = [maps(p, grid, fit.height) for p in fine]
-    contrast, grey = trust.photometry(fine, placed)
-    seen = trust.Evidence(ratio, contrast, grey, *searched)
-    sigma = trust.sigma(fit, per_px, grid.cell)
-    flags = trust.flags(fit, seen, sigma, per_px)
-    rgb = colour(views, fine, grid, placed, np.isfinite(fit.height), hidden)
+    """Put sigma and flags to a fit."""
+    slide = np.float32(grid.cell) / fit.metres_per_px
+    seen = trust.Evidence(ratio, trust.brightness(fine, grid, fit.height), slide, *searched)
+    sigma = trust.sigma(fit, grid.cell)
+    flags = trust.flags(fit, seen, sigma)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))
 
 
@@ -119,27 +102,30 @@ def colour(
     views: list[View],
     fine: list[Prepared],
     grid: Grid,
-    placed: list[tuple[F32, F32]],
-    wanted: NDArray[np.bool_],
-    hidden: NDArray[np.bool_],
+    height: F32,
+    visible: U8,
 ) -> U8:
-    """What the steepest view that sees each wanted cell saw, (R, C, 3); `placed` are the maps of `fine`."""
+    """What the steepest view that sees each known cell saw, (R, C, 3)."""
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
-    left = wanted.copy()
+    left = np.isfinite(height)
     order = np.argsort([np.hypot(v.centre[0] - xs.mean(), v.centre[1] - ys.mean()) for v in views])
     for strict in (True, False):
         for i in order:
-            mx, my = placed[i]
-            ok = left & (mx >= 0) & ~(hidden[i] & strict)
+            if not left.any():
+                return out
+            mx, my = maps(fine[i], grid, height)
+            ok = left & (mx >= 0) & ((visible[i] > 0) | (not strict))
             if ok.any():
-                scale = views[i].camera.width / fine[i].camera.width
-                offset = np.float32(0.5 * scale - 0.5)
-                picture = views[i].image
-                picture = picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
-                seen = cv2.remap(
-                    picture, mx * np.float32(scale) + offset, my * np.float32(scale) + offset, cv2.INTER_LINEAR
-                )
+                seen = picture_at(views[i], fine[i], mx, my)
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
+
+
+def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
+    """The view's own picture at maps of its prepared image, (R, C, 3)."""
+    scale = np.float32(view.camera.width / prepared.camera.width)
+    offset = np.float32(0.5) * scale - np.float32(0.5)
+    picture = view.image if view.image.ndim == 3 else cv2.cvtColor(view.image, cv2.COLOR_GRAY2RGB)
+    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,13 +11,15 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.kernels import parallax as kernels
-from alight.kernels import surface
+from alight.kernels import surface, trust
 from alight.kernels.sorting import network
-from alight.parallax.views import Prepared, stack
+from alight.parallax.views import Buffers, Prepared, stack
 from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
 RADIUS = 2  # cells: 5x5 windows
+BLOCK = 16  # cells
+LOWEST = -1e4  # metres: stands for an unknown height
 HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
 PRIOR = (
@@ -36,6 +39,7 @@ class Fit:
     mean: F32  # template m
     used: NDArray[np.uint8]  # views that agreed
     seen: NDArray[np.uint8]  # views that saw the cell
+    metres_per_px: F32  # height that moves the outermost of them apart by one cell
 
 
 def centres_of(prepared: list[Prepared]) -> F64:
@@ -43,61 +47,99 @@ def centres_of(prepared: list[Prepared]) -> F64:
     return np.array([p.centre for p in prepared])
 
 
+def middle(height: F32) -> float:
+    """About the median of the known heights, metres; 0 where none is known. The exact one costs a step's time."""
+    for every in (8, 1):
+        some = height[::every, ::every]
+        some = some[np.isfinite(some)]
+        if some.size:
+            return float(np.median(some))
+    return 0.0
+
+
+def _drop(centres: F64, height: F32) -> F32:
+    """From the cameras down to each cell, metres."""
+    level = np.where(np.isfinite(height), height, np.float32(middle(height)))
+    return np.asarray(np.maximum(np.float32(centres[:, 2].mean()) - level, 1e-2), dtype=np.float32)
+
+
 def metres_per_pixel(prepared: list[Prepared], height: F32, grid: Grid) -> F32:
     """Height that moves the outermost pair of views by one cell, (R, C) metres."""
     centres = centres_of(prepared)
     spread = np.linalg.norm(centres[:, None, :2] - centres[None, :, :2], axis=2).max()
-    drop = np.maximum(centres[:, 2].mean() - np.nan_to_num(height, nan=float(np.nanmedian(height))), 1e-2)
-    return np.asarray(grid.cell * drop / max(spread, 1e-6), dtype=np.float32)
+    return np.asarray(grid.cell / max(spread, 1e-6) * _drop(centres, height), dtype=np.float32)
 
 
-def hidden_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.bool_]:
-    """(N, R, C): the map stands between the cell and the camera (eq. 13).
+def _metres_per_pixel(samples: F32, centres: F64, height: F32, grid: Grid, seen: NDArray[np.uint8]) -> F32:
+    """The same of the views that see each cell (eq. 3b), whose number goes to `seen`."""
+    wide = np.empty(grid.shape, np.float32)
+    kernels.baseline(samples, centres, wide, seen)
+    drop = _drop(centres, height)
+    return np.asarray(np.float32(grid.cell) * drop / np.maximum(wide, np.float32(0.01) * drop), dtype=np.float32)
 
-    Single spikes hide nothing. Where the map hides a cell from all cameras but one, the map is wrong, and no view is
-    left out.
-    """
+
+def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:
+    """(N, R, C): 0 where the map stands between the cell and the camera (eq. 13); single spikes hide nothing."""
+    centres = centres_of(prepared)
     out = np.empty((len(prepared), *grid.shape), np.uint8)
+    solid = cv2.medianBlur(np.nan_to_num(height, nan=LOWEST).astype(np.float32), 5)
+    tops = _tops(solid, grid, centres)
+    solid[solid <= LOWEST] = np.nan
+    margin = np.asarray(HIDE_PX * metres_per_px, dtype=np.float32)
+    surface.visibility(solid, tops, BLOCK, centres, *grid.xy(), grid.cell, margin, out)
+    return out
+
+
+def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
+    """For each block of cells the highest height within reach of its rays to the cameras."""
+    rows, cols = (-(-n // BLOCK) for n in grid.shape)
+    padded = np.full((rows * BLOCK, cols * BLOCK), LOWEST, np.float32)
+    padded[: grid.rows, : grid.cols] = solid
+    tops = np.ascontiguousarray(padded.reshape(rows, BLOCK, cols, BLOCK).max(axis=(1, 3)))
+    known = solid[solid > LOWEST]
+    if not known.size:
+        return tops
+    low, high = float(known.min()), float(known.max())
     xs, ys = grid.xy()
-    solid = cv2.medianBlur(np.nan_to_num(height, nan=-1e4).astype(np.float32), 5)
-    solid[solid < -9e3] = np.nan
-    margin = np.float32(HIDE_PX * np.nanmedian(metres_per_px))
-    surface.visibility(solid, np.float32(np.nanmax(height)), centres_of(prepared), xs, ys, grid.cell, margin, out)
-    return np.asarray((out == 0) & (out.sum(axis=0) >= 2))
+    corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
+    flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)
+    reach = math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1
+    return np.asarray(cv2.dilate(tops, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
 
 
 def gauss_newton(
     prepared: list[Prepared],
     grid: Grid,
     height: F32,
-    hidden: NDArray[np.bool_] | None,
+    visible: NDArray[np.uint8] | None,
     iterations: int,
+    buffers: Buffers | None = None,
     prior: float = PRIOR,
 ) -> Fit:
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
-    `hidden` (N, R, C) leaves views out where the map stands in their way.
+    `visible` (N, R, C) leaves views out where the map stands in their way, unless it leaves one only: then the map is
+    wrong. What the fit knows beside the heights is of
+    where the last iteration began.
     """
+    held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()
     a, b, c = (np.zeros(shape, np.float32) for _ in range(3))
-    fit = Fit(height.copy(), a, b, c, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8))
-    lam, eta, s2, step = (np.zeros(shape, np.float32) for _ in range(4))
-    weights = np.empty((len(prepared), *shape), np.float32)
+    fit = Fit(height.copy(), a, b, c, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.float32))
+    lam, eta, s2, step = (held.get(name, shape) for name in ("lambda", "eta", "s2", "step"))
+    weights = held.get("weights", (len(prepared), *shape))
     centres = centres_of(prepared)
-    for last in [False] * iterations + [True]:
-        samples = stack(prepared, grid, fit.height)
-        fit.seen = np.isfinite(samples).sum(axis=0).astype(np.uint8)
-        if hidden is not None:
-            samples[hidden] = np.nan
+    for _ in range(iterations):
+        samples = stack(prepared, grid, fit.height, held)
+        spread = fit.metres_per_px = _metres_per_pixel(samples, centres, fit.height, grid, fit.seen)
+        if visible is not None:
+            trust.veil(visible, samples)
         kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used)
         kernels.normal_equations(
             samples, weights, fit.mean, fit.used, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2
         )  # fmt: skip
-        spread = metres_per_pixel(prepared, fit.height, grid)
         limit = (STEP_PX * spread).astype(np.float32)
         kernels.solve(lam, eta, s2, fit.height, RADIUS, spread, limit, step, fit.precision, fit.noise)
-        if last:
-            break
-        moved = fit.height + step
+        moved = np.add(fit.height, step, out=step)
         surface.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_RADIUS, fit.height)
     return fit

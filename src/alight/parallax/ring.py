@@ -1,72 +1,83 @@
 """Recursive parallax: a ring of keyframes, one step for each new one, heights carried from step to step.
 
 The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
-sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. Cells that
-are seen for the first time get a sweep of their own; the others start from the map.
+sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. A cell
+enters the map by a sweep of its own, as soon as the views that see it span `FIRST_LOOK` of the height; from then on it
+starts from the map.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid
+from alight.kernels import parallax as kernels
+from alight.kernels import trust as trust_kernels
 from alight.parallax import refine
-from alight.parallax.batch import COARSE, coarse_grid, enlarge, judged
-from alight.parallax.sweep import parallax_per_metre, planes, sweep
-from alight.parallax.views import Prepared, prepare
-from alight.records import F32, Heights, View
+from alight.parallax.batch import COARSE, enlarge, judged, picture_at
+from alight.parallax.sweep import planes, sweep
+from alight.parallax.views import Buffers, Prepared, maps, prepare
+from alight.records import F32, U8, ElevationMap, Heights, View
 from alight.settings import Parallax
 
-LEAST_SLIDE = 0.04  # baseline over height that a first look needs
-STEPS = 2  # Gauss-Newton steps a keyframe
+FIRST_LOOK = 0.12  # baseline over height that a cell needs to be swept; 0.04 left four times the wrong heights
+LEAST_VIEWS = 3  # of that sweep
+SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
+STEPS = 1  # Gauss-Newton steps a keyframe
 UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
+BLOCK = 8  # cells on which the baseline is looked at
+WORSE = 1.5  # a look whose sigma is larger by this changes nothing
+BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
+FUSED = ("height", "sigma", "flags", "views", "residual")
+
+Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
 
 class Ring:
-    """The last exposures of the rig, and the step that they allow."""
+    """Keyframes at distances that grow with age, and the step that they allow."""
 
     def __init__(self, settings: Parallax, cell: float, ground: float) -> None:
         self._settings = settings
         self._cell, self._ground = cell, ground
-        self._kept: deque[list[tuple[View, Prepared, Prepared]]] = deque(maxlen=settings.ring)
+        self._kept: list[list[Kept]] = []
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window
+        self._buffers = Buffers()
 
     def push(self, views: list[View]) -> None:
-        """Take the images of one exposure; the oldest exposure leaves."""
-        ready = []
-        for v in views:
-            coarse = prepare(v, self._cell * COARSE, self._ground)
-            ready.append((v, prepare(v, self._cell, self._ground), coarse))
-        self._kept.append(ready)
+        """Take the images of one exposure; the one that is missed least leaves."""
+        self._kept.append(
+            [(v, prepare(v, self._cell, self._ground), prepare(v, self._cell * COARSE, self._ground)) for v in views]
+        )
+        centres = np.array([exposure[0][0].centre for exposure in self._kept])
+        above = max(centres[-1][2] - self._ground, 1e-2)
+        away = np.linalg.norm(centres - centres[-1], axis=1) / above
+        self._kept = [self._kept[i] for i in spread_out(away, self._settings.ring)]
 
-    def step(self, grid: Grid, before: F32, sigma: F32, low: float, high: float) -> Heights | None:
+    def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
         """Improve the heights of a window with the ring as it is now (docs/method.md, section 5).
 
         Args:
             grid: the window, cells on the map's raster.
-            before: (R, C) heights that the map has, metres; NaN = never seen.
-            sigma: (R, C) their 1-sigma.
+            known: what the map has there.
             low, high: heights searched where nothing is known.
 
         Returns:
-            The window after the step, or None while the ring is too short to see any parallax.
+            The window after the step, or None while no cell has seen enough parallax.
         """
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
-        if len(views) < 2 or parallax_per_metre(fine, self._ground) < LEAST_SLIDE:
-            return None
         ratio = self._carried(grid)
-        start = self._first_look([c for _, _, c in views], grid, before, ratio, low, high)
+        start = self._first_look(views, grid, known.height, ratio, low, high)
+        self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
-        per_px = refine.metres_per_pixel(fine, start, grid)
-        hidden = refine.hidden_from(fine, grid, start, per_px)
-        fit = refine.gauss_newton(fine, grid, start, hidden, STEPS)
-        self._ratio = (grid, ratio)
-        new = judged([v for v, _, _ in views], fine, grid, fit, ratio, hidden, (low, high))
-        return fused(new, before, sigma, self._settings.ring)
+        visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
+        fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers)
+        rgb = self._coloured(views[-1], grid, fit.height, known)
+        return fused(judged(fine, grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, UNKNOWN_RATIO, np.float32)
@@ -80,35 +91,83 @@ class Ring:
             out[r, c] = values[r.start + dr : r.stop + dr, c.start + dc : c.stop + dc]
         return out
 
-    def _first_look(self, coarse: list[Prepared], grid: Grid, before: F32, ratio: F32, low: float, high: float) -> F32:
-        """Sweep the rectangle about the cells that were never seen; `ratio` gets their ambiguity."""
-        fresh = np.isnan(before)
-        rows, cols = np.flatnonzero(fresh.any(axis=1)), np.flatnonzero(fresh.any(axis=0))
-        if not len(rows):
+    def _parallax_enough(self, views: list[Kept], grid: Grid) -> NDArray[np.bool_]:
+        """Where at least `LEAST_VIEWS` see the ground over a baseline of `FIRST_LOOK`, (R, C)."""
+        wide = grid.coarser(BLOCK)
+        level = np.full(wide.shape, self._ground, np.float32)
+        seen = np.array([maps(f, wide, level)[0] for _, f, _ in views])
+        seen[seen < 0] = np.nan
+        baseline = np.empty(wide.shape, np.float32)
+        number = np.empty(wide.shape, np.uint8)
+        kernels.baseline(seen, refine.centres_of([f for _, f, _ in views]), baseline, number)
+        enough = baseline >= FIRST_LOOK * (views[-1][0].centre[2] - self._ground)
+        enough &= number >= LEAST_VIEWS
+        return np.repeat(np.repeat(enough, BLOCK, axis=0), BLOCK, axis=1)[: grid.rows, : grid.cols]
+
+    def _first_look(self, views: list[Kept], grid: Grid, before: F32, ratio: F32, low: float, high: float) -> F32:
+        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity."""
+        fresh = np.isnan(before) & self._parallax_enough(views, grid)
+        if not fresh.any():
             return before
-        part = grid.window(int(rows[0]), int(cols[0]), int(rows[-1] - rows[0] + 1), int(cols[-1] - cols[0] + 1))
-        wide = coarse_grid(part, COARSE)
+        where = _box(fresh)
+        part = grid.window(where[0].start, where[1].start, *fresh[where].shape)
+        wide = part.coarser(COARSE)
+        coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
-        where = (slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1))
         out = before.copy()
         out[where] = np.where(fresh[where], enlarge(found, part, COARSE, smooth=True), before[where])
         ratio[where] = np.where(fresh[where], enlarge(ambiguity, part, COARSE, smooth=False), ratio[where])
         return out
 
+    def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
+        """The map's colour, renewed by the newest view just below it and where there was none."""
+        view, fine, _ = newest
+        out = known.rgb.copy()
+        row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
+        k = BELOW * (view.centre[2] - self._ground) / grid.cell
+        below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
+        fresh = np.isnan(known.height) & np.isfinite(height)
+        for where, only in ((_box(fresh), fresh), (below, np.isfinite(height))):
+            r, c = where
+            part = grid.window(r.start, c.start, *height[where].shape)
+            if not part.rows * part.cols:
+                continue
+            mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
+            take = only[where] & (mapx >= 0)
+            out[where][take] = picture_at(view, fine, mapx, mapy)[take]
+        return out
 
-def fused(new: Heights, before: F32, sigma: F32, ring: int) -> Heights:
+
+def _box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The rectangle about the cells of a mask; empty where there are none."""
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+
+
+def spread_out(away: NDArray[np.float64], count: int) -> list[int]:
+    """Choose `count` keyframes, oldest first, whose distances from the newest grow evenly in proportion.
+
+    `away` (N,): baseline to the newest, the last, over the height. The nearest find what is new, the farthest measure
+    it best; what is farther than `SPAN` sees too little of what the newest sees.
+    """
+    kept = [i for i in range(len(away)) if away[i] < SPAN]
+    while len(kept) > count:
+        gaps = [
+            (away[kept[k - 1]] - away[kept[k + 1]]) / (away[kept[k]] + 0.02) for k in range(1, len(kept) - 1)
+        ]  # what would be left open, in proportion
+        kept.pop(1 + int(np.argmin(gaps)))
+    return kept
+
+
+def fused(new: Heights, old: ElevationMap, ring: int) -> Heights:
     """Weigh a step against the map (eq. 16).
 
     Consecutive rings share all but one exposure, so a step brings 1/ring of its information. Heights that disagree by
-    more than three sigma are not averaged: the new one stands.
+    more than three sigma are not averaged: the new one stands. Where the ring sees a cell much worse than it once did,
+    at the edge of its pictures, the map stays as it is.
     """
-    weight_old = 1.0 / np.maximum(sigma, 1e-4) ** 2
-    weight_new = 1.0 / (ring * np.maximum(new.sigma, 1e-4) ** 2)
-    both = np.isfinite(before) & np.isfinite(new.height) & np.isfinite(weight_old) & np.isfinite(weight_new)
-    both &= np.abs(new.height - before) < 3 * np.sqrt(np.nan_to_num(sigma) ** 2 + np.nan_to_num(new.sigma) ** 2)
-    total = weight_old + weight_new
-    height = np.where(both, (weight_old * before + weight_new * new.height) / total, new.height)
-    spread = np.where(both, np.maximum(1 / np.sqrt(total), 0.6 * new.sigma), new.sigma)
-    return Heights(
-        new.grid, height.astype(np.float32), spread.astype(np.float32), new.flags, new.views, new.rgb, new.residual
-    )
+    out = replace(new, **{f: getattr(new, f).copy() for f in FUSED})
+    trust_kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
+    return out

@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.parallax.refine import Fit
-from alight.parallax.views import Prepared, sample
+from alight.geometry import Grid
+from alight.kernels import trust as kernels
+from alight.parallax.refine import Fit, middle
+from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.records import F32, U16, Flag
 
 MIN_CONTRAST = 1.2  # grey levels: less is noise
@@ -21,14 +23,13 @@ MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do no
 MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
 FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
 FLOOR_CELL = 0.3  # cells: a window is no point
-ROUGH_SHARE = 1.0  # of the local roughness counts as error: windows flatten it
 STEP_PX = 4.0  # parallax pixels
-STEP_CELLS = 5  # reach of the window over a step
+STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 MAX_DOUBT = 0.25  # probability of a wrong match that is still given out
 
-# Odds of being off by more than four parallax pixels (eq. 15): log-linear in evidence without unit, so that it means
-# the same for any camera and height. Fitted by bench/doubt.py on simulated flights; it holds on real photos unchanged.
-DOUBT = {"ambiguity": 1.2, "residual": 1.12, "sigma": 1.26, "drop": 0.07, "rise": 0.34, "one": 0.14}
+# Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
+# means the same for any camera and height. Fitted by bench/doubt.py on simulated flights; real photos agree.
+DOUBT = {"ambiguity": 1.2, "residual": 1.12, "sigma": 1.26, "drop": 0.07, "rise": 0.34, "slide": 0.0, "one": 0.14}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +37,8 @@ class Evidence:
     """What is known of each cell beside the fit; all (R, C)."""
 
     cost_ratio: F32  # best over second-best sweep cost
-    contrast: F32  # grey levels, largest local sd that a view saw
-    grey: F32  # mean grey level of the views
+    grey: F32  # (R / 2, C / 2) mean grey level of the views
+    slide: F32  # baseline of the views that see a cell over their height above it
     low: float  # metres, lowest searched height
     high: float
 
@@ -55,86 +56,96 @@ def residual_share(fit: Fit) -> F32:
     return np.asarray(fit.noise / np.maximum(texture + fit.noise, 1e-6), dtype=np.float32)
 
 
-def roughness(height: F32) -> F32:
-    """Rms deviation from the smoothed heights over 5x5 cells, metres."""
+def relief2(height: F32) -> F32:
+    """Variance of the heights about the smoothed ones over 5x5 cells, metres^2."""
     filled = _filled(height)
-    return np.asarray(
-        np.sqrt(np.maximum(cv2.blur((filled - cv2.GaussianBlur(filled, (0, 0), 1.5)) ** 2, (5, 5)), 0)),
-        dtype=np.float32,
-    )
+    off = np.subtract(filled, cv2.GaussianBlur(filled, (0, 0), 1.5), out=filled)
+    return np.asarray(cv2.blur(np.multiply(off, off, out=off), (5, 5)), dtype=np.float32)
 
 
-def sigma(fit: Fit, metres_per_px: F32, cell: float) -> F32:
-    """1-sigma of each height relative to the map (eq. 14): fit, a floor in pixels and cells, local roughness."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fitted = 2.0 * fit.noise / fit.precision
-    floor = (FLOOR_PX * metres_per_px) ** 2 + (FLOOR_CELL * cell) ** 2
-    total = fitted + floor + (ROUGH_SHARE * roughness(fit.height)) ** 2
-    return np.asarray(np.where(np.isfinite(total), np.sqrt(total), np.nan), dtype=np.float32)
+def sigma(fit: Fit, cell: float) -> F32:
+    """1-sigma of each height relative to the map (eq. 14): fit, a floor in pixels and cells, local relief."""
+    out = np.empty_like(fit.height)
+    rough2 = relief2(fit.height)
+    kernels.sigma(fit.height, fit.noise, fit.precision, fit.metres_per_px, rough2, FLOOR_PX, FLOOR_CELL * cell, out)
+    return out
 
 
 def _filled(height: F32) -> F32:
-    middle = float(np.nanmedian(height)) if np.isfinite(height).any() else 0.0
-    return np.nan_to_num(height, nan=middle).astype(np.float32)
+    return np.where(np.isfinite(height), height, np.float32(middle(height)))
+
+
+def _halved(values: F32) -> F32:
+    """Means of 2 x 2 cells."""
+    size = (-(-values.shape[1] // 2), -(-values.shape[0] // 2))
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
 def _near(values: F32) -> F32:
-    return np.asarray(cv2.blur(np.nan_to_num(values, nan=1.0).astype(np.float32), (9, 9)), dtype=np.float32)
+    """Mean over 10 x 10 cells at half resolution: what is near needs no more."""
+    return np.asarray(cv2.blur(_halved(values), (5, 5)), dtype=np.float32)
 
 
-def evidence(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> dict[str, F32]:
-    """What speaks for a wrong match, each (R, C) and without unit: the terms of eq. 15 before the logarithm.
+def evidence(fit: Fit, seen: Evidence, sigma_: F32) -> dict[str, F32]:
+    """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost nearby; residual: share of the variance that the views do not share, nearby;
     sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax pixels
-    (the high side of a step is where windows smear).
+    (the high side of a step is where windows smear); slide: baseline over height.
     """
-    height = _filled(fit.height)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * STEP_CELLS + 1, 2 * STEP_CELLS + 1))
-    sigma_px = np.minimum(np.nan_to_num(sigma_ / metres_per_px, nan=5.0), 5.0)
+    per_px = _halved(fit.metres_per_px)
+    height = _halved(_filled(fit.height))
+    near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
+    sigma_px = np.minimum(np.nan_to_num(sigma_ / fit.metres_per_px, nan=5.0), 5.0)
     return {
-        "ambiguity": np.clip(_near(seen.cost_ratio), 1e-2, 1.0),
+        "ambiguity": np.clip(_near(np.nan_to_num(seen.cost_ratio, nan=1.0)), 1e-2, 1.0),
         "residual": np.clip(_near(residual_share(fit)), 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
-        "drop": np.clip((height - cv2.erode(height, disc)) / metres_per_px, 5e-2, 50.0),
-        "rise": np.clip((cv2.dilate(height, disc) - height) / metres_per_px, 5e-2, 50.0),
+        "drop": np.clip((height - cv2.erode(height, near)) / per_px, 5e-2, 50.0),
+        "rise": np.clip((cv2.dilate(height, near) - height) / per_px, 5e-2, 50.0),
+        "slide": np.clip(_halved(seen.slide), 1e-2, 2.0),
     }
 
 
 def doubt(terms: dict[str, F32]) -> F32:
-    """Probability that a height is off by more than four parallax pixels, whatever its sigma says (eq. 15)."""
+    """Probability that a height is off by more than a hundredth of the height above it (eq. 15)."""
     score = sum((DOUBT[k] * np.log(v) for k, v in terms.items()), start=np.float32(DOUBT["one"]))
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
-def photometry(prepared: list[Prepared], placed: list[tuple[F32, F32]]) -> tuple[F32, F32]:
-    """Largest local contrast and mean grey level of the views, sampled at their maps `placed`, grey levels."""
-    contrast, total, count = (np.zeros(placed[0][0].shape, np.float32) for _ in range(3))
-    for p, (mx, my) in zip(prepared, placed, strict=True):
-        seen = mx >= 0
-        contrast = np.fmax(contrast, sample(p.contrast, mx, my))
-        total += np.where(seen, np.nan_to_num(sample(p.grey, mx, my)), 0)
+def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
+    """Mean grey level of the views at half resolution, NaN where none sees."""
+    wide = grid.coarser(2)
+    level = _halved(_filled(height))
+    total, count = np.zeros(wide.shape, np.float32), np.zeros(wide.shape, np.float32)
+    for p in prepared:
+        grey = sample(p.grey, *maps(p, wide, level))
+        seen = np.isfinite(grey)
+        total += np.where(seen, grey, 0)
         count += seen
-    return contrast, np.asarray(total / np.maximum(count, 1), dtype=np.float32)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / count, dtype=np.float32)
 
 
-def flags(fit: Fit, seen: Evidence, sigma_: F32, metres_per_px: F32) -> U16:
+def flags(fit: Fit, seen: Evidence, sigma_: F32) -> U16:
     """The reasons, as bits of `Flag`, why each height is missing or doubtful."""
-    out = np.zeros(fit.height.shape, np.uint16)
-
-    def mark(where: NDArray[np.bool_], flag: Flag) -> None:
-        out[where] |= np.uint16(flag)
-
-    terms = evidence(fit, seen, sigma_, metres_per_px)
+    shape = fit.height.shape
+    near = np.zeros(_halved(fit.height).shape, np.uint16)
+    terms = evidence(fit, seen, sigma_)
+    near |= _bit(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
+    near |= _bit(_near(np.nan_to_num(seen.cost_ratio, nan=1.0)) > MAX_COST_RATIO, Flag.AMBIGUOUS)
+    near |= _bit((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
+    near |= _bit(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
+    near |= _bit(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
+    out = np.repeat(np.repeat(near, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     edge = 0.01 * (seen.high - seen.low)
-    mark(~np.isfinite(fit.height) | (fit.seen < 2), Flag.UNSEEN)
-    mark((fit.used < 2) | (fit.precision <= 0), Flag.INCONSISTENT)
-    mark(fit.seen < 3, Flag.FEW)
-    mark(seen.contrast < MIN_CONTRAST, Flag.TEXTURE)
-    mark(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
-    mark(_near(seen.cost_ratio) > MAX_COST_RATIO, Flag.AMBIGUOUS)
-    mark((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
-    mark((fit.height < seen.low + edge) | (fit.height > seen.high - edge), Flag.RANGE)
-    mark(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
-    mark(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
+    out |= _bit(~np.isfinite(fit.height) | (fit.seen < 2), Flag.UNSEEN)
+    out |= _bit((fit.used < 2) | (fit.precision <= 0), Flag.INCONSISTENT)
+    out |= _bit(fit.seen < 3, Flag.FEW)
+    out |= _bit(variance_of(fit.mean) + fit.noise < (MIN_CONTRAST / NORM_FLOOR) ** 2, Flag.TEXTURE)
+    out |= _bit((fit.height < seen.low + edge) | (fit.height > seen.high - edge), Flag.RANGE)
     return out
+
+
+def _bit(where: NDArray[np.bool_], flag: Flag) -> U16:
+    return np.where(where, np.uint16(flag), np.uint16(0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,9 +80,24 @@ def prepare(view: View, cell: float, height: float) -> Prepared:
     return Prepared(grey, norm, contrast, camera, H, b, np.array(view.centre), radius2_limit(camera))
 
 
-def maps(p: Prepared, grid: Grid, h: F32) -> tuple[F32, F32]:
+class Buffers:
+    """Arrays that are used again from step to step: the system hands out a fresh one page by page, at a price."""
+
+    def __init__(self) -> None:
+        self._flat: dict[str, F32] = {}
+
+    def get(self, name: str, shape: tuple[int, ...]) -> F32:
+        """The array of this name, of any content; what it held before is lost."""
+        size = math.prod(shape)
+        if name not in self._flat or self._flat[name].size < size:
+            self._flat[name] = np.empty(size + size // 8, np.float32)
+        return self._flat[name][:size].reshape(shape)
+
+
+def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
     """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
-    mapx, mapy = np.empty(h.shape, np.float32), np.empty(h.shape, np.float32)
+    held = buffers or Buffers()
+    mapx, mapy = held.get("mapx", h.shape), held.get("mapy", h.shape)
     xs, ys = grid.xy()
     project(
         p.H, p.b, p.intrinsics, p.camera.coefficients, p.camera.code, p.r2_max,
@@ -97,11 +113,12 @@ def sample(image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = N
     )
 
 
-def stack(prepared: list[Prepared], grid: Grid, h: F32) -> F32:
+def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
     """The normalised samples of every view on the grid at height `h`, (N, R, C), NaN outside an image."""
-    out = np.empty((len(prepared), *grid.shape), np.float32)
+    held = buffers or Buffers()
+    out = held.get("samples", (len(prepared), *grid.shape))
     for i, p in enumerate(prepared):
-        out[i] = sample(p.norm, *maps(p, grid, h))
+        sample(p.norm, *maps(p, grid, h, held), out=out[i])
     return out
 
 

@@ -129,7 +129,7 @@ class TerrainLane:
         low, high = corners.min(axis=0), corners.max(axis=0)
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]))
         known = self.elevation.read(grid)
-        found = self._ring.step(grid, known.height, known.sigma, *self._range(grid, float(down[0].centre[2])))
+        found = self._ring.step(grid, known, *self._range(grid, float(down[0].centre[2])))
         if found is None:
             return False
         self.elevation.add(found, replace_all=True)

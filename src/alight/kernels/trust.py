@@ -1,0 +1,117 @@
+"""Loops of what a height is worth: sigma, flags, fusion with the map (docs/method.md, eqs. 14 and 16)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.kernels.compiler import kernel, parallel_kernel, prange
+
+F32 = NDArray[np.float32]
+U8 = NDArray[np.uint8]
+U16 = NDArray[np.uint16]
+
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+LEAST = np.float32(1e-4)  # metres: sigmas are at least this
+
+
+@kernel
+def _sigma_row(
+    h: F32, noise: F32, precision: F32, per_px: F32, rough2: F32, px2: np.float32, floor2: np.float32, out: F32
+) -> None:
+    for c in range(out.size):
+        information = precision[c]
+        good = (information > ZERO) & (h[c] == h[c])
+        fitted = TWO * noise[c] / (information if good else ONE)
+        variance = fitted + px2 * per_px[c] * per_px[c] + floor2 + rough2[c]
+        out[c] = np.sqrt(variance) if good else np.float32(np.nan)
+
+
+@parallel_kernel
+def sigma(
+    h: F32, noise: F32, precision: F32, per_px: F32, rough2: F32, floor_px: float, floor: float, out: F32
+) -> None:
+    """Fill the 1-sigma of each height (eq. 14): fit, a floor of `floor_px` parallax pixels and `floor` metres, relief.
+
+    `rough2` is the variance of the local relief. NaN where there is no height or no information.
+    """
+    px2, floor2 = np.float32(floor_px * floor_px), np.float32(floor * floor)
+    for r in prange(h.shape[0]):
+        _sigma_row(h[r], noise[r], precision[r], per_px[r], rough2[r], px2, floor2, out[r])
+
+
+@kernel
+def _veil_row(visible: U8, count: U8, samples: F32) -> None:
+    for c in range(samples.size):
+        hidden = (visible[c] == 0) & (count[c] >= 2)
+        samples[c] = np.float32(np.nan) if hidden else samples[c]
+
+
+@kernel
+def _add_row(visible: U8, count: U8) -> None:
+    for c in range(count.size):
+        count[c] += visible[c]
+
+
+@parallel_kernel
+def veil(visible: U8, samples: F32) -> None:
+    """Make NaN of the samples (N, R, C) of views whose ray the map stops, unless it stops all but one."""
+    n, rows, cols = samples.shape
+    for r in prange(rows):
+        count = np.zeros(cols, np.uint8)
+        for i in range(n):
+            _add_row(visible[i, r], count)
+        for i in range(n):
+            _veil_row(visible[i, r], count, samples[i, r])
+
+
+@kernel
+def _fuse_row(
+    h: F32,
+    s: F32,
+    f: U16,
+    v: U8,
+    e: F32,
+    h0: F32,
+    s0: F32,
+    f0: U16,
+    v0: U8,
+    e0: F32,
+    ring: np.float32,
+    worse: np.float32,
+) -> None:
+    for c in range(h.size):
+        was = s0[c] if s0[c] > LEAST else LEAST
+        now = s[c] if s[c] > LEAST else LEAST
+        old = h0[c] == h0[c]
+        keep = old & ((h[c] != h[c]) | ~(s[c] < worse * was))
+        d = h[c] - h0[c]
+        agree = old & (d * d < np.float32(9) * (was * was + now * now))
+        weight_old, weight_new = ONE / (was * was), ONE / (ring * now * now)
+        total = weight_old + weight_new
+        mean = (weight_old * h0[c] + weight_new * h[c]) / total
+        spread = ONE / np.sqrt(total)
+        least = np.float32(0.6) * s[c]
+        spread = spread if spread > least else least
+        height = mean if agree else h[c]
+        spread = spread if agree else s[c]
+        h[c] = h0[c] if keep else height
+        s[c] = s0[c] if keep else spread
+        f[c] = f0[c] if keep else f[c]
+        v[c] = v0[c] if keep else v[c]
+        e[c] = e0[c] if keep else e[c]
+
+
+@parallel_kernel
+def fuse(
+    height: F32, sigma: F32, flags: U16, views: U8, residual: F32,
+    height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, ring: int, worse: float,
+) -> None:  # fmt: skip
+    """Weigh a step (changed in place) against the map before it (`...0`) (eq. 16).
+
+    A step brings 1 / `ring` of its information. Heights that disagree by more than three sigma are not averaged: the
+    new one stands. A look whose sigma is `worse` times the map's changes nothing.
+    """
+    for r in prange(height.shape[0]):
+        _fuse_row(
+            height[r], sigma[r], flags[r], views[r], residual[r], height0[r], sigma0[r], flags0[r], views0[r],
+            residual0[r], np.float32(ring), np.float32(worse),
+        )  # fmt: skip
