@@ -8,6 +8,7 @@ from alight.kernels.compiler import kernel, parallel_kernel, prange
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
+I64 = NDArray[np.int64]
 
 UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
 ZERO, ONE = np.float32(0), np.float32(1)
@@ -70,13 +71,15 @@ def _pull_row(sums: F32, h: F32, precision: F32, noise: F32, spread: F32, streng
 
 
 @parallel_kernel
-def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, radius: int, out: F32) -> None:
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: I64, out: F32) -> None:
     """Pull each height towards the robust local plane of its neighbours (eq. 12); what is unseen stays NaN and unused.
 
     Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull
     is `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
+    `pairs` (K, 2): offsets (dx, dy) of one neighbour of each opposite pair.
     """
     rows, cols = h.shape
+    radius = np.abs(pairs).max()
     height = np.full((rows + 2 * radius, cols + 2 * radius), UNKNOWN, np.float32)
     trust = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
     for r in prange(rows):
@@ -84,14 +87,14 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
         _known_row(h[r], precision[r], noise[r], spread[r], height[r + radius, inner], trust[r + radius, inner])
     for r in prange(rows):
         sums = np.zeros((9, cols), np.float32)
-        for dy in range(radius + 1):
-            for dx in range(-radius if dy > 0 else 1, radius + 1):
-                ahead, behind = slice(radius + dx, radius + dx + cols), slice(radius - dx, radius - dx + cols)
-                down, up = r + radius + dy, r + radius - dy
-                _pair_row(
-                    h[r], height[down, ahead], height[up, behind], trust[down, ahead], trust[up, behind], spread[r],
-                    np.float32(dx), np.float32(dy), sums,
-                )  # fmt: skip
+        for k in range(pairs.shape[0]):
+            dx, dy = pairs[k, 0], pairs[k, 1]
+            ahead, behind = slice(radius + dx, radius + dx + cols), slice(radius - dx, radius - dx + cols)
+            down, up = r + radius + dy, r + radius - dy
+            _pair_row(
+                h[r], height[down, ahead], height[up, behind], trust[down, ahead], trust[up, behind], spread[r],
+                np.float32(dx), np.float32(dy), sums,
+            )  # fmt: skip
         _pull_row(sums, h[r], precision[r], noise[r], spread[r], np.float32(strength), out[r])
 
 

@@ -40,9 +40,10 @@ def sigma(
 
 @kernel
 def _veil_row(visible: U8, count: U8, samples: F32) -> None:
-    for c in range(samples.size):
-        hidden = (visible[c] == 0) & (count[c] >= 2)
-        samples[c] = np.float32(np.nan) if hidden else samples[c]
+    for k in range(visible.size):
+        if (visible[k] == 0) & (count[k] >= 2):
+            for c in range(2 * k, min(2 * k + 2, samples.size)):
+                samples[c] = np.nan
 
 
 @kernel
@@ -53,14 +54,18 @@ def _add_row(visible: U8, count: U8) -> None:
 
 @parallel_kernel
 def veil(visible: U8, samples: F32) -> None:
-    """Make NaN of the samples (N, R, C) of views whose ray the map stops, unless it stops all but one."""
-    n, rows, cols = samples.shape
-    for r in prange(rows):
-        count = np.zeros(cols, np.uint8)
+    """Make NaN of the samples (N, R, C) of views whose ray the map stops, unless it stops all but one.
+
+    `visible` (N, R / 2, C / 2), rounded up: of 2 x 2 cells.
+    """
+    n = samples.shape[0]
+    for r in prange(samples.shape[1]):
+        count = np.zeros(visible.shape[2], np.uint8)
         for i in range(n):
-            _add_row(visible[i, r], count)
-        for i in range(n):
-            _veil_row(visible[i, r], count, samples[i, r])
+            _add_row(visible[i, r // 2], count)
+        if count.min() < n:
+            for i in range(n):
+                _veil_row(visible[i, r // 2], count, samples[i, r])
 
 
 @kernel

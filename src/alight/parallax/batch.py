@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust
@@ -115,12 +116,16 @@ def colour(
             if not left.any():
                 return out
             mx, my = maps(fine[i], grid, height)
-            ok = left & (mx >= 0) & ((visible[i] > 0) | (not strict))
+            ok = left & (mx >= 0) & (_twice(visible[i], grid) | (not strict))
             if ok.any():
                 seen = picture_at(views[i], fine[i], mx, my)
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
+
+
+def _twice(visible: U8, grid: Grid) -> NDArray[np.bool_]:
+    return np.repeat(np.repeat(visible > 0, 2, axis=0), 2, axis=1)[: grid.rows, : grid.cols]
 
 
 def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:

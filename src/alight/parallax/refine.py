@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,20 +14,28 @@ from alight.geometry import Grid
 from alight.kernels import parallax as kernels
 from alight.kernels import surface, trust
 from alight.kernels.sorting import network
-from alight.parallax.views import Buffers, Prepared, stack
+from alight.parallax.views import Buffers, Prepared, maps, stack
 from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
 RADIUS = 2  # cells: 5x5 windows
-BLOCK = 16  # cells
-LOWEST = -1e4  # metres: stands for an unknown height
+SEEN_BLOCK = 4  # cells
+BLOCK = 8  # cells of half resolution
+LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
 HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
 PRIOR = (
     1600.0  # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they
 )
 # are not: neighbours share pixels, so 100 left three times the noise on a concrete slab
-PRIOR_RADIUS = 3  # cells
+# offsets (dx, dy) of one neighbour of each opposite pair: of 7 x 7 cells these 16 smooth as well as all 24
+PRIOR_PAIRS = np.array(
+    [
+        (1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (1, 2), (-2, 1), (-1, 2),
+        (3, 0), (0, 3), (3, 1), (1, 3), (-3, 1), (-1, 3), (3, 3), (-3, 3),
+    ],
+    dtype=np.int64,
+)  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -70,23 +79,37 @@ def metres_per_pixel(prepared: list[Prepared], height: F32, grid: Grid) -> F32:
     return np.asarray(grid.cell / max(spread, 1e-6) * _drop(centres, height), dtype=np.float32)
 
 
-def _metres_per_pixel(samples: F32, centres: F64, height: F32, grid: Grid, seen: NDArray[np.uint8]) -> F32:
-    """The same of the views that see each cell (eq. 3b), whose number goes to `seen`."""
-    wide = np.empty(grid.shape, np.float32)
-    kernels.baseline(samples, centres, wide, seen)
-    drop = _drop(centres, height)
-    return np.asarray(np.float32(grid.cell) * drop / np.maximum(wide, np.float32(0.01) * drop), dtype=np.float32)
+def baselines(prepared: list[Prepared], grid: Grid, height: F32) -> tuple[F32, NDArray[np.uint8]]:
+    """Metres between the outermost views that see each cell, and their number, (R, C); looked at in blocks of cells."""
+    wide = grid.coarser(SEEN_BLOCK)
+    k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
+    level = height[k::SEEN_BLOCK, k::SEEN_BLOCK]
+    some = np.full(wide.shape, middle(height), np.float32)
+    inner = some[: level.shape[0], : level.shape[1]]
+    np.copyto(inner, level, where=np.isfinite(level))
+    seen = np.array([maps(p, wide, some)[0] for p in prepared])
+    seen[seen < 0] = np.nan
+    baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
+    kernels.baseline(seen, centres_of(prepared), baseline, count)
+    return enlarged(baseline, grid), enlarged(count, grid)
+
+
+def enlarged(values: NDArray[Any], grid: Grid) -> NDArray[Any]:
+    """The values of blocks of `SEEN_BLOCK` cells on the cells of the grid."""
+    return np.repeat(np.repeat(values, SEEN_BLOCK, axis=0), SEEN_BLOCK, axis=1)[: grid.rows, : grid.cols]
 
 
 def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:
-    """(N, R, C): 0 where the map stands between the cell and the camera (eq. 13); single spikes hide nothing."""
+    """(N, R / 2, C / 2): 0 where the map stands between a cell and the camera (eq. 13); single spikes hide nothing."""
+    wide = grid.coarser(2)
+    height, metres_per_px = height[::2, ::2], metres_per_px[::2, ::2]
     centres = centres_of(prepared)
-    out = np.empty((len(prepared), *grid.shape), np.uint8)
-    solid = cv2.medianBlur(np.nan_to_num(height, nan=LOWEST).astype(np.float32), 5)
-    tops = _tops(solid, grid, centres)
+    out = np.empty((len(prepared), *wide.shape), np.uint8)
+    solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
+    tops = _tops(solid, wide, centres)
     solid[solid <= LOWEST] = np.nan
     margin = np.asarray(HIDE_PX * metres_per_px, dtype=np.float32)
-    surface.visibility(solid, tops, BLOCK, centres, *grid.xy(), grid.cell, margin, out)
+    surface.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
     return out
 
 
@@ -129,17 +152,19 @@ def gauss_newton(
     lam, eta, s2, step = (held.get(name, shape) for name in ("lambda", "eta", "s2", "step"))
     weights = held.get("weights", (len(prepared), *shape))
     centres = centres_of(prepared)
+    wide, fit.seen = baselines(prepared, grid, height)
+    drop = _drop(centres, height)
+    spread = fit.metres_per_px = np.float32(grid.cell) * drop / np.maximum(wide, np.float32(0.01) * drop)
+    limit = np.float32(STEP_PX) * spread
     for _ in range(iterations):
         samples = stack(prepared, grid, fit.height, held)
-        spread = fit.metres_per_px = _metres_per_pixel(samples, centres, fit.height, grid, fit.seen)
         if visible is not None:
             trust.veil(visible, samples)
         kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used)
         kernels.normal_equations(
             samples, weights, fit.mean, fit.used, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2
         )  # fmt: skip
-        limit = (STEP_PX * spread).astype(np.float32)
         kernels.solve(lam, eta, s2, fit.height, RADIUS, spread, limit, step, fit.precision, fit.noise)
         moved = np.add(fit.height, step, out=step)
-        surface.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_RADIUS, fit.height)
+        surface.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_PAIRS, fit.height)
     return fit

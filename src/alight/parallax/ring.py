@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid
-from alight.kernels import parallax as kernels
-from alight.kernels import trust as trust_kernels
+from alight.kernels import trust as kernels
 from alight.parallax import refine
 from alight.parallax.batch import COARSE, enlarge, judged, picture_at
 from alight.parallax.sweep import planes, sweep
@@ -28,7 +27,6 @@ LEAST_VIEWS = 3  # of that sweep
 SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
 STEPS = 1  # Gauss-Newton steps a keyframe
 UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
-BLOCK = 8  # cells on which the baseline is looked at
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
 BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
@@ -91,22 +89,16 @@ class Ring:
             out[r, c] = values[r.start + dr : r.stop + dr, c.start + dc : c.stop + dc]
         return out
 
-    def _parallax_enough(self, views: list[Kept], grid: Grid) -> NDArray[np.bool_]:
+    def _parallax_enough(self, views: list[Kept], grid: Grid, before: F32) -> NDArray[np.bool_]:
         """Where at least `LEAST_VIEWS` see the ground over a baseline of `FIRST_LOOK`, (R, C)."""
-        wide = grid.coarser(BLOCK)
-        level = np.full(wide.shape, self._ground, np.float32)
-        seen = np.array([maps(f, wide, level)[0] for _, f, _ in views])
-        seen[seen < 0] = np.nan
-        baseline = np.empty(wide.shape, np.float32)
-        number = np.empty(wide.shape, np.uint8)
-        kernels.baseline(seen, refine.centres_of([f for _, f, _ in views]), baseline, number)
-        enough = baseline >= FIRST_LOOK * (views[-1][0].centre[2] - self._ground)
-        enough &= number >= LEAST_VIEWS
-        return np.repeat(np.repeat(enough, BLOCK, axis=0), BLOCK, axis=1)[: grid.rows, : grid.cols]
+        fine = [f for _, f, _ in views]
+        baseline, number = refine.baselines(fine, grid, before)
+        above = views[-1][0].centre[2] - self._ground
+        return np.asarray((baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS))
 
     def _first_look(self, views: list[Kept], grid: Grid, before: F32, ratio: F32, low: float, high: float) -> F32:
         """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity."""
-        fresh = np.isnan(before) & self._parallax_enough(views, grid)
+        fresh = np.isnan(before) & self._parallax_enough(views, grid, before)
         if not fresh.any():
             return before
         where = _box(fresh)
@@ -169,5 +161,5 @@ def fused(new: Heights, old: ElevationMap, ring: int) -> Heights:
     at the edge of its pictures, the map stays as it is.
     """
     out = replace(new, **{f: getattr(new, f).copy() for f in FUSED})
-    trust_kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
+    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
     return out
