@@ -245,12 +245,16 @@ def fly_through(
     """
     bounds = limits or Limits()
     points = np.asarray(points, dtype=np.float64)
-    if len(points) < 1 or (len(points) > 1 and np.linalg.norm(np.diff(points, axis=0), axis=1).min() < 1e-6):
-        raise ValueError("a flight needs a way-point or more, each apart from the one before")
-    most = push_left(speed, bounds, air, vehicle)
+    if len(points) < 1:
+        raise ValueError("there is no way-point; a flight needs at least one")
+    if (same := np.flatnonzero(np.linalg.norm(np.diff(points, axis=0), axis=1) < 1e-6)).size:
+        raise ValueError(f"way-points {same[0] + 1} and {same[0] + 2} are at the same place; leave one out")
+    cruise = speed if len(points) > 1 else 0.0
+    most = push_left(cruise, bounds, air, vehicle)
     if most < 0.1:
         raise ValueError(
-            f"{speed:g} m/s in {air.wind:g} m/s of wind leans it over the tilt limit of {bounds.tilt_deg:g} degrees"
+            f"{cruise:g} m/s in {air.wind:g} m/s of wind leans it over the tilt limit of {bounds.tilt_deg:g} degrees; "
+            "fly slower, in less wind, or raise it"
         )
     line = _timed(points, speed, bounds, most, rolling) if len(points) > 1 else None
     duration = line.duration if line else hold
