@@ -1,18 +1,17 @@
 """Rays, noise, light: exact against closed forms and plain NumPy twins; pictures do not depend on threads."""
 
-import dataclasses
-
 import numba
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from alight.geometry import Camera, Grid, LocalFrame, Pose
+from alight.geometry import Camera, Grid, Pose
 from alight.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
 from alight.kernels.raycast import cast_ray, cast_rays, max_pyramid, shadow_margin
 from alight.records import Terrain
-from alight.simulate import Imaging, Sun, World
+from alight.simulate import Imaging, Sun
 from alight.simulate.cameras import Eye
+from alight.simulate.world import world_of
 
 LENSES = {
     "none": Camera(96, 72, 72.0, 71.0, 48.3, 36.1),
@@ -22,13 +21,12 @@ LENSES = {
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def make_world(surface, side=60.0, cell=0.1, kind=Terrain.SHORT_GRASS):
+def make_world(surface, side=60.0, cell=0.1, kind=Terrain.SHORT_GRASS, **more):
     n = round(side / cell) + 1
     grid = Grid(-side / 2, side / 2, cell, n, n)
     x, y = grid.xy()
     height = np.asarray(surface(*np.meshgrid(x, y)), np.float32)
-    label = np.full(grid.shape, kind, np.uint8)
-    return World("test", "", 0, LocalFrame(47.0, 13.0, 500.0), grid, height, label, np.zeros_like(height), Sun())
+    return world_of(grid, height, np.full(grid.shape, kind, np.uint8), **more)
 
 
 def tilted(east=1.3, north=-2.1, up=20.0):
@@ -184,8 +182,8 @@ def test_rays_that_see_no_ground_miss():
 
 
 def test_shadow_of_a_wall_is_as_long_as_the_sun_says():
-    world = make_world(lambda x, y: np.where(np.abs(y) < 0.26, 2.0, 0.0), side=12.0)
-    world = dataclasses.replace(world, sun=Sun(azimuth=np.pi, elevation=np.radians(45.0)))  # from the south
+    sun = Sun(azimuth=np.pi, elevation=np.radians(45.0))  # from the south
+    world = make_world(lambda x, y: np.where(np.abs(y) < 0.26, 2.0, 0.0), side=12.0, sun=sun)
     margin = world.light[:, 60, 2]
     _, north = world.grid.xy()
     shadow = (margin < 0) & (np.abs(north) > 0.35)
@@ -277,9 +275,8 @@ def test_picture_does_not_depend_on_threads(meadow):
 
 
 def test_water_moves_and_ground_does_not(meadow):
-    pond = dataclasses.replace(
-        meadow, label=np.full_like(meadow.label, Terrain.WATER), depth=np.full_like(meadow.depth, 0.5)
-    )
+    depth = np.full_like(meadow.height, 0.5)
+    pond = world_of(meadow.grid, meadow.height, np.full_like(meadow.label, Terrain.WATER), depth)
     assert np.array_equal(draw(meadow, 10.0, 0.0), draw(meadow, 10.0, 0.1))
     a, b = draw(pond, 10.0, 0.0), draw(pond, 10.0, 0.1)
     assert (np.abs(a - b) / a.mean() > 0.01).mean() > 0.5

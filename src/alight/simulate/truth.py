@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.ndimage import binary_erosion
 from scipy.signal import fftconvolve
 
 from alight.geometry import Grid
 from alight.records import F32, F64, U8, Terrain
+from alight.simulate.section import Section
 
 Mask = NDArray[np.bool_]
 CHUNK = 500  # discs judged at a time: their cells stay in the processor's cache
@@ -25,6 +28,23 @@ class Footprint:
     max_slope: float = math.radians(10.0)  # rad
     max_roughness: float = 0.15  # metres, largest deviation from the least-squares plane
     classes: tuple[Terrain, ...] = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
+
+
+class Lander(Section):
+    """The lander that a scene's truth is kept for."""
+
+    radius: float = Field(1.5, gt=0.0, le=50.0, description="metres, of the disc that it needs")
+    max_slope_deg: float = Field(10.0, gt=0.0, le=60.0, description="of the disc's plane")
+    max_roughness: float = Field(0.15, gt=0.0, le=10.0, description="metres, largest deviation from that plane")
+    on: tuple[Literal["bare", "short_grass", "tall_vegetation", "rock", "paved", "structure"], ...] = Field(
+        ("bare", "short_grass", "paved"), description="classes that it may stand on"
+    )
+
+    @property
+    def footprint(self) -> Footprint:
+        """The same in radians and codes."""
+        classes = tuple(Terrain[name.upper()] for name in self.on)
+        return Footprint(self.radius, math.radians(self.max_slope_deg), self.max_roughness, classes)
 
 
 @dataclass(frozen=True, eq=False)
