@@ -40,3 +40,5 @@ class Look(IntEnum):
     CLEAR_WATER = 31
     MURKY_WATER = 32
     PLAIN = 33
+    GLASS = 34
+    TWIGS = 35
