@@ -6,11 +6,12 @@ from alight.simulate.faults import Faults
 from alight.simulate.flight import SimulatedFlight, fly
 from alight.simulate.log import write
 from alight.simulate.patterns import FlightPlan
-from alight.simulate.scenes import SCENES, build
+from alight.simulate.scene import Scene, built_in, read_scene
+from alight.simulate.scenes import SCENES
 from alight.simulate.sensors import ImuErrors, NavErrors, Sensors
 from alight.simulate.truth import Footprint, Truth
 from alight.simulate.vehicle import Air, Limits
-from alight.simulate.world import Sun, World
+from alight.simulate.world import Sun, World, build, world_of
 
 __all__ = [
     "SCENES",
@@ -22,13 +23,17 @@ __all__ = [
     "ImuErrors",
     "Limits",
     "NavErrors",
+    "Scene",
     "Sensors",
     "SimulatedFlight",
     "Sun",
     "Truth",
     "World",
     "build",
+    "built_in",
     "default_rig",
     "fly",
+    "read_scene",
+    "world_of",
     "write",
 ]

@@ -29,7 +29,7 @@ def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> Trajector
     points = line(plan)
     _inside(world, points)
     if plan.above == "ground":
-        points = points + [0.0, 0.0, ground_at(world, points[0])]
+        points = points + np.array([0.0, 0.0, ground_at(world, points[0])])
     _above_ground(world, points)
     try:
         trajectory = fly_through(
@@ -45,15 +45,6 @@ def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> Trajector
     return trajectory
 
 
-def extent(world: World) -> Extent:
-    """West, south, east, north of the world, metres."""
-    given: Extent | None = getattr(world, "extent", None)
-    if given is not None:
-        return given
-    east, north = world.grid.xy()
-    return float(east[0]), float(north[-1]), float(east[-1]), float(north[0])
-
-
 def ground_at(world: World, place: F64) -> float:
     """Height of the ground around a place, trees and houses left out where there is ground between them, metres."""
     steps = np.arange(-AROUND, AROUND + 0.5, 1.0)
@@ -62,12 +53,12 @@ def ground_at(world: World, place: F64) -> float:
 
 
 def _inside(world: World, points: F64) -> None:
-    west, south, east, north = extent(world)
+    west, south, east, north = world.extent
     for k, p in enumerate(points):
         if not (west <= p[0] <= east and south <= p[1] <= north):
             raise InputError(
-                f"the flight leaves the world: its way-point {k + 1} is at east {p[0]:.0f} m, north {p[1]:.0f} m; keep it "
-                f"within east {west:.0f} to {east:.0f}, north {south:.0f} to {north:.0f}, or make the ground larger"
+                f"the flight leaves the world: its way-point {k + 1} is at east {p[0]:.0f} m, north {p[1]:.0f} m; "
+                f"keep it within east {west:.0f} to {east:.0f}, north {south:.0f} to {north:.0f}, or enlarge the ground"
             )
 
 
@@ -83,11 +74,9 @@ def _above_ground(world: World, points: F64) -> None:
 
 def _what(world: World, p: F64) -> str:
     """What stands at a place, in a word."""
-    kind = Terrain.UNKNOWN
-    if hasattr(world, "patch"):
-        patch = world.patch((p[0] - 1.0, p[1] - 1.0, p[0] + 1.0, p[1] + 1.0))
-        row, col = patch.grid.index(p[0], p[1])
-        kind = Terrain(int(patch.label[round(float(row)), round(float(col))]))
+    reach = 0.6 * world.cell  # at least one cell's centre
+    around = world.truth((p[0] - reach, p[1] - reach, p[0] + reach, p[1] + reach))
+    kind = Terrain(int(around.label.flat[np.argmax(around.height)]))
     names = {
         Terrain.TREE: "a tree", Terrain.STRUCTURE: "a building or vehicle", Terrain.ROCK: "a rock",
         Terrain.TALL_VEGETATION: "tall vegetation", Terrain.WATER: "water",
@@ -97,7 +86,7 @@ def _what(world: World, p: F64) -> str:
 
 def _keeps_clear(world: World, trajectory: Trajectory) -> None:
     """Look every metre or tenth of a second."""
-    west, south, east, north = extent(world)
+    west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)
     step = min(0.1, 1.0 / max(fastest, 1e-3))
     for x, y, up in trajectory.place_world(np.arange(-LEAD, trajectory.duration + LEAD + step, step)):

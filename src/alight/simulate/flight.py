@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -16,16 +17,16 @@ from pydantic import ValidationError
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, U8, Event, Frame, InputError, Rig
 from alight.simulate.cameras import Eye, default_rig
-from alight.simulate.course import LEAD, Extent, chart, extent
+from alight.simulate.course import LEAD, Extent, chart
 from alight.simulate.exposure import Imaging, Sensor, gains
 from alight.simulate.faults import Exposures, Faults, exposures
 from alight.simulate.patterns import FlightPlan
-from alight.simulate.scenes import build
+from alight.simulate.scene import Scene, explain
 from alight.simulate.section import Section
-from alight.simulate.sensors import ImuErrors, NavErrors, Sensors, imu_biases, imu_samples, nav_samples
+from alight.simulate.sensors import ImuErrors, NavErrors, imu_biases, imu_samples, nav_samples
 from alight.simulate.truth import Truth
 from alight.simulate.vehicle import Limits, Trajectory
-from alight.simulate.world import World
+from alight.simulate.world import World, build
 
 START_NS = 1_700_000_000_000_000_000
 NAV_OFFSET_NS = 13_000_000  # the navigation solution keeps its own time
@@ -45,10 +46,8 @@ class SimulatedFlight:
     trajectory: Trajectory
     seed: int
     true_rig: Rig  # what draws
-    plan: FlightPlan
-    imaging: Imaging
-    sensors: Sensors
-    faults: Faults
+    scene: Scene  # what was flown: the world's, with what was asked for instead
+    repeatable: bool = True  # the scene and the seed alone make this flight again
     georeferenced: bool = True
     warnings: list[str] = field(default_factory=list)
     kind: Literal["flight"] = "flight"
@@ -69,6 +68,21 @@ class SimulatedFlight:
         return self.faults.claimed(self.true_rig)
 
     @property
+    def plan(self) -> FlightPlan:
+        """Where and how it flies."""
+        return self.scene.flight
+
+    @property
+    def imaging(self) -> Imaging:
+        """What lens and sensor do."""
+        return self.scene.imaging
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong."""
+        return self.scene.faults
+
+    @property
     def seconds(self) -> float:
         """From the first frame to the last beat."""
         return self.trajectory.duration
@@ -81,12 +95,12 @@ class SimulatedFlight:
     @property
     def nav(self) -> NavErrors:
         """The errors of GPS/INS."""
-        return self.sensors.nav
+        return self.scene.sensors.nav
 
     @property
     def imu(self) -> ImuErrors:
         """The errors of the IMU."""
-        return self.sensors.imu
+        return self.scene.sensors.imu
 
     @property
     def length(self) -> int:
@@ -158,8 +172,8 @@ class SimulatedFlight:
 
     @cached_property
     def truth(self) -> Truth:
-        """The ground as it is."""
-        return Truth(self.world.grid, self.world.height, self.world.label)
+        """The ground as it is, where the cameras saw it."""
+        return self.world.truth(self.seen)
 
     @cached_property
     def truth_trajectory(self) -> tuple[Times, list[Pose]]:
@@ -194,7 +208,9 @@ class SimulatedFlight:
         nav = nav_samples(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
         seconds = self.since(self.imu_times)
         imu = imu_samples(self.trajectory, self.imu_times, seconds, self.biases, self.imu, self.seeds(IMU_NOISE))
-        streams = [((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu), self._frames()]
+        streams: list[Iterator[tuple[int, Event]]] = [
+            ((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu), self._frames(),
+        ]  # fmt: skip
         return (event for _, event in heapq.merge(*streams, key=lambda pair: pair[0]))
 
     def _frames(self) -> Iterator[tuple[int, Event]]:
@@ -244,8 +260,8 @@ class SimulatedFlight:
 def seen_box(flight: SimulatedFlight) -> Extent:
     """Where the border of the pictures meets the lowest ground, at worst the whole world."""
     world = flight.world
-    west, south, east, north = extent(world)
-    low, s = _lowest(world), flight.since(flight.frame_times)
+    west, south, east, north = world.extent
+    low, s = world.low, flight.since(flight.frame_times)
     turns, places = flight.trajectory.rotations(s), flight.trajectory.place_world(s)
     hits = []
     for cam in flight.true_rig.cameras:
@@ -264,13 +280,8 @@ def seen_box(flight: SimulatedFlight) -> Extent:
     )  # fmt: skip
 
 
-def _lowest(world: World) -> float:
-    low = getattr(world, "low", None)
-    return float(world.height.min()) if low is None else float(low)
-
-
 def fly(
-    scene: str | World = "demo",
+    scene: str | Path | Scene | World = "demo",
     seed: int = 0,
     duration: float | None = None,
     *,
@@ -286,7 +297,7 @@ def fly(
     imu: ImuErrors | None = None,
     faults: Faults | None = None,
 ) -> SimulatedFlight:
-    """Fly over a scene as its plan says, unless told otherwise here; nothing is drawn before `events` is read.
+    """Fly over a scene as it says, unless told otherwise here; nothing is drawn before `events` is read.
 
     `waypoints`: (east, north, height) in metres, heights counted like those of the plan. The same arguments give the
     same events, bit for bit.
@@ -294,14 +305,20 @@ def fly(
     Raises:
         InputError: no such scene, or the flight cannot be flown: `alight.simulate.course.chart`.
     """
-    world = build(scene, seed) if isinstance(scene, str) else scene
+    world = scene if isinstance(scene, World) else build(scene, seed)
+    s = world.scene or Scene()
     wishes = {"duration": duration, "height": height, "speed": speed, "waypoints": waypoints, "limits": limits}
-    course = _with(plan or FlightPlan(height=27.0, duration=6.0), wishes)
+    used = s.model_copy(
+        update={
+            "flight": _with(plan or s.flight, wishes),
+            "imaging": _with(imaging or s.imaging, {"rate_hz": rate_hz}),
+            "sensors": _with(s.sensors, {"nav": nav, "imu": imu}),
+            "faults": faults or s.faults,
+        }
+    )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WIND,)))
-    return SimulatedFlight(
-        world, chart(world, course, rng), seed, rig or default_rig(), course,
-        _with(imaging or Imaging(), {"rate_hz": rate_hz}), _with(Sensors(), {"nav": nav, "imu": imu}), faults or Faults(),
-    )  # fmt: skip
+    again = world.scene is not None and world.seed == seed and rig is None
+    return SimulatedFlight(world, chart(world, used.flight, rng), seed, rig or default_rig(), used, again)
 
 
 def _with(section: S, wishes: dict[str, Any]) -> S:
@@ -309,6 +326,4 @@ def _with(section: S, wishes: dict[str, Any]) -> S:
     try:
         return type(section).model_validate(dict(section) | {k: v for k, v in wishes.items() if v is not None})
     except ValidationError as e:
-        first = e.errors()[0]
-        where = ".".join(str(k) for k in first["loc"])
-        raise InputError(f"{where or 'flight'}: {first['msg']}") from e
+        raise InputError(explain(e)) from e
