@@ -130,6 +130,7 @@ class Motion:
     velocity_world: F64 | None = None  # (3,) m/s
     state: MotionState = MotionState.GOOD
     tracks: int = 0  # features that supported it
+    offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
 
 
 @dataclass(frozen=True, eq=False)

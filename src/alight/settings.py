@@ -52,6 +52,9 @@ class Filter(_Model):
     pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track on ground of the reference texture")
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
+    vague_share: Positive = Field(
+        0.2, description="sigma of the depth over depth, above which a feature measures nothing"
+    )
     keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
     nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")
     nav_attitude_tau: Positive = Field(120.0, description="s, correlation time of the GPS/INS attitude error")

@@ -82,20 +82,11 @@ def spread(state: State, F: F64, Q: F64, decay: F64, drift: F64) -> None:
     state.P[range(15, 24), range(15, 24)] += drift
 
 
-def nav_decay(dt: float, sigma: F64, noise: Filter, from_start: bool = False) -> tuple[F64, F64]:
-    """Return (9,) decay and (9,) variance added to the Gauss-Markov errors of GPS/INS over `dt` (M10).
-
-    Args:
-        from_start: the position's error is counted from what it was at the start (M14b): the difference of a
-            Gauss-Markov process to its own start spreads like one of twice the variance and twice the time.
-    """
+def nav_decay(dt: float, sigma: F64, noise: Filter) -> tuple[F64, F64]:
+    """Return (9,) decay and (9,) variance added to the Gauss-Markov errors of GPS/INS over `dt` (M10)."""
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
-    variance = sigma**2
-    if from_start:
-        tau[0:3] *= 2.0
-        variance[0:3] *= 2.0
     a = np.exp(-dt / tau)
-    return a, (1.0 - a**2) * variance
+    return a, (1.0 - a**2) * sigma**2
 
 
 def bias_walk(dt: float, noise: Filter) -> F64:

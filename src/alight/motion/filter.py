@@ -26,10 +26,12 @@ from alight.motion.dynamics import (
 )
 from alight.motion.inertial import Preintegral, preintegrate, segments
 from alight.motion.navigation import initial_state, measurements, rate_measurement, sigmas
-from alight.motion.points import Gate, Sight, measure, take_up
+from alight.motion.points import Gate, measure, take_up
+from alight.motion.ring import Refined, refine
 from alight.motion.smoother import Recording, smooth
-from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, POS, VEL, State
+from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, OFFSET, POS, VEL, State
 from alight.motion.vision import sight_sigma
+from alight.motion.window import Poses, Sights, as_rows, eliminate, linearise, meet
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import Filter
 
@@ -37,9 +39,16 @@ log = logging.getLogger(__name__)
 
 Ints = NDArray[np.int64]
 
+
+def _contains(ids: Ints, id_: int) -> bool:
+    at = int(np.searchsorted(ids, id_))
+    return at < len(ids) and int(ids[at]) == id_
+
+
 _SUPPORT = 8  # points inside their gates below which the cameras do not hold the motion
 _JUMP = 5  # GPS/INS positions in a row outside the gate that are taken as a jump
 _MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
+_LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
 _KEEP_NS = 1_000_000_000  # ns of IMU samples kept
 
 
@@ -55,8 +64,8 @@ class MotionFilter:
         self._inertial = False
         self._state: State | None = None
         self._first: Step | None = None  # the state as last predicted: where Jacobians are taken
-        self._nav_sigma, self._start_sigma = np.ones(9), np.ones(3)
-        self._waiting: dict[int, list[Sight]] = {}  # the sub-filter: features not yet in the state
+        self._nav_sigma = np.ones(9)
+        self._waiting = Sights.none(len(rig.cameras))  # the sub-filter: sights that the state has not used
         self._outside = 0  # GPS/INS positions in a row outside the gate
         self._last_nav_ns = self._last_good_ns = self._last_exposure_ns = -(1 << 62)
         self._settled = 0
@@ -106,24 +115,23 @@ class MotionFilter:
         return motion
 
     def ring(self) -> tuple[Motion, ...]:
-        """The keyframes held, as the present state sees them: consistent, unlike motions given out at different times.
+        """The keyframes held, refined together with all that was seen from them (M23): consistent with each other.
 
         Their covariances are marginals; GPS/INS corrections move all of them together.
         """
         s = self._state
-        if s is None:
+        if s is None or not s.clones:
             return ()
-        return tuple(self._held(s, i) for i in range(len(s.clones)))
+        found = refine(s, self._waiting, self._cams, self._settings.vague_share)
+        return tuple(self._held(s, i, found) for i in range(len(s.clones)))
 
-    def _absolute(self, s: State, rows: Ints) -> F64:
-        """(6, 6) covariance of a pose in the world: that against the start, and the GPS/INS error at the start."""
-        return np.asarray(s.P[np.ix_(rows, rows)] + np.diag(np.append(self._start_sigma**2, np.zeros(3))))
-
-    def _held(self, s: State, i: int) -> Motion:
-        c, order = s.clones[i], np.arange(len(s.P))[s.clone_at(i)][[3, 4, 5, 0, 1, 2]]
-        rig = Pose(c.R, c.p)
-        body = Pose(c.R @ so3_exp(s.core[MOUNT]).T, c.p)
-        return Motion(c.t_ns, body, tuple(rig @ x for x in self._cams), self._absolute(s, order))
+    def _held(self, s: State, i: int, found: Refined) -> Motion:
+        rows = 6 * i + np.array([3, 4, 5, 0, 1, 2])
+        rig = Pose(found.R[i], found.p[i])
+        body = Pose(found.R[i] @ so3_exp(s.core[MOUNT]).T, found.p[i])
+        covariance = s.in_world(found.covariance[np.ix_(rows, rows)], found.offset_cross[rows])
+        offset = s.core[OFFSET].copy()
+        return Motion(s.clones[i].t_ns, body, tuple(rig @ x for x in self._cams), covariance, offset_world=offset)
 
     def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
         """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
@@ -147,7 +155,7 @@ class MotionFilter:
         self._state = initial_state(sample, sigma, self._settings)
         if self._state is None:
             return
-        self._nav_sigma, self._start_sigma, self._last_nav_ns = sigma, sigma[0:3], sample.t_ns
+        self._nav_sigma, self._last_nav_ns = sigma, sample.t_ns
         if self._inertial:
             self._start_biases(self._state)
         else:
@@ -190,7 +198,7 @@ class MotionFilter:
             Q[range(15), range(15)] += bias_walk(dt, self._settings)
         else:
             F, Q = constant_transition(state.R, state.core[GYRO], dt, self._settings)
-        decay, drift = nav_decay(dt, self._nav_sigma, self._settings, from_start=True)
+        decay, drift = nav_decay(dt, self._nav_sigma, self._settings)
         spread(state, F, Q, decay, drift)
         state.R, state.core[POS], state.core[VEL] = after.R, after.position, after.velocity
         state.core[15:24] *= decay
@@ -210,36 +218,39 @@ class MotionFilter:
             self._last_nav_ns = sample.t_ns
             state.update(*(np.concatenate([row[k] for row in passed]) for k in range(3)))
         if self._outside >= _JUMP and sample.position_world is not None:
-            self._jump(state, sample.position_world, sigma)
+            self._jump(state, sample.position_world)
 
     def _inside(self, state: State, residual: F64, H: F64, variance: F64) -> bool:
         return self._gate.passes(residual, H @ state.P @ H.T + np.diag(variance))
 
-    def _jump(self, state: State, position: F64, sigma: F64) -> None:
+    def _jump(self, state: State, position: F64) -> None:
         """The solution jumped: what it is off by is set anew, so that the jump does not pull the vehicle along."""
-        log.warning(
-            "GPS/INS position jumped by %.1f m", float(np.linalg.norm(position - state.core[POS] - state.core[NAV_POS]))
-        )
-        state.core[NAV_POS] = position - state.core[POS]
-        state.P[NAV_POS, :], state.P[:, NAV_POS] = 0.0, 0.0
-        state.P[NAV_POS, NAV_POS] = np.diag(sigma[0:3] ** 2)
+        expected = state.core[POS] + state.core[OFFSET]
+        log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[NAV_POS]))
+        state.core[NAV_POS] = position - expected
+        known = -state.P[POS] - state.P[OFFSET]  # (3, n): of the new error with everything
+        known[:, NAV_POS] = 0.0
+        own = -known[:, POS] - known[:, OFFSET] + np.eye(3) * self._settings.nav_position_white**2
+        state.P[NAV_POS], state.P[:, NAV_POS], state.P[NAV_POS, NAV_POS] = known, known.T, own
         self._outside = 0
 
     # -- cameras ---------------------------------------------------------------------------------------------------
 
     def _see(self, state: State, tracks: Tracks) -> tuple[int, int]:
-        """One exposure (M11-M17): forget lost points, measure those held, take up those that became well known."""
-        sigma = sight_sigma(tracks, self._camera, self._settings)
-        sights = {
-            int(i): Sight(tracks.t_ns, z, float(s))
-            for i, z, s in zip(tracks.ids, tracks.normalised, sigma, strict=True)
-        }
-        lost = [i for i, x in enumerate(state.points) if x.id not in sights or x.misses >= _MISSES]
-        state.drop(clones=self._superfluous(state), points=lost)
+        """One exposure (M11-M17): use up what ended, measure the points held, take up what became well known."""
+        order = np.argsort(tracks.ids)
+        ids, seen = tracks.ids[order], tracks.normalised[order]
+        sigma = sight_sigma(tracks, self._camera, self._settings)[order]
+        gone = self._superfluous(state)
+        self._use_up(state, ids, gone)
+        lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
+        state.drop(clones=gone, points=lost)
         state.add_clone()
-        passed, tried = measure(state, len(state.clones) - 1, sights, self._cams, self._gate)
-        self._wait(state, sights)
-        return passed + self._take_up(state), tried
+        passed, tried, _ = measure(state, ids, seen, sigma, self._cams, self._gate)
+        new = ~np.isin(ids, [x.id for x in state.points])
+        self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
+        self._take_up(state)
+        return passed, tried
 
     def _superfluous(self, state: State) -> list[int]:
         """The last clone if it is no keyframe; else the oldest when there are too many."""
@@ -253,22 +264,50 @@ class MotionFilter:
         far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
         return float(np.median(far)) if far else 0.0
 
-    def _wait(self, state: State, sights: dict[int, Sight]) -> None:
-        held = {x.id for x in state.points}
-        self._waiting = {
-            i: [*self._waiting.get(i, []), s][-2 * self._settings.clones :] for i, s in sights.items() if i not in held
-        }
+    def _use_up(self, state: State, ids: Ints, gone: list[int]) -> None:
+        """Measure the poses by the features that are seen no more, or whose first pose is about to be forgotten."""
+        w = self._waiting
+        if not len(w.ids):
+            return
+        ended = ~np.isin(w.ids, ids)
+        if gone == [0]:
+            ended |= w.where[:, 0]
+        useful = ended & (w.where.sum(axis=1) >= _LEAST_POSES)
+        self._absorb(state, w.rows(useful))
+        self._waiting = w.rows(~ended)
 
-    def _take_up(self, state: State) -> int:
-        """Fill the free places, oldest features first."""
-        s, taken = self._settings, 0
-        for i in sorted(i for i, seen in self._waiting.items() if len(seen) >= 3)[: s.points]:
-            if len(state.points) >= s.points:
-                break
-            if take_up(state, i, self._waiting[i], self._cams, s.depth_share, self._gate):
-                taken += 1
-                del self._waiting[i]
-        return taken
+    def _absorb(self, state: State, sights: Sights) -> None:
+        if not len(sights.ids):
+            return
+        poses, columns = Poses.of(state.clones), state.clone_columns()
+        x = meet(sights, poses, self._cams)
+        found = eliminate(linearise(sights, poses, self._cams, x))
+        known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
+        inside = found.distances(state.P[np.ix_(columns, columns)]) <= self._gate.limits(np.maximum(found.freedom, 0))
+        if (known & inside).any():
+            state.correct(*as_rows(*found.information((known & inside).astype(float))), columns)
+
+    @staticmethod
+    def _known(covariance: F64, x: F64, state: State, share: float) -> NDArray[np.bool_]:
+        distance = np.linalg.norm(x - state.core[POS], axis=1)
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]) < share * distance)
+
+    def _take_up(self, state: State) -> None:
+        """Fill the free places, longest seen features first."""
+        s, w = self._settings, self._waiting
+        free, poses = s.points - len(state.points), w.where.sum(axis=1)
+        ready = np.flatnonzero((poses >= 3) & w.where[:, -1])
+        if free <= 0 or not len(ready):
+            return
+        ready = ready[np.argsort(-poses[ready], kind="stable")][: 2 * free]
+        x = meet(w.rows(ready), Poses.of(state.clones), self._cams)
+        found = eliminate(linearise(w.rows(ready), Poses.of(state.clones), self._cams, x))
+        taken = []
+        for i in np.flatnonzero(self._known(found.point_covariance, x, state, s.depth_share))[:free]:
+            one = ready[i : i + 1]
+            if take_up(state, w.rows(one), x[i : i + 1], self._cams, self._gate):
+                taken.append(int(one[0]))
+        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), taken))
 
     # -- what goes out ---------------------------------------------------------------------------------------------
 
@@ -286,15 +325,16 @@ class MotionFilter:
         return MotionState.INITIALISING if self._settled == 0 and nav else MotionState.DEGRADED
 
     def _motion(self, state: State, judged: MotionState, support: int) -> Motion:
-        rig = Pose(state.rig, state.core[POS])
+        rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
         return Motion(
             state.t_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
-            self._absolute(state, np.r_[POS, ATT]),
+            state.in_world(state.P[np.ix_(order, order)], state.P[order, OFFSET]),
             state.core[VEL].copy(),
             judged,
             support,
+            state.core[OFFSET].copy(),
         )
 
     @staticmethod
