@@ -11,37 +11,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.kernels.compiler import kernel, parallel_kernel, prange
-from alight.kernels.noise import gradient_noise
+from alight.kernels.noise import noise32, seed32
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 HILLS, RIDGES, DUNES = 0, 1, 2
-
-
-@kernel
-def fractal_at(x: float, y: float, wavelengths: F64, amplitudes: F64, form: int, seed: int) -> float:
-    """Return a sum of noise octaves; HILLS: as it is, RIDGES: creases upwards, DUNES: long crests across the east."""
-    value, c, s = 0.0, 1.0, 0.0
-    for k in range(wavelengths.size):
-        u, v = (c * x - s * y) / wavelengths[k], (s * x + c * y) / wavelengths[k]
-        if form == DUNES:
-            u, v = x / wavelengths[k], 0.25 * y / wavelengths[k]
-        n, _, _ = gradient_noise(u, v, seed + 101 * k)
-        if form != HILLS:
-            n = 1.9 * (0.7 - abs(n))  # unit deviation, about zero
-        value += amplitudes[k] * n
-        c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s  # 37 degrees an octave: lattices never line up
-    return float(value)
+BLOCK = 8  # cells of a block's side
 
 
 @parallel_kernel
 def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add the octaves at places (R, C) to `out` (R, C)."""
+    """Add noise octaves at places (R, C) to `out` (R, C), row by row in single precision from the row's first place.
+
+    `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. An octave has about its
+    amplitude as standard deviation.
+    """
     for r in prange(out.shape[0]):
-        for c in range(out.shape[1]):
-            out[r, c] += fractal_at(x[r, c], y[r, c], wavelengths, amplitudes, form, seed)
+        cos, sin = 1.0, 0.0
+        for k in range(wavelengths.size):
+            # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
+            a, b = cos / wavelengths[k], -sin / wavelengths[k]
+            c, d = sin / wavelengths[k], cos / wavelengths[k]
+            if form == DUNES:
+                a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
+            u0, v0 = math.floor(a * x[r, 0] + b * y[r, 0]), math.floor(c * x[r, 0] + d * y[r, 0])
+            i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
+            if form == HILLS:
+                for m in range(out.shape[1]):
+                    u = np.float32(a * x[r, m] + b * y[r, m] - u0)
+                    v = np.float32(c * x[r, m] + d * y[r, m] - v0)
+                    out[r, m] += gain * noise32(u, v, i0, j0, bits)[0]
+            else:
+                for m in range(out.shape[1]):
+                    u = np.float32(a * x[r, m] + b * y[r, m] - u0)
+                    v = np.float32(c * x[r, m] + d * y[r, m] - v0)
+                    out[r, m] += 1.9 * gain * (0.7 - abs(noise32(u, v, i0, j0, bits)[0]))
+            cos, sin = 0.7986 * cos - 0.6018 * sin, 0.6018 * cos + 0.7986 * sin  # 37 degrees: lattices never line up
 
 
 @parallel_kernel
@@ -119,20 +126,49 @@ def _bilinear(layer: F32, x: float, y: float) -> float:
 
 
 @parallel_kernel
-def sun_margin(height: F32, row: int, col: int, top: float, step: F64, limit: float, out: F32) -> None:
+def block_tops(height: F32, out: F32) -> None:
+    """Fill `out` with the highest cell of each block of BLOCK x BLOCK, one cell about it included."""
+    rows, cols = height.shape
+    for i in prange(out.shape[0]):
+        for j in range(out.shape[1]):
+            top = -np.inf
+            for r in range(max(i * BLOCK - 1, 0), min((i + 1) * BLOCK + 1, rows)):
+                for c in range(max(j * BLOCK - 1, 0), min((j + 1) * BLOCK + 1, cols)):
+                    top = max(top, float(height[r, c]))
+            out[i, j] = np.float32(top)
+
+
+@kernel
+def _to_leave(x: float, step: float) -> int:
+    """Return how many steps stay inside the block."""
+    inside = x - BLOCK * math.floor(x / BLOCK)
+    if step > 0.0:
+        return int((BLOCK - inside) / step)
+    return int(inside / -step) if step < 0.0 else BLOCK
+
+
+@parallel_kernel
+def sun_margin(
+    height: F32, tops: F32, row: int, col: int, top: float, step: F64, limit: float, out: F32
+) -> None:  # fmt: skip
     """Fill `out` (R, C) with how far, in metres, the sun's ray from each cell clears the ground (negative: shadow).
 
     Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): one step towards the sun in columns, rows, metres;
-    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`.
+    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. Blocks that lie so deep below the ray that
+    they cannot matter are leapt over, by `tops` of `block_tops`; the result is the same.
     """
     rows, cols = height.shape
     for r in prange(out.shape[0]):
         for c in range(out.shape[1]):
-            x, y = float(col + c), float(row + r)
-            z, margin = float(height[row + r, col + c]), limit
-            while z < top and margin > -limit:
-                x, y, z = x + step[0], y + step[1], z + step[2]
-                if x < 0.0 or y < 0.0 or x > cols - 1.0 or y > rows - 1.0:
+            x0, y0, z0 = float(col + c), float(row + r), float(height[row + r, col + c])
+            margin, k = limit, 1
+            while margin > -limit:
+                x, y, z = x0 + k * step[0], y0 + k * step[1], z0 + k * step[2]
+                if z - step[2] >= top or x < 0.0 or y < 0.0 or x > cols - 1.0 or y > rows - 1.0:
                     break
+                if z - tops[int(y) // BLOCK, int(x) // BLOCK] >= margin:
+                    k += 1 + min(_to_leave(x, step[0]), _to_leave(y, step[1]))
+                    continue
                 margin = min(margin, z - _bilinear(height, x, y))
+                k += 1
             out[r, c] = np.float32(max(margin, -limit))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid, LocalFrame
-from alight.kernels.layers import box_mean, ground_light, sun_margin
+from alight.kernels.layers import BLOCK, block_tops, box_mean, ground_light, sun_margin
 from alight.kernels.raycast import max_pyramid
 from alight.records import F32, F64, U8, InputError, Terrain
 from alight.simulate.rasters import Arrays
@@ -21,7 +21,7 @@ from alight.simulate.things.base import Box
 from alight.simulate.tiles import SIDE, Cache, Source, Stack, Tile
 from alight.simulate.truth import Truth
 
-SHADOW_LIMIT = 3.0  # metres: a ray that clears by more is simply lit
+SHADOW_LIMIT = 0.5  # metres: a ray that clears by more is simply lit
 SHADOW_REACH = 60.0  # metres: longer shadows end here
 HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
 TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # what is kept of what was made
@@ -246,7 +246,9 @@ class World:
         height = self._window(i0, j0, i1, j1, ("height",))["height"]
         step = np.array([east, -north, steep])
         row, col = j1 - (j * SIDE + SIDE - 1), i * SIDE - i0
-        sun_margin(height, row, col, float(height.max()), step, SHADOW_LIMIT, out)
+        tops = np.empty([-(-n // BLOCK) for n in height.shape], np.float32)
+        block_tops(height, tops)
+        sun_margin(height, tops, row, col, float(height.max()), step, SHADOW_LIMIT, out)
         return out
 
     # -- the whole extent as one array: what was there before patches
