@@ -60,7 +60,7 @@ def test_a_written_scene_becomes_a_flight_log_that_is_read_back(
     assert len(frames) == 3
     assert all(i is not None and i.shape == (480, 640, 3) for f in frames for i in f.images)
     truth = read_truth(out)
-    assert truth.grid.cell * truth.grid.rows == pytest.approx(60.0, abs=0.2)
+    assert truth.grid.cell == pytest.approx(0.1)
     assert source.truth_trajectory is not None
     at = dict(zip(source.truth_trajectory[0].tolist(), source.truth_trajectory[1], strict=True))
     up = [at[f.t_ns].translation[2] for f in frames]
@@ -110,9 +110,12 @@ def test_force_replaces_a_simulated_flight_and_nothing_else(
         ("- a\n- b\n", "mine.yaml: holds a list"),
         ("\x00", "mine.yaml: is not YAML"),
         ("flight: {height: 40, speed: 10, duration: 60}", "leaves the world"),
-        ("flight: {height: 1}", "below the ground|of the ground"),
+        ("flight: {height: 0.2}", "ground"),
         ("flight: {height: -5, above: origin}", "flight.height: "),
-        (f"{HILL}flight: {{above: origin, waypoints: [[-20, 0, 30], [0, 0, -9], [20, 0, 30]]}}", "below|inside|ground"),
+        (
+            f"{HILL}flight: {{above: origin, waypoints: [[-20, 0, 30], [0, 0, -9], [20, 0, 30]]}}",
+            "way-point 2 (east 0.0, north 0.0) is inside",
+        ),
     ],
 )
 def test_a_scene_that_cannot_be_flown_is_told_in_one_line(
@@ -121,7 +124,7 @@ def test_a_scene_that_cannot_be_flown_is_told_in_one_line(
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     told = refused(["simulate", str(file), "--out", str(tmp_path / "flight")], capsys)
-    assert any(w in told for w in words.split("|")), told
+    assert words in told
     assert [p.name for p in tmp_path.iterdir()] == ["mine.yaml"]
 
 

@@ -14,6 +14,8 @@ from typing import Literal
 
 from alight.records import InputError
 from alight.simulate.flight import SimulatedFlight, fly
+from alight.simulate.patterns import FlightPlan
+from alight.simulate.scene import Scene, built_in, read_scene
 
 Kind = Literal["tuning", "test"]
 KINDS: tuple[Kind, ...] = ("tuning", "test")
@@ -71,8 +73,19 @@ class Rung:
         return round((84.3 + GOLDEN * self.seed) % 360.0, 1)
 
     def fly(self) -> SimulatedFlight:
-        """Make the flight: a straight transect over the middle of the scene. The same rung flies the same, bit for bit."""
-        return fly(self.scene, self.seed, self.duration, height=self.height, speed=self.speed, rate_hz=self.rate_hz)
+        """Make the flight: the same rung is the same bit for bit."""
+        return fly(self.plan(), self.seed)
+
+    def plan(self) -> Scene:
+        """The scene with a straight transect over its middle; its wind, light and sensors are its own."""
+        scene = read_scene(built_in()[self.scene])
+        own = scene.flight
+        transect = FlightPlan(
+            height=self.height, speed=self.speed, duration=self.duration, course_deg=self.course_deg,
+            vehicle=own.vehicle, limits=own.limits, air=own.air,
+        )  # fmt: skip
+        imaging = scene.imaging.model_copy(update={"rate_hz": self.rate_hz})
+        return scene.model_copy(update={"flight": transect, "imaging": imaging})
 
 
 def ladder(
