@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from alight.geometry import LocalFrame, Pose
-from alight.records import F64, U8, Event, Frame, InputError, Rig
+from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
 from alight.simulate.cameras import Eye, default_rig
 from alight.simulate.course import LEAD, Extent, chart
 from alight.simulate.exposure import Imaging, Sensor, gains
@@ -208,16 +208,17 @@ class SimulatedFlight:
         nav = nav_samples(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
         seconds = self.since(self.imu_times)
         imu = imu_samples(self.trajectory, self.imu_times, seconds, self.biases, self.imu, self.seeds(IMU_NOISE))
-        streams: list[Iterator[tuple[int, Event]]] = [
-            ((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu), self._frames(),
+        streams: list[Iterator[tuple[int, NavSample | ImuSample | int]]] = [
+            ((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu),
+            ((int(self.exposures.arrival_ns[k]), int(k)) for k in self.exposures.order),
         ]  # fmt: skip
-        return (event for _, event in heapq.merge(*streams, key=lambda pair: pair[0]))
+        for _, event in heapq.merge(*streams, key=lambda pair: pair[0]):
+            yield self._frame(event) if isinstance(event, int) else event
 
-    def _frames(self) -> Iterator[tuple[int, Event]]:
+    def _frame(self, k: int) -> Frame:
         x = self.exposures
-        for k in x.order:
-            images = tuple(self.image(k, cam) if x.seen[k, cam] else None for cam in range(x.seen.shape[1]))
-            yield int(x.arrival_ns[k]), Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
+        images = tuple(self.image(k, cam) if seen else None for cam, seen in enumerate(x.seen[k]))
+        return Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
 
     def image(self, index: int, cam: int) -> U8:
         """Draw one picture, (H, W, 3) RGB, lost or not; any order gives the same."""
