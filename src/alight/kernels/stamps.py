@@ -100,10 +100,9 @@ def stamp_domes(
 
 @kernel
 def _roof(thing: F64, u: float, v: float, kind: int) -> float:
-    """Return the height of a box above its base, negative outside. TOP: of its walls, EXTRA: slope of its roof."""
+    """Return the height of a box above its base. TOP: of its walls, EXTRA: slope of its roof, or its parapet."""
+    u, v = min(max(u, -thing[HALF_U]), thing[HALF_U]), min(max(v, -thing[HALF_V]), thing[HALF_V])
     inside_u, inside_v = thing[HALF_U] - abs(u), thing[HALF_V] - abs(v)
-    if inside_u < 0.0 or inside_v < 0.0:
-        return -1.0
     if kind == CAR:
         return _car(thing, u, v)
     if kind == FLAT:
@@ -132,16 +131,27 @@ def stamp_boxes(
     x: F64, y: F64, cell: float, things: F64, kind: int, label_code: int,
     height: F64, label: U8, depth: F64, look: U8, tint: F32,
 ) -> None:  # fmt: skip
-    """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR."""
+    """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR.
+
+    A cell that an edge cuts rises by the share of it that is covered, so that edges askew to the grid are straight
+    lines on the surface, no stairs; it is of the thing's class where half of it is covered.
+    """
     for r in prange(y.size):
         for k in range(things.shape[0]):
             t = things[k]
-            if abs(y[r] - t[NORTH]) > t[REACH]:
+            if abs(y[r] - t[NORTH]) > t[REACH] + cell:
                 continue
-            c0, c1 = _span(t[EAST], t[REACH], x[0], cell, x.size)
+            c0, c1 = _span(t[EAST], t[REACH] + cell, x[0], cell, x.size)
             cos, sin = math.cos(t[TURN]), math.sin(t[TURN])
+            width = cell * (abs(cos) + abs(sin))
             for c in range(c0, c1):
                 dx, dy = x[c] - t[EAST], y[r] - t[NORTH]
-                rise = _roof(t, cos * dx + sin * dy, cos * dy - sin * dx, kind)
-                if rise >= 0.0:
-                    _put(t, t[LEVEL] + rise, label_code, r, c, height, label, depth, look, tint)
+                u, v = cos * dx + sin * dy, cos * dy - sin * dx
+                covered = 0.5 + min(t[HALF_U] - abs(u), t[HALF_V] - abs(v)) / width
+                if covered <= 0.0:
+                    continue
+                rise = t[LEVEL] + _roof(t, u, v, kind) - height[r, c]
+                if covered >= 0.5:
+                    _put(t, height[r, c] + min(covered, 1.0) * rise, label_code, r, c, height, label, depth, look, tint)
+                elif rise > 0.0:
+                    height[r, c] += covered * rise

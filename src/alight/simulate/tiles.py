@@ -9,6 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from alight.kernels.stamps import EAST, LEVEL, NORTH, REACH
 from alight.records import F32, F64, U8
+from alight.simulate.relief import noise
 from alight.simulate.things.base import Box, Layer, Mask, Scattered, Sheet, blank_things, overlapping, terrain
 
 if TYPE_CHECKING:
@@ -148,7 +150,16 @@ class Lay:
         things = things.copy()
         things[:, LEVEL] = level
         stays[named:] = allowed[named:] & self._has_room(things, i, j, named)[named:]
-        return np.asarray(things[stays])
+        stays[named:] &= self._in_clump(things[named:])
+        rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1])
+        return self.scattered.parts(rng, np.asarray(things[stays]))
+
+    def _in_clump(self, things: F64) -> Mask:
+        layer = self.scattered
+        if layer.clump == 1.0 or not len(things):
+            return np.ones(len(things), bool)
+        field = noise(things[:, EAST], things[:, NORTH], self.seed, layer.clump_size, 0.2 * layer.clump_size)
+        return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
     def _feet(self, things: F64) -> tuple[F64, Mask]:
         """Level of each foot, and whether its ground is of an allowed class all around."""
@@ -159,7 +170,7 @@ class Lay:
         y = things[:, NORTH, None] + np.concatenate([0 * ring, ring * np.sin(turn)], axis=1)
         shapes = type(layer).shape is not Layer.shape
         sheet = self.before(x, y) if shapes else self.stack.ground(x, y)
-        allowed = np.isin(sheet.label, [terrain(k) for k in layer.on]).all(axis=1)
+        allowed = np.isin(sheet.label, [terrain(k) for k in layer.upon]).all(axis=1)
         if layer.founded:
             return sheet.ground.max(axis=1), allowed
         return (sheet.ground.mean(axis=1) if shapes else sheet.ground[:, 0]), allowed
@@ -250,6 +261,7 @@ class Stack:
         count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
         base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))
         fine = 4.0 * sum(float(a[w < 32.0].sum()) for w, a in (r.octaves() for r in self.spec.relief))
-        rises = [layer.rise for layer in self.spec.layers]
-        lowest, highest = sum(r[0] for r in rises), sum(r[1] for r in rises)
+        shapers = [layer.rise for layer in self.spec.layers if type(layer).shape is not Layer.shape]
+        tallest = max((layer.rise[1] for layer in self.spec.layers), default=0.0)
+        lowest, highest = sum(r[0] for r in shapers), sum(r[1] for r in shapers) + tallest
         return float(base.min()) - 0.5 * fine - lowest, float(base.max()) + 0.5 * fine + highest

@@ -36,14 +36,14 @@ class Lander(Section):
     radius: float = Field(1.5, gt=0.0, le=50.0, description="metres, of the disc that it needs")
     max_slope_deg: float = Field(10.0, gt=0.0, le=60.0, description="of the disc's plane")
     max_roughness: float = Field(0.15, gt=0.0, le=10.0, description="metres, largest deviation from that plane")
-    on: tuple[Literal["bare", "short_grass", "tall_vegetation", "rock", "paved", "structure"], ...] = Field(
+    upon: tuple[Literal["bare", "short_grass", "tall_vegetation", "rock", "paved", "structure"], ...] = Field(
         ("bare", "short_grass", "paved"), description="classes that it may stand on"
     )
 
     @property
     def footprint(self) -> Footprint:
         """The same in radians and codes."""
-        classes = tuple(Terrain[name.upper()] for name in self.on)
+        classes = tuple(Terrain[name.upper()] for name in self.upon)
         return Footprint(self.radius, math.radians(self.max_slope_deg), self.max_roughness, classes)
 
 

@@ -7,11 +7,11 @@ from typing import Annotated
 from pydantic import Field
 
 from alight.simulate.things.base import Layer, Scattered, Sheet
-from alight.simulate.things.built import Cars, Crates, Houses
+from alight.simulate.things.built import Cars, Crates, Houses, Parking
 from alight.simulate.things.cover import Fields, Patches, TallGrass
 from alight.simulate.things.ground import Craters, Pads, Ponds, Roughness, Terraces, Water
 from alight.simulate.things.lines import Hedges, Roads, Walls
-from alight.simulate.things.standing import Mounds, Rocks, Shrubs, Trees
+from alight.simulate.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
 
 Thing = Annotated[
     Roughness
@@ -32,7 +32,9 @@ Thing = Annotated[
     | Mounds
     | Houses
     | Cars
-    | Crates,
+    | Crates
+    | Logs
+    | Parking,
     Field(discriminator="thing"),
 ]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
 from alight.kernels.stamps import COLUMNS, EAST, NORTH, REACH
 from alight.records import F32, F64, U8, Terrain
@@ -39,7 +39,7 @@ def _triple(value: Any) -> Any:
     return (value, value, value) if isinstance(value, int | float) else value
 
 
-LookName = Annotated[Look, BeforeValidator(_look)]
+LookName = Annotated[Look, BeforeValidator(_look), PlainSerializer(lambda look: look.name.lower(), when_used="json")]
 Tint = Annotated[tuple[Factor, Factor, Factor], BeforeValidator(_triple)]
 
 
@@ -89,8 +89,12 @@ class Sheet:
 
     @property
     def box(self) -> Box:
-        """What the places span."""
-        return float(self.x.min()), float(self.y.min()), float(self.x.max()), float(self.y.max())
+        """What the places span, a cell more on every side: things cover cells whose centres they do not reach."""
+        near = self.cell
+        return (
+            float(self.x.min()) - near, float(self.y.min()) - near,
+            float(self.x.max()) + near, float(self.y.max()) + near,
+        )  # fmt: skip
 
     def near(self, east: float, north: float, reach: float) -> tuple[Any, F64, F64]:
         """Index of the places in a square about a place, and their east and north from there, metres."""
@@ -148,11 +152,13 @@ class Scattered(Layer):
 
     at: Places = Field((), description="[[east, north], ...] metres from the origin")
     per_hectare: float = Field(0.0, ge=0.0, le=20000.0, description="how many a hectare, at random places")
-    on: tuple[CoverName, ...] = Field(
+    upon: tuple[CoverName, ...] = Field(
         ("bare", "short_grass"), description="classes of ground where random ones may stand; those of `at` always do"
     )
     within: Box | None = Field(None, description="[west, south, east, north]: random ones stand only in this box")
     apart: bool = Field(False, description="random ones keep clear of the things of earlier layers that are apart too")
+    clump: float = Field(1.0, gt=0.0, le=1.0, description="share of the ground, in patches, that random ones keep to")
+    clump_size: float = Field(15.0, gt=0.5, le=1000.0, description="metres, of those patches")
 
     @property
     def largest(self) -> float:
@@ -167,6 +173,10 @@ class Scattered(Layer):
     def draw(self, rng: np.random.Generator, things: F64) -> None:
         """Fill the columns of things (N, COLUMNS) whose places are drawn."""
         raise NotImplementedError
+
+    def parts(self, rng: np.random.Generator, things: F64) -> F64:
+        """What is stamped for things that have found their place: themselves."""
+        return things
 
 
 def blank_things(places: F64) -> F64:

@@ -40,14 +40,14 @@ class Patches(Layer):
     size: float = Field(10.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
     look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
     tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
-    on: tuple[CoverName, ...] = Field(("short_grass",), description="classes of ground that may be covered")
+    upon: tuple[CoverName, ...] = Field(("short_grass",), description="classes of ground that may be covered")
     within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
 
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
         """How far the noise is above the threshold that leaves `share`, in deviations; negative outside."""
-        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(0.6, self.size), 1.0)
+        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
         excess = field - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
-        open_ground = np.isin(sheet.label, [terrain(k) for k in self.on])
+        open_ground = np.isin(sheet.label, [terrain(k) for k in self.upon])
         if self.within is not None:
             west, south, east, north = self.within
             open_ground &= (sheet.x >= west) & (sheet.x <= east) & (sheet.y >= south) & (sheet.y <= north)
@@ -67,6 +67,7 @@ class TallGrass(Patches):
     share: float = Field(0.28, ge=0.0, le=1.0, description="of the ground that may be covered")
     size: float = Field(14.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
     height: float = Field(0.55, gt=0.0, le=4.0, description="metres, tallest tufts")
+    shallower: float = Field(0.3, ge=0.0, le=5.0, description="metres of water that it still grows in, where `upon` it")
     tuft: float = Field(0.3, gt=0.02, le=5.0, description="metres from tuft to tuft")
 
     @property
@@ -80,11 +81,11 @@ class TallGrass(Patches):
     def cover(self, sheet: Sheet, lay: Lay) -> None:
         """Tufts, lower at the rim of a patch."""
         excess = self.excess(sheet, lay)
-        mask = (excess > 0.0) & (sheet.height <= sheet.ground)
+        mask = (excess > 0.0) & (sheet.height <= sheet.ground) & (sheet.depth <= self.shallower)
         tufts = noise(sheet.x, sheet.y, lay.seed + 31, self.tuft, 0.4 * self.tuft, 0.3)
         rim = ramp(0.0, 0.25, excess)
         blades = self.height * rim * np.clip(0.45 + 0.22 * tufts, 0.08, 1.0)
-        sheet.height[mask] = (sheet.ground + blades)[mask]
+        sheet.height[mask], sheet.depth[mask] = (sheet.ground + blades)[mask], 0.0
         sheet.paint(..., mask, Terrain.TALL_VEGETATION, self.look, self.tint)
 
 
@@ -120,7 +121,7 @@ class Fields(Layer):
     turn_deg: float = Field(20.0, description="of the rows, counter-clockwise from east")
     border: float = Field(1.5, ge=0.0, le=50.0, description="metres of grass between two parcels")
     crops: tuple[Crop, ...] = Field(CROPS, min_length=1, description="what grows, drawn for each parcel")
-    on: tuple[CoverName, ...] = Field(("short_grass", "bare"), description="classes of ground that are farmed")
+    upon: tuple[CoverName, ...] = Field(("short_grass", "bare"), description="classes of ground that are farmed")
     within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
 
     @property
@@ -173,7 +174,7 @@ class Fields(Layer):
         return np.where(farmed, which, -1), v
 
     def _open(self, sheet: Sheet) -> Mask:
-        open_ground = np.isin(sheet.label, [terrain(k) for k in self.on])
+        open_ground = np.isin(sheet.label, [terrain(k) for k in self.upon])
         if self.within is not None:
             west, south, east, north = self.within
             open_ground &= (sheet.x >= west) & (sheet.x <= east) & (sheet.y >= south) & (sheet.y <= north)

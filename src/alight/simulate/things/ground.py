@@ -42,13 +42,13 @@ class Roughness(Relief, Layer):
     height: float = Field(0.05, ge=0.0, le=20.0, description="metres, standard deviation")
     longest: float = Field(3.0, gt=0.0, le=5000.0, description="metres, longest wavelength")
     shortest: float = Field(0.3, gt=0.0, description="metres, shortest wavelength")
-    on: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground that it lies on")
+    upon: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground that it lies on")
 
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Add noise where the class is asked for."""
         rough = np.zeros(sheet.x.shape)
         self.add(sheet.x, sheet.y, lay.seed, rough)
-        sheet.ground += np.where(np.isin(sheet.label, [terrain(k) for k in self.on]), rough, 0.0)
+        sheet.ground += np.where(np.isin(sheet.label, [terrain(k) for k in self.upon]), rough, 0.0)
 
     @property
     def rise(self) -> tuple[float, float]:
@@ -91,7 +91,7 @@ class Craters(Scattered):
         1.8, ge=0.0, le=6.0, description="the number above a radius goes with it to the power -this"
     )
     depth: Between = Field((0.12, 0.4), description="metres of depth over the radius, old to fresh")
-    on: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground where random ones may be")
+    upon: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground where random ones may be")
 
     @property
     def largest(self) -> float:
@@ -200,7 +200,7 @@ class Pads(Scattered):
     kind: CoverName = Field("paved", description="class")
     look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
     tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
-    on: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground where random ones may be")
+    upon: tuple[CoverName, ...] = Field(ANYWHERE, description="classes of ground where random ones may be")
     apart: bool = Field(True, description="random things that are apart keep clear of it")
 
     @property

@@ -111,7 +111,7 @@ class Roads(Lined):
         aside, along, height = ways[..., 0], ways[..., 1], ways[..., 2]
         away, half = np.abs(aside), 0.5 * self.width
         if self.ragged > 0.0:
-            half = half * (1.0 + self.ragged * noise(sheet.x, sheet.y, lay.seed, 2.0, 0.5))
+            half = half * (1.0 + self.ragged * noise(sheet.x, sheet.y, lay.seed, 4.0, 0.25, 0.5))
         dry = sheet.label != Terrain.WATER
         inside = (away < half) & dry
         if self.level:
@@ -149,6 +149,7 @@ class Walls(Lined):
     thing: Literal["wall"]
     height: float = Field(1.8, gt=0.0, le=50.0, description="metres above the ground")
     thickness: float = Field(0.3, gt=0.0, le=20.0, description="metres")
+    posts: float = Field(0.0, ge=0.0, le=50.0, description="metres from post to post: only they stand; 0: all of it")
     gap: tuple[float, float] | None = Field(None, description="[from, to] metres along it that stay open: a gate")
     look: LookName = Field(Look.WALL, description="look")
     tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
@@ -171,6 +172,10 @@ class Walls(Lined):
         inside = np.abs(ways[..., 0]) <= max(0.5 * self.thickness, 0.5001 * sheet.cell)
         if self.gap is not None:
             inside &= (ways[..., 1] < self.gap[0]) | (ways[..., 1] > self.gap[1])
+        if self.posts > 0.0:
+            inside &= np.abs(ways[..., 1] % self.posts - 0.5 * self.posts) <= max(
+                0.5 * self.thickness, 0.6 * sheet.cell
+            )
         inside &= sheet.ground + self.height > sheet.height
         sheet.height[inside] = (sheet.ground + self.height)[inside]
         sheet.depth[inside] = 0.0
