@@ -70,7 +70,7 @@ def _dome(thing: F64, u: float, v: float, x: float, y: float, form: F64, shape: 
         a, _, _ = gradient_noise(x / size, y / size, seed + 3)
         b, _, _ = gradient_noise(x / (0.37 * size), y / (0.37 * size), seed + 4)
         rise += form[1] * thing[EXTRA] * (a + b)
-    return max(rise, 0.02)
+    return float(max(rise, 0.02))
 
 
 @parallel_kernel
@@ -104,14 +104,14 @@ def _roof(thing: F64, u: float, v: float, kind: int) -> float:
     u, v = min(max(u, -thing[HALF_U]), thing[HALF_U]), min(max(v, -thing[HALF_V]), thing[HALF_V])
     inside_u, inside_v = thing[HALF_U] - abs(u), thing[HALF_V] - abs(v)
     if kind == CAR:
-        return _car(thing, u, v)
+        return float(_car(thing, u, v))
     if kind == FLAT:
         rim = min(inside_u, inside_v) < PARAPET and thing[EXTRA] > 0.0
-        return thing[TOP] + (thing[EXTRA] if rim else 0.0)
+        return float(thing[TOP] + (thing[EXTRA] if rim else 0.0))
     rise = thing[EXTRA] * (inside_v if kind == GABLE else min(inside_u, inside_v))
     if abs(u - 0.5 * thing[HALF_U]) < CHIMNEY and abs(v - 0.25 * thing[HALF_V]) < CHIMNEY:
         rise = thing[EXTRA] * thing[HALF_V] + 0.5
-    return thing[TOP] + rise
+    return float(thing[TOP] + rise)
 
 
 @kernel

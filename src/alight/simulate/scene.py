@@ -168,5 +168,5 @@ def _inner(annotation: Any) -> Any:
 
 def things() -> dict[str, type[Section]]:
     """The things that layers may be made of, by name."""
-    union = Thing.__args__[0]  # type: ignore[attr-defined]
+    union = Thing.__args__[0]
     return {kind.model_fields["thing"].annotation.__args__[0]: kind for kind in union.__args__}

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from alight.kernels.stamps import EAST, LEVEL, NORTH, REACH
 from alight.records import F32, F64, U8
-from alight.simulate.relief import noise
+from alight.simulate.relief import Relief, noise
 from alight.simulate.things.base import Box, Layer, Mask, Scattered, Sheet, blank_things, overlapping, terrain
 
 if TYPE_CHECKING:
@@ -48,14 +48,32 @@ class Tile:
 class Source(Protocol):
     """Where tiles come from."""
 
-    cell: float
-    anchor: tuple[float, float]  # south-west corner of tile (0, 0)
+    @property
+    def cell(self) -> float:
+        """Metres."""
+
+    @property
+    def anchor(self) -> tuple[float, float]:
+        """East and north of the south-west corner of tile (0, 0)."""
 
     def tile(self, i: int, j: int) -> Tile:
         """The tile that starts SIDE * cell * (i east, j north) of the anchor."""
 
     def range(self, box: Box) -> tuple[float, float]:
         """Heights between which everything in the box lies, on the safe side."""
+
+
+class Under(Protocol):
+    """What lies under the layers instead of relief: rasters."""
+
+    def heights(self, x: F64, y: F64) -> F64:
+        """At places of any shape."""
+
+    def lay(self, sheet: Sheet) -> None:
+        """Classes and colours."""
+
+    def range(self, box: Box) -> tuple[float, float]:
+        """Lowest and highest in a box."""
 
 
 class Cache:
@@ -170,10 +188,10 @@ class Lay:
         y = things[:, NORTH, None] + np.concatenate([0 * ring, ring * np.sin(turn)], axis=1)
         shapes = type(layer).shape is not Layer.shape
         sheet = self.before(x, y) if shapes else self.stack.ground(x, y)
-        allowed = np.isin(sheet.label, [terrain(k) for k in layer.upon]).all(axis=1)
+        allowed: Mask = np.asarray(np.isin(sheet.label, [terrain(k) for k in layer.upon]).all(axis=1))
         if layer.founded:
-            return sheet.ground.max(axis=1), allowed
-        return (sheet.ground.mean(axis=1) if shapes else sheet.ground[:, 0]), allowed
+            return np.asarray(sheet.ground.max(axis=1)), allowed
+        return np.asarray(sheet.ground.mean(axis=1) if shapes else sheet.ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
         """Clear of what stands apart in earlier layers, and of those of its own that come first."""
@@ -210,10 +228,11 @@ def _blocks(box: Box, reach: float) -> list[tuple[int, int]]:
 class Stack:
     """A scene's ground section at work: relief, then every layer in turn."""
 
-    anchor = (0.0, 0.0)
+    anchor: tuple[float, float] = (0.0, 0.0)
 
-    def __init__(self, ground: Ground, seed: int) -> None:
-        self.spec, self.seed, self.cell = ground, seed, ground.cell
+    def __init__(self, ground: Ground, seed: int, raster: Under | None = None) -> None:
+        self.spec, self.seed, self.cell, self.raster = ground, seed, ground.cell, raster
+        self.streams = [self._stream("relief", k) for k in range(len(ground.relief))]
         kinds: list[str] = []
         self.lays: list[Lay] = []
         for index, layer in enumerate(ground.layers):
@@ -228,15 +247,24 @@ class Stack:
     def base(self, x: F64, y: F64) -> F64:
         """Heights of slope and relief alone."""
         out = self.spec.fall(x, y)
-        for k, relief in enumerate(self.spec.relief):
-            relief.add(x, y, self._stream("relief", k), out)
+        if self.raster is not None:
+            out += self.raster.heights(x, y)
+        for relief, seed in zip(self.reliefs, self.streams, strict=False):
+            relief.add(x, y, seed, out)
         return out
+
+    @property
+    def reliefs(self) -> tuple[Relief, ...]:
+        """Over a raster only what the scene asks for."""
+        return () if self.raster is not None and "relief" not in self.spec.model_fields_set else self.spec.relief
 
     def ground(self, x: F64, y: F64, upto: int | None = None, cell: float = 0.0) -> Sheet:
         """The solid ground at places (R, C), with the layers before number `upto`."""
         sheet = Sheet.blank(x, y, terrain(self.spec.cover), cell)
         sheet.ground = self.base(x, y)
         sheet.look[:], sheet.tint[:] = self.spec.look, self.spec.tint
+        if self.raster is not None:
+            self.raster.lay(sheet)
         for lay in self.lays[:upto]:
             lay.layer.shape(sheet, lay)
         return sheet
@@ -260,7 +288,10 @@ class Stack:
         west, south, east, north = box
         count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
         base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))
-        fine = 4.0 * sum(float(a[w < 32.0].sum()) for w, a in (r.octaves() for r in self.spec.relief))
+        if self.raster is not None:  # between the coarse places there may be anything
+            low, high = self.raster.range(box)
+            base = np.concatenate([base.ravel() - (high - low), base.ravel() + (high - low)])
+        fine = 4.0 * sum(float(a[w < 32.0].sum()) for w, a in (r.octaves() for r in self.reliefs))
         shapers = [layer.rise for layer in self.spec.layers if type(layer).shape is not Layer.shape]
         tallest = max((layer.rise[1] for layer in self.spec.layers), default=0.0)
         lowest, highest = sum(r[0] for r in shapers), sum(r[1] for r in shapers) + tallest

@@ -15,6 +15,7 @@ from alight.geometry import Grid, LocalFrame
 from alight.kernels.layers import BLOCK, block_tops, box_mean, ground_light, sun_margin
 from alight.kernels.raycast import max_pyramid
 from alight.records import F32, F64, U8, InputError, Terrain
+from alight.simulate import rasters
 from alight.simulate.rasters import Arrays
 from alight.simulate.scene import Origin, Scene, built_in, read_scene
 from alight.simulate.things.base import Box
@@ -51,7 +52,7 @@ class Sun:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A rectangle of the world as arrays. Heights are bilinear between the cells' centres, and nothing else is drawn."""
+    """A rectangle of the world as arrays: heights are bilinear between cell centres, and nothing else is drawn."""
 
     grid: Grid
     height: F32  # (R, C) metres above the origin, topmost surface
@@ -97,6 +98,7 @@ class World:
     extent: Box
     sun: Sun = Sun()
     scene: Scene | None = None
+    warnings: tuple[str, ...] = ()  # what was assumed about it
     _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
     _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
 
@@ -330,8 +332,16 @@ def build(scene: str | Path | Scene, seed: int = 0) -> World:
         if str(scene) not in known and not Path(scene).suffix:
             raise InputError(f"no scene is called {str(scene)!r}; use one of: {', '.join(known)}, or a YAML file")
         scene = read_scene(known.get(str(scene), Path(scene)))
-    source = Stack(scene.ground, seed)
-    return World(scene.name, scene.description, seed, scene.origin.local, source, scene.ground.extent, Sun(), scene)
+    local, extent, raster = scene.origin.local, scene.ground.extent, scene.ground.raster
+    if raster is None:
+        return World(scene.name, scene.description, seed, local, Stack(scene.ground, seed), extent, Sun(), scene)
+    if "origin" not in scene.model_fields_set:
+        local = rasters.middle(raster)
+    if "size" not in scene.ground.model_fields_set:
+        extent = rasters.reach(raster, local, scene.ground.cell)
+    under = rasters.load(raster, local, extent, scene.ground.cell)
+    source = Stack(scene.ground, seed, under)
+    return World(scene.name, scene.description, seed, local, source, extent, Sun(), scene, under.warnings)
 
 
 def world_of(

@@ -152,7 +152,9 @@ class Crates(Boxes):
     size: Between = Field((0.3, 1.2), description="metres, of the long side")
     width: Between | None = Field(None, description="metres, of the short side; without it as `size`: beams, posts")
     height: Between = Field((0.15, 1.0), description="metres")
-    upon: tuple[CoverName, ...] = Field(("bare", "short_grass", "paved"), description="classes of ground for random ones")
+    upon: tuple[CoverName, ...] = Field(
+        ("bare", "short_grass", "paved"), description="classes of ground for random ones"
+    )
 
     @property
     def largest(self) -> float:

@@ -31,11 +31,9 @@ if TYPE_CHECKING:
     from alight.simulate.tiles import Lay
 
 
-class Patches(Layer):
-    """Patches of another class or colour, by noise: open earth, wet patches, gravel, snow."""
+class Outline(Layer):
+    """What covers a share of the ground, in patches by noise."""
 
-    thing: Literal["patches"]
-    kind: CoverName | None = Field("bare", description="class; null: keeps that of the ground and only colours it")
     share: float = Field(0.15, ge=0.0, le=1.0, description="of the ground that may be covered")
     size: float = Field(10.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
     look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
@@ -53,17 +51,23 @@ class Patches(Layer):
             open_ground &= (sheet.x >= west) & (sheet.x <= east) & (sheet.y >= south) & (sheet.y <= north)
         return np.where(open_ground, excess, -1.0)
 
+
+class Patches(Outline):
+    """Patches of another class or look: open earth, wet patches, gravel, snow."""
+
+    thing: Literal["patches"]
+    kind: CoverName | None = Field("bare", description="class; null: that of the ground, only the look changes")
+
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Change the class."""
         mask = self.excess(sheet, lay) > 0.0
         sheet.paint(..., mask, terrain(self.kind) if self.kind is not None else None, self.look, self.tint)
 
 
-class TallGrass(Patches):
+class TallGrass(Outline):
     """Grass, reed or weeds in tufts, in patches or everywhere (share: 1)."""
 
-    thing: Literal["tall_grass"]  # type: ignore[assignment]
-    kind: CoverName | None = Field("tall_vegetation", description="class")
+    thing: Literal["tall_grass"]
     share: float = Field(0.28, ge=0.0, le=1.0, description="of the ground that may be covered")
     size: float = Field(14.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
     height: float = Field(0.55, gt=0.0, le=4.0, description="metres, tallest tufts")
@@ -74,9 +78,6 @@ class TallGrass(Patches):
     def rise(self) -> tuple[float, float]:
         """The tallest."""
         return 0.0, 1.4 * self.height
-
-    def shape(self, sheet: Sheet, lay: Lay) -> None:
-        """Leaves the solid ground."""
 
     def cover(self, sheet: Sheet, lay: Lay) -> None:
         """Tufts, lower at the rim of a patch."""

@@ -13,12 +13,12 @@ from alight.records import F64, Terrain
 from alight.simulate.looks import Look
 from alight.simulate.relief import Relief, noise
 from alight.simulate.things.base import (
+    UNTINTED,
     Between,
     CoverName,
     Layer,
     LookName,
     Scattered,
-    UNTINTED,
     Sheet,
     Tint,
     power_law,

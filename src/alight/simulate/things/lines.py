@@ -109,9 +109,9 @@ class Roads(Lined):
         if ways is None:
             return
         aside, along, height = ways[..., 0], ways[..., 1], ways[..., 2]
-        away, half = np.abs(aside), 0.5 * self.width
+        away, half = np.abs(aside), np.full(aside.shape, 0.5 * self.width)
         if self.ragged > 0.0:
-            half = half * (1.0 + self.ragged * noise(sheet.x, sheet.y, lay.seed, 4.0, 0.25, 0.5))
+            half *= 1.0 + self.ragged * noise(sheet.x, sheet.y, lay.seed, 4.0, 0.25, 0.5)
         dry = sheet.label != Terrain.WATER
         inside = (away < half) & dry
         if self.level:
