@@ -9,7 +9,7 @@ from alight.geometry import Camera, Grid, Pose
 from alight.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
 from alight.kernels.raycast import cast_ray, cast_rays, max_pyramid, shadow_margin
 from alight.records import Terrain
-from alight.simulate import Imaging, Sun
+from alight.simulate import Sun
 from alight.simulate.cameras import Eye
 from alight.simulate.world import world_of
 
@@ -38,7 +38,7 @@ def tilted(east=1.3, north=-2.1, up=20.0):
 
 def look(world, camera, pose):
     """Depth and world points of all pixels."""
-    eye = Eye(camera, Imaging())
+    eye = Eye(camera)
     depth = eye.depth(world, pose)
     return depth, pose.apply(eye.rays[0].astype(np.float64) * depth[..., None])
 
@@ -256,7 +256,7 @@ def test_hash_repeats_nowhere_near_and_uses_all_bits():
 
 
 def draw(world, height, seconds=0.0, camera=LENSES["radtan"]):
-    return Eye(camera, Imaging()).radiance(world, tilted(up=height), seconds)
+    return Eye(camera).radiance(world, tilted(up=height), seconds)
 
 
 @pytest.fixture(scope="module")
@@ -277,7 +277,8 @@ def test_picture_does_not_depend_on_threads(meadow):
 def test_water_moves_and_ground_does_not(meadow):
     depth = np.full_like(meadow.height, 0.5)
     pond = world_of(meadow.grid, meadow.height, np.full_like(meadow.label, Terrain.WATER), depth)
-    assert np.array_equal(draw(meadow, 10.0, 0.0), draw(meadow, 10.0, 0.1))
+    road = world_of(meadow.grid, meadow.height, np.full_like(meadow.label, Terrain.PAVED))
+    assert np.array_equal(draw(road, 10.0, 0.0), draw(road, 10.0, 0.1))
     a, b = draw(pond, 10.0, 0.0), draw(pond, 10.0, 0.1)
     assert (np.abs(a - b) / a.mean() > 0.01).mean() > 0.5
 
@@ -287,7 +288,7 @@ def test_texture_is_fixed_to_the_ground():
     flat = make_world(lambda x, y: 0.0 * x, side=40.0)
     camera = LENSES["none"]
     a, b = Pose(DOWN, np.array([0.0, 0.0, 14.4])), Pose(DOWN, np.array([2.0, 1.0, 14.4]))
-    eye = Eye(camera, Imaging())
+    eye = Eye(camera)
     first, second = (eye.radiance(flat, p, 0.0)[..., 1] for p in (a, b))
     u, v = np.meshgrid(np.arange(96.0), np.arange(72.0))
     points = a.apply(camera.rays(np.stack([u, v], -1)) * 14.4)
@@ -305,16 +306,5 @@ def test_texture_is_band_limited_by_the_pixel():
     """One ray a pixel is near enough to four: no sparkle that a lens would not show."""
     flat = make_world(lambda x, y: 0.0 * x, side=100.0, cell=0.2)
     pose = Pose(DOWN, np.array([0.0, 0.0, 30.0]))
-    one, four = (Eye(LENSES["none"], Imaging(samples=n)).radiance(flat, pose, 0.0) for n in (1, 4))
+    one, four = (Eye(LENSES["none"], n).radiance(flat, pose, 0.0) for n in (1, 4))
     assert np.std(one - four) < 0.5 * np.std(four)
-
-
-def test_exposure_is_bounded_and_seeded():
-    eye = Eye(LENSES["none"], Imaging())
-    light = np.full((72, 96, 3), 0.25, np.float32)
-    a, b, c = (eye.expose(light, np.random.default_rng(s)) for s in (1, 1, 2))
-    assert np.array_equal(a, b)
-    assert not np.array_equal(a, c)
-    assert a.dtype == np.uint8
-    assert a[36, 40:56].mean() == pytest.approx(255 * (0.25 * 1.25) ** (1 / 2.2), abs=1.5)
-    assert eye.expose(light * 100, np.random.default_rng(1)).min() >= 245
