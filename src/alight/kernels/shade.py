@@ -218,17 +218,18 @@ def _wander(buf: F32, base: F64) -> None:
 def _unfold(buf: F32, base: F64) -> None:
     """Fill TX, TY: seen from above on ground and roofs, from the side on walls, of which a pixel covers more."""
     x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
+    z0 = f32(base[2])
     for i in range(B):
         e, n = abs(buf[SLOPE_E + i]), abs(buf[SLOPE_N + i])
         leafy = F1 if buf[PARAM + P_DEEP * B + i] > F0 else F0  # leaves have no face: askew through their volume
         wall = F1 - leafy if max(e, n) > f32(1.3) else F0
         east = wall if e > n else F0
         north = wall - east
-        x, y, z = buf[X + i], buf[Y + i], buf[Z + i]
-        buf[TX + i] = x + east * (y + y0 - x0 - x + f32(300)) - north * f32(300) + leafy * f32(0.8) * z
-        buf[TY + i] = (
-            y + wall * (z - y) + east * f32(0.3) * (x + x0) + north * f32(0.3) * (y + y0) - leafy * f32(0.5) * z
-        )
+        x, y, z = buf[X + i], buf[Y + i], buf[Z + i] + z0  # true height: blocks must agree
+        side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that looks east or west
+        front_x, front_y = x - f32(300), z - y0 + f32(0.3) * (y + y0)
+        buf[TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
+        buf[TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
         buf[FOOT + i] *= F1 + wall
 
 

@@ -79,8 +79,8 @@ class Light(Section):
         azimuth = math.radians(self.azimuth_deg) + self.sun_step(time) * SUN_STEP
         elevation = math.radians(self.elevation_deg)
         path = 1.0 / (math.sin(elevation) + 0.15 * (self.elevation_deg + 3.885) ** -1.253)  # Kasten, 1965
-        direct = [1.55 * self.sun * math.exp(-k * path) for k in (0.20, 0.235, 0.31)]
-        blue = [0.44 * self.sky * c * (0.5 + 0.5 * math.sin(elevation)) for c in (0.62, 0.76, 1.0)]
+        direct = [1.9 * self.sun * math.exp(-k * path) for k in (0.20, 0.235, 0.31)]
+        blue = [0.52 * self.sky * c * (0.5 + 0.5 * math.sin(elevation)) for c in (0.62, 0.76, 1.0)]
         return Sun(azimuth, elevation, (direct[0], direct[1], direct[2]), (blue[0], blue[1], blue[2]))
 
     def numbers(self, time: float) -> F64:

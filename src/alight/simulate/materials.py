@@ -79,7 +79,7 @@ def _laid(first: Colour, second: Colour, third: Colour, **more: Any) -> Material
     return replace(plain, **{"edge": 0.3, "patch": -1.3, "ridge": 0.2, "roughening": 0.1, **more})
 
 
-SOIL = (0.13, 0.095, 0.065)
+SOIL = (0.125, 0.10, 0.072)
 MOSS = (0.05, 0.085, 0.02)
 
 MATERIALS: dict[Look, Material] = {
@@ -90,7 +90,7 @@ MATERIALS: dict[Look, Material] = {
                       open=-0.7, coarse=0.0, things=(0.1, 0.05, 0.0, 0.0), tone=0.5, uneven=0.7),
     Look.DRY_GRASS: _plant((0.20, 0.17, 0.085), (0.29, 0.245, 0.13), SOIL, patch=-0.9, deep=0.08, coarse=0.3, sway=0.01,
                            things=(0.3, 0.25, 0.12, 0.06), tone=0.1, spread=0.6, open=-0.4, vary=0.25),
-    Look.TALL_GRASS: _plant((0.07, 0.11, 0.025), (0.19, 0.17, 0.065), (0.09, 0.065, 0.03), contrast=0.4, patch=-1.2,
+    Look.TALL_GRASS: _plant((0.07, 0.11, 0.025), (0.19, 0.17, 0.065), (0.17, 0.15, 0.075), contrast=0.4, patch=-1.2,
                             deep=0.3, open=0.15, coarse=0.35, sway=0.035, bump=0.25, roughening=-0.05, vary=0.22),
     Look.CROP: _plant((0.05, 0.11, 0.02), (0.13, 0.15, 0.04), SOIL, contrast=0.35, patch=-1.3, deep=0.25, open=0.1,
                       coarse=0.2, sway=0.03, bump=0.2),
@@ -100,7 +100,7 @@ MATERIALS: dict[Look, Material] = {
                       coarse=0.15, sway=0.05, bump=0.3, roughening=-0.1),
     Look.HEATH: _plant((0.07, 0.055, 0.035), (0.12, 0.10, 0.045), (0.17, 0.15, 0.09), contrast=0.38, patch=-0.7,
                        deep=0.12, open=0.1, coarse=0.4, bump=0.3),
-    Look.SOIL: Material((0.11, 0.08, 0.055), (0.20, 0.155, 0.11), (0.055, 0.042, 0.03), patch=-0.9, contrast=0.24,
+    Look.SOIL: Material((0.105, 0.082, 0.06), (0.19, 0.155, 0.115), (0.055, 0.044, 0.034), patch=-0.9, contrast=0.24,
                         vary=0.25, bump=0.14, things=(0.5, 0.35, 0.15, 0.04), tone=0.35, spread=0.5, tall=0.55),
     Look.MUD: Material((0.075, 0.06, 0.045), (0.12, 0.095, 0.07), (0.16, 0.13, 0.10), patch=-1.0, contrast=0.13,
                        vary=0.25, uneven=0.9, bump=0.06, crack=0.4, things=(0.1, 0.08, 0.03, 0.0), gloss=0.15),
