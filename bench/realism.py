@@ -111,7 +111,7 @@ def main() -> None:
     """Print all tables."""
     logging.disable(logging.WARNING)
     parser = argparse.ArgumentParser()
-    parser.add_argument("--scenes", default=",".join(simulate.SCENES), help="names, with commas between")
+    parser.add_argument("--scenes", default=",".join(simulate.built_in()), help="names, with commas between")
     parser.add_argument("--keep", action="store_true", help="show the rows of earlier runs as well; references stay")
     asked = parser.parse_args()
     kept = OUT / "results.json"

@@ -8,6 +8,7 @@ import pytest
 from alight.records import InputError
 from alight.simulate import ladder as steps
 from alight.simulate.ladder import HEIGHTS, SCENES, Rung, ladder, rung
+from alight.simulate.scene import built_in, read_scene
 
 
 def test_the_ladder_is_scenes_by_heights_by_seeds_and_names_are_read_back() -> None:
@@ -18,6 +19,13 @@ def test_the_ladder_is_scenes_by_heights_by_seeds_and_names_are_read_back() -> N
     assert len(set(names)) == len(names)
     assert names[2] == f"{SCENES[0]}/20m/test-3"
     assert [rung(n) for n in names] == list(rungs)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_longest_way_stays_in_every_scene(scene: str) -> None:
+    ground = read_scene(built_in()[scene]).ground
+    longest = max(r.speed * r.duration for r in ladder("test", scenes=[scene]))
+    assert 0.5 * longest + 10.0 < min(ground.extent[2:])
 
 
 def test_quick_rungs_are_fewer_and_shorter_and_say_so() -> None:

@@ -24,7 +24,10 @@ RATES = {20: 8.0, 50: 6.0, 100: 5.0, 150: 4.0}
 HEIGHTS = tuple(RATES)
 SPACING = 0.02  # of the height between exposures
 FRAMES, QUICK_FRAMES = 41, 11
-SCENES = ("demo",)
+SCENES = (
+    "meadow", "farmland", "village", "forest", "quarry", "lakes",
+    "desert", "snow", "concrete", "car_park", "tall_grass",
+)  # fmt: skip
 SEEDS, QUICK_SEEDS = 3, 1
 FIRST_SEED = {"tuning": 1, "test": 1001}
 MOST_SEEDS = 1000
