@@ -68,9 +68,9 @@ class PointFlight:
         w = (size * np.sin(rate * np.asarray(t)[:, None, None] + phase)).sum(axis=2)  # (N, 6)
         along = self.speed * np.asarray(t)[:, None] * np.array([np.cos(course), np.sin(course), 0.0])
         p = along + w[:, :3] + np.array([0.0, 0.0, self.height])
-        yaw = np.array([so3_exp([0.0, 0.0, course + a]) for a in w[:, 3]])
-        lean = np.array([so3_exp([b, a, 0.0]) for a, b in w[:, 4:]])
-        return yaw @ lean, p
+        level = np.zeros(len(w))
+        yaw = _turns(np.column_stack([level, level, course + w[:, 3]]))
+        return yaw @ _turns(np.column_stack([w[:, 5], w[:, 4], level])), p
 
     def pose(self, t: float) -> Pose:
         """True world_from_body."""
@@ -86,7 +86,8 @@ class PointFlight:
 
     def _rates(self, t: F64, h: float = 1e-3) -> F64:
         before, after = self.poses(t - h)[0], self.poses(t + h)[0]
-        return np.array([so3_log(a.T @ b) / (2 * h) for a, b in zip(before, after, strict=True)])
+        turn = before.transpose(0, 2, 1) @ after  # small: its odd part is its vector
+        return np.stack([turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]], axis=1) / (2 * h)
 
     def imu_samples(self) -> list[ImuSample]:
         """200 Hz, with biases that walk."""
@@ -111,12 +112,12 @@ class PointFlight:
         v = self._velocity(t) + _drift(rng, t, np.full(3, sigma_v), n.nav_velocity_tau)
         v = v + rng.normal(size=p.shape) * n.nav_velocity_white
         rate = self._rates(t) + rng.normal(size=p.shape) * n.nav_rate_white
-        back = so3_exp(self.mounting).T
+        back, turns = so3_exp(self.mounting).T, _turns(turn)
         return [
             NavSample(
                 _ns(t[i]),
                 p[i],
-                so3_exp(turn[i]) @ R[i] @ back,
+                turns[i] @ R[i] @ back,
                 v[i],
                 rate[i],
                 sigma_p,
@@ -166,6 +167,15 @@ class PointFlight:
         """All of it in order of time."""
         out: list[Event | Tracks] = [*self.nav_samples(), *self.tracks(), *(self.imu_samples() if self.imu else [])]
         return sorted(out, key=lambda e: (e.t_ns, isinstance(e, Tracks)))
+
+
+def _turns(v: F64) -> F64:
+    """(N, 3, 3) rotations of (N, 3) rotation vectors (Rodrigues)."""
+    angle = np.maximum(np.linalg.norm(v, axis=1), 1e-9)[:, None, None]
+    K = np.zeros((len(v), 3, 3))
+    K[:, 2, 1], K[:, 0, 2], K[:, 1, 0] = v.T
+    K = (K - K.transpose(0, 2, 1)) / angle
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * (K @ K)
 
 
 def _ns(t: float) -> int:

@@ -47,7 +47,7 @@ class Tracks(_Model):
 class Filter(_Model):
     """The structure-from-motion filter, and its smoother."""
 
-    points: int = Field(80, ge=4, description="points held in the state")
+    points: int = Field(40, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
     pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track on ground of the reference texture")
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")

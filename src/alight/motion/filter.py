@@ -11,7 +11,6 @@ from bisect import bisect_left
 from collections import deque
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Pose, so3_exp
 from alight.motion.dynamics import (
@@ -24,32 +23,25 @@ from alight.motion.dynamics import (
     nav_decay,
     spread,
 )
+from alight.motion.features import Features
+from alight.motion.health import Health, Votes, vague
 from alight.motion.inertial import Preintegral, preintegrate, segments
 from alight.motion.navigation import initial_state, measurements, rate_measurement, sigmas
-from alight.motion.points import Gate, measure, take_up
-from alight.motion.ring import Refined, refine
+from alight.motion.points import Gate
+from alight.motion.ring import Refined
 from alight.motion.smoother import Recording, smooth
-from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, OFFSET, POS, VEL, State
-from alight.motion.vision import sight_sigma
-from alight.motion.window import Poses, Sights, as_rows, eliminate, linearise, meet
+from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, VEL, State
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import Filter
 
 log = logging.getLogger(__name__)
 
-Ints = NDArray[np.int64]
-
-
-def _contains(ids: Ints, id_: int) -> bool:
-    at = int(np.searchsorted(ids, id_))
-    return at < len(ids) and int(ids[at]) == id_
-
-
-_SUPPORT = 8  # points inside their gates below which the cameras do not hold the motion
-_JUMP = 5  # GPS/INS positions in a row outside the gate that are taken as a jump
-_MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
-_LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
+_JUMP = (
+    5.0  # s of GPS positions outside their gate after which they are taken as a jump, and not as a fault that passes
+)
 _KEEP_NS = 1_000_000_000  # ns of IMU samples kept
+_DOUBT = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added to a state that the pictures contradict
+_HOPELESS = 3  # doubts in a row without a good exposure between, after which the state is made anew
 
 
 class MotionFilter:
@@ -60,15 +52,16 @@ class MotionFilter:
         self._settings = settings
         self._camera = rig.cameras[0].camera
         self._gate = Gate(settings.gate)
+        self._features = Features(self._camera, self._cams, settings)
+        self._health = Health(settings.coast)
         self._imu: deque[ImuSample] = deque()
         self._inertial = False
         self._state: State | None = None
         self._first: Step | None = None  # the state as last predicted: where Jacobians are taken
         self._nav_sigma = np.ones(9)
-        self._waiting = Sights.none(len(rig.cameras))  # the sub-filter: sights that the state has not used
-        self._outside = 0  # GPS/INS positions in a row outside the gate
-        self._last_nav_ns = self._last_good_ns = self._last_exposure_ns = -(1 << 62)
-        self._settled = 0
+        self._last_exposure_ns = -(1 << 62)
+        self._doubts = 0  # in a row
+        self._map = 0
         self._recording = Recording(rig, settings) if settings.smooth else None
 
     def feed_imu(self, sample: ImuSample) -> None:
@@ -96,6 +89,8 @@ class MotionFilter:
         if sample.t_ns < self._state.t_ns:
             return
         self._propagate(self._state, sample.t_ns)
+        if (self._doubts >= _HOPELESS or vague(self._state)) and self._start(sample, sigma):
+            return
         self._nav_sigma = sigma
         if self._recording:
             self._recording.nav.append(sample)
@@ -108,8 +103,10 @@ class MotionFilter:
             return None
         self._last_exposure_ns = tracks.t_ns
         self._propagate(state, tracks.t_ns)
-        passed, tried = self._see(state, tracks) if len(tracks.ids) else (0, 0)
-        motion = self._motion(state, self._judge(state, passed, tried), passed)
+        votes = self._features.see(state, tracks) if len(tracks.ids) else Votes()
+        if self._health.look(tracks.t_ns, votes):
+            self._doubt(state)
+        motion = self._motion(state, votes.inside)
         if self._recording:
             self._recording.exposures.append((motion, tracks, self._snapshot(state)))
         return motion
@@ -122,7 +119,7 @@ class MotionFilter:
         s = self._state
         if s is None or not s.clones:
             return ()
-        found = refine(s, self._waiting, self._cams, self._settings.vague_share)
+        found = self._features.ring(s)
         return tuple(self._held(s, i, found) for i in range(len(s.clones)))
 
     def _held(self, s: State, i: int, found: Refined) -> Motion:
@@ -131,7 +128,8 @@ class MotionFilter:
         body = Pose(found.R[i] @ so3_exp(s.core[MOUNT]).T, found.p[i])
         covariance = s.in_world(found.covariance[np.ix_(rows, rows)], found.offset_cross[rows])
         offset = s.core[OFFSET].copy()
-        return Motion(s.clones[i].t_ns, body, tuple(rig @ x for x in self._cams), covariance, offset_world=offset)
+        cams = tuple(rig @ x for x in self._cams)
+        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, map=self._map)
 
     def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
         """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
@@ -151,20 +149,29 @@ class MotionFilter:
 
     # -- time ------------------------------------------------------------------------------------------------------
 
-    def _start(self, sample: NavSample, sigma: F64) -> None:
-        self._state = initial_state(sample, sigma, self._settings)
-        if self._state is None:
-            return
-        self._nav_sigma, self._last_nav_ns = sigma, sample.t_ns
+    def _start(self, sample: NavSample, sigma: F64) -> bool:
+        """Begin with a row that has position and attitude: the first time, or in a new map after all was lost."""
+        state = initial_state(sample, sigma, self._settings)
+        if state is None:
+            return False
+        if self._state is not None:
+            self._map += 1
+            log.warning(
+                "motion: started anew from GPS/INS in map %d, which poses from before do not belong to", self._map
+            )
+        self._state, self._nav_sigma, self._doubts = state, sigma, 0
+        self._features.forget(state)
+        self._health.restart(sample.t_ns)
         if self._inertial:
-            self._start_biases(self._state)
+            self._start_biases(state)
         else:
-            self._state.P[GYRO, GYRO] = np.eye(3) * 0.5**2  # rad/s: any
+            state.P[GYRO, GYRO] = np.eye(3) * 0.5**2  # rad/s: any
             if sample.angular_velocity_body is not None:
-                self._state.core[GYRO] = sample.angular_velocity_body
+                state.core[GYRO] = sample.angular_velocity_body
         if self._recording:
             self._recording.nav.append(sample)
-        self._first = self._here(self._state)
+        self._first = self._here(state)
+        return True
 
     def _start_biases(self, state: State) -> None:
         for part, sigma in ((GYRO, self._settings.gyro_bias_sigma), (ACC, self._settings.accelerometer_bias_sigma)):
@@ -211,13 +218,12 @@ class MotionFilter:
         rows = measurements(state, sample, sigma, self._settings)
         rate = None if self._inertial else rate_measurement(state, sample, self._settings)
         passed = [row for row in [*rows, *([rate] if rate else [])] if self._inside(state, *row)]
-        if sample.position_world is not None:
-            inside = bool(passed) and passed[0] is rows[0]
-            self._outside = 0 if inside else self._outside + 1
+        place = sample.position_world is not None
+        inside = place and bool(passed) and passed[0] is rows[0]
         if passed:
-            self._last_nav_ns = sample.t_ns
             state.update(*(np.concatenate([row[k] for row in passed]) for k in range(3)))
-        if self._outside >= _JUMP and sample.position_world is not None:
+        outside = self._health.hear(sample.t_ns, inside if place else None, len(passed) > inside)
+        if outside > _JUMP and sample.position_world is not None:
             self._jump(state, sample.position_world)
 
     def _inside(self, state: State, residual: F64, H: F64, variance: F64) -> bool:
@@ -232,99 +238,25 @@ class MotionFilter:
         known[:, NAV_POS] = 0.0
         own = -known[:, POS] - known[:, OFFSET] + np.eye(3) * self._settings.nav_position_white**2
         state.P[NAV_POS], state.P[:, NAV_POS], state.P[NAV_POS, NAV_POS] = known, known.T, own
-        self._outside = 0
+        self._health.hear(state.t_ns, True, True)
 
-    # -- cameras ---------------------------------------------------------------------------------------------------
-
-    def _see(self, state: State, tracks: Tracks) -> tuple[int, int]:
-        """One exposure (M11-M17): use up what ended, measure the points held, take up what became well known."""
-        order = np.argsort(tracks.ids)
-        ids, seen = tracks.ids[order], tracks.normalised[order]
-        sigma = sight_sigma(tracks, self._camera, self._settings)[order]
-        gone = self._superfluous(state)
-        self._use_up(state, ids, gone)
-        lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
-        state.drop(clones=gone, points=lost)
-        state.add_clone()
-        passed, tried, _ = measure(state, ids, seen, sigma, self._cams, self._gate)
-        new = ~np.isin(ids, [x.id for x in state.points])
-        self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
-        self._take_up(state)
-        return passed, tried
-
-    def _superfluous(self, state: State) -> list[int]:
-        """The last clone if it is no keyframe; else the oldest when there are too many."""
-        c = state.clones
-        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < self._settings.keyframe_baseline * self._distance(state):
-            return [len(c) - 1]
-        return [0] if len(c) >= self._settings.clones else []
-
-    @staticmethod
-    def _distance(state: State) -> float:
-        far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
-        return float(np.median(far)) if far else 0.0
-
-    def _use_up(self, state: State, ids: Ints, gone: list[int]) -> None:
-        """Measure the poses by the features that are seen no more, or whose first pose is about to be forgotten."""
-        w = self._waiting
-        if not len(w.ids):
-            return
-        ended = ~np.isin(w.ids, ids)
-        if gone == [0]:
-            ended |= w.where[:, 0]
-        useful = ended & (w.where.sum(axis=1) >= _LEAST_POSES)
-        self._absorb(state, w.rows(useful))
-        self._waiting = w.rows(~ended)
-
-    def _absorb(self, state: State, sights: Sights) -> None:
-        if not len(sights.ids):
-            return
-        poses, columns = Poses.of(state.clones), state.clone_columns()
-        x = meet(sights, poses, self._cams)
-        found = eliminate(linearise(sights, poses, self._cams, x))
-        known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
-        inside = found.distances(state.P[np.ix_(columns, columns)]) <= self._gate.limits(np.maximum(found.freedom, 0))
-        if (known & inside).any():
-            state.correct(*as_rows(*found.information((known & inside).astype(float))), columns)
-
-    @staticmethod
-    def _known(covariance: F64, x: F64, state: State, share: float) -> NDArray[np.bool_]:
-        distance = np.linalg.norm(x - state.core[POS], axis=1)
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]) < share * distance)
-
-    def _take_up(self, state: State) -> None:
-        """Fill the free places, longest seen features first."""
-        s, w = self._settings, self._waiting
-        free, poses = s.points - len(state.points), w.where.sum(axis=1)
-        ready = np.flatnonzero((poses >= 3) & w.where[:, -1])
-        if free <= 0 or not len(ready):
-            return
-        ready = ready[np.argsort(-poses[ready], kind="stable")][: 2 * free]
-        x = meet(w.rows(ready), Poses.of(state.clones), self._cams)
-        found = eliminate(linearise(w.rows(ready), Poses.of(state.clones), self._cams, x))
-        taken = []
-        for i in np.flatnonzero(self._known(found.point_covariance, x, state, s.depth_share))[:free]:
-            one = ready[i : i + 1]
-            if take_up(state, w.rows(one), x[i : i + 1], self._cams, self._gate):
-                taken.append(int(one[0]))
-        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), taken))
+    def _doubt(self, state: State) -> None:
+        """The pictures agree with each other and not with the state: its attitude may be wrong, INS and all (M25)."""
+        self._doubts += 1
+        log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
+        self._features.forget(state)
+        spread = np.diag(_DOUBT**2)
+        state.P[ATT, ATT] += spread
+        state.P[NAV_ATT, NAV_ATT] += spread
+        state.P[ATT, NAV_ATT] -= spread
+        state.P[NAV_ATT, ATT] -= spread
 
     # -- what goes out ---------------------------------------------------------------------------------------------
 
-    def _judge(self, state: State, passed: int, tried: int) -> MotionState:
-        """How far to trust this exposure: cameras and GPS/INS both there and agreeing, one of them, none."""
-        seen = passed >= _SUPPORT and 2 * passed >= tried
-        if seen:
-            self._last_good_ns, self._settled = state.t_ns, self._settled + 1
-        coast = self._settings.coast * 1e9
-        nav = state.t_ns - self._last_nav_ns <= coast
-        if not nav and state.t_ns - self._last_good_ns > coast:
-            return MotionState.LOST
-        if seen and nav and self._outside == 0:
-            return MotionState.GOOD if self._settled >= 3 else MotionState.INITIALISING
-        return MotionState.INITIALISING if self._settled == 0 and nav else MotionState.DEGRADED
-
-    def _motion(self, state: State, judged: MotionState, support: int) -> Motion:
+    def _motion(self, state: State, support: int) -> Motion:
+        judged, why = self._health.judge(state)
+        if judged is MotionState.GOOD:
+            self._doubts = 0
         rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
         return Motion(
             state.t_ns,
@@ -335,6 +267,8 @@ class MotionFilter:
             judged,
             support,
             state.core[OFFSET].copy(),
+            why,
+            self._map,
         )
 
     @staticmethod

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from alight.geometry import Pose
+from alight.motion.health import Votes
 from alight.motion.state import Clone, Point, State
 from alight.motion.vision import depths, jacobians, project
 from alight.motion.window import Poses, Sights, linearise
@@ -76,21 +77,16 @@ def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: Sequence[P
     return PointRows(residual * unit, by_clone * unit[..., None], by_point * unit[..., None], seen)
 
 
-def measure(
-    state: State, ids: Ints, sights: F64, sigma: F64, cams: Sequence[Pose], gate: Gate
-) -> tuple[int, int, float]:
+def measure(state: State, ids: Ints, sights: F64, sigma: F64, cams: Sequence[Pose], gate: Gate) -> Votes:
     """Correct the state by the points seen at its last clone.
 
     Args:
         ids, sights, sigma: (N,) sorted, (N, cameras, 2), (N,) what was seen.
-
-    Returns:
-        how many passed the gate, how many were tried, and their mean squared distance over the rows (1 expected).
     """
     held = np.array([x.id for x in state.points], dtype=np.int64)
     index, at = _common(held, ids)
     if not len(index):
-        return 0, 0, 0.0
+        return Votes()
     points, clone = [state.points[i] for i in index], len(state.clones) - 1
     x, first = np.array([q.x for q in points]), np.array([q.first_x for q in points])
     rows = point_rows(state.clones[clone], x, first, sights[at], cams, sigma[at])
@@ -101,7 +97,8 @@ def measure(
         q.misses = q.misses + 1 if bad else 0
     if passed.any():
         _correct(state, clone, index[passed], rows.only(passed))
-    return int(passed.sum()), int(tried.sum()), float(distance[passed].sum() / max(count[passed].sum(), 1))
+    mean = float(distance[passed].sum() / max(count[passed].sum(), 1))
+    return Votes(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
 
 def _common(held: Ints, ids: Ints) -> tuple[Ints, Ints]:

@@ -14,6 +14,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from alight.geometry import so3_exp
+from alight.motion.turns import exps
 from alight.records import F64
 
 ATT = slice(0, 3)  # rad, body attitude
@@ -147,18 +148,19 @@ class State:
     def _correct(self, error: F64) -> None:
         self.R = so3_exp(error[ATT]) @ self.R
         self.core[3:] += error[3:CORE]
-        for i, c in enumerate(self.clones):
-            e = error[self.clone_at(i)]
-            c.R, c.p = so3_exp(e[:3]) @ c.R, c.p + e[3:]
-        for i, x in enumerate(self.points):
-            x.x = x.x + error[self.point_at(i)]
+        e = error[CORE : self.point_start].reshape(-1, CLONE)
+        for c, turn, way in zip(self.clones, exps(e[:, :3]), e[:, 3:], strict=True):
+            c.R, c.p = turn @ c.R, c.p + way
+        for q, d in zip(self.points, error[self.point_start :].reshape(-1, POINT), strict=True):
+            q.x = q.x + d
 
 
 def _mirrored(upper: F64) -> F64:
     """The symmetric matrix of which only the upper half was filled in."""
     out = np.triu(upper)
-    out += np.triu(upper, 1).T
-    return np.ascontiguousarray(out)
+    out += out.T
+    out[np.diag_indices(len(out))] *= 0.5
+    return out
 
 
 def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:

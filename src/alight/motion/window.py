@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Pose
 from alight.motion.state import Clone
-from alight.motion.vision import skews
+from alight.motion.turns import skews
 from alight.records import F64
 
 Ints = NDArray[np.int64]
