@@ -16,7 +16,6 @@ from alight.kernels.boxes import cast_boxes
 from alight.kernels.raycast import cast_rays
 from alight.kernels.shade import shade
 from alight.records import F32, F64, InputError, Rig, RigCamera
-from alight.simulate.light import Light
 from alight.simulate.materials import tables
 from alight.simulate.movers import boxes_at
 from alight.simulate.world import Patch, World
@@ -110,7 +109,7 @@ class Eye:
         middle = float(seconds[len(seconds) // 2])
         patch = world.patch(self.footprint(world, turns, places), middle)
         depth, faces = self._cast(world, patch, turns, places, sample), np.zeros(out.shape[:2], np.int16)
-        boxes = _near(boxes_at(getattr(world, "movers", ()), seconds), patch)
+        boxes = _near(boxes_at(world.movers, seconds), patch)
         turns, places = np.ascontiguousarray(turns), np.ascontiguousarray(places)
         if boxes.shape[1]:
             cast_boxes(boxes, places, self.rays[sample], turns, depth, faces)
@@ -120,15 +119,8 @@ class Eye:
         level = float(np.concatenate([patch.height[[0, -1]].ravel(), patch.height[:, [0, -1]].ravel()]).mean())
         shade(
             patch.label, look, patch.light, tint, patch.place, *tables(), places, self.rays[sample], turns, depth,
-            faces, boxes, pixel, level, _light(world).numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
+            faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
         )  # fmt: skip
-
-
-def _light(world: World) -> Light:
-    light = world.light
-    if isinstance(light, Light):
-        return light
-    return Light(azimuth_deg=math.degrees(world.sun.azimuth), elevation_deg=math.degrees(world.sun.elevation))
 
 
 def spread(samples: int) -> NDArray[np.float64]:
