@@ -427,3 +427,57 @@ def test_a_scene_file_says_how_to_fly(tmp_path):
     path.write_text("flight: {hight: 25}\n")
     with pytest.raises(InputError, match="hight"):
         fly(path)
+
+
+# -- the shutter
+
+
+def sharpness(picture, axis):
+    return float(np.abs(np.diff(picture.astype(float).mean(axis=2), axis=axis)).mean())
+
+
+def test_an_open_shutter_blurs_along_the_flight_and_not_across(world, small_rig):
+    """2 m/s, 10 m up, f = 48 px: 0.5 s is 5 px along the rows' normal (the image's top is forward)."""
+    calm = FlightPlan(height=10.0, speed=2.0, duration=2.0, air={"wind": 0.0, "gusts": 0.0, "wobble_deg": 0.0})
+    clear = {"blur_px": 0.0, "noise": 0.0, "gain_drift": 0.0, "white_balance": 0.0}
+    sharp, open_long, still = (
+        fly(world, 1, plan=plan, rig=small_rig, imaging=Imaging(**clear, exposure_time=t, moments=16)).image(6, 0)
+        for plan, t in (
+            (calm, 0.0),
+            (calm, 0.5),
+            (calm.model_copy(update={"pattern": "hover", "centre": (0.5, 0.1)}), 0.5),
+        )
+    )
+    assert sharpness(open_long, 0) < 0.5 * sharpness(sharp, 0)
+    assert sharpness(open_long, 1) > sharpness(open_long, 0)
+    assert sharpness(still, 0) > 0.7 * sharpness(sharp, 0)
+
+
+def test_a_rolling_shutter_reads_each_row_at_its_own_time(world, small_rig):
+    calm = FlightPlan(height=15.0, speed=4.0, duration=2.0, air={"wind": 0.0, "gusts": 0.0, "wobble_deg": 0.0})
+    clear = {"noise": 0.0, "gain_drift": 0.0, "white_balance": 0.0, "blur_px": 0.0}
+    line_time = 2e-3
+    rolled = fly(world, 1, plan=calm, rig=small_rig, imaging=Imaging(**clear, line_time=line_time)).image(8, 0)
+    rows = fly(world, 1, plan=calm, rig=small_rig, imaging=Imaging(**clear, rate_hz=1000.0))
+    for r in (3, 40):  # the row of a picture that is taken at that row's time
+        index = round(1000 + (r - 23.5) * line_time * 1000)
+        ours, theirs = rows.image(index, 0)[r].astype(int), rolled[r].astype(int)
+        assert np.abs(ours - theirs).mean() < 1.0
+        assert np.abs(rows.image(1000, 0)[r].astype(int) - theirs).mean() > 3.0
+
+
+def test_exposure_control_settles_on_its_target_and_follows(world, small_rig):
+    wishes = {
+        "auto": True,
+        "auto_target": 0.3,
+        "gain_drift": 0.0,
+        "white_balance": 0.0,
+        "gamma": 1.0,
+        "vignetting": 0.0,
+    }
+    means = []
+    for gain in (0.7, 2.0):
+        flight = fly(world, 1, 3.0, rate_hz=4.0, rig=small_rig, imaging=Imaging(**wishes, gain=gain))
+        means.append(np.mean([flight.image(k, 0).mean() / 255 for k in (0, 6, 11)]))
+    assert means[0] == pytest.approx(0.3, rel=0.2)
+    assert means[0] == pytest.approx(means[1], rel=0.02)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -31,7 +30,7 @@ class Imaging(Section):
     """What happens between the lens and the file."""
 
     rate_hz: float = Field(8.0, gt=0, le=1000, description="exposures a second")
-    samples: Literal[1, 4] = Field(1, description="rays a pixel")
+    samples: int = Field(1, ge=1, le=16, description="rays a pixel")
     exposure_time: float = Field(0.0, ge=0, description="s that the shutter is open: motion blur")
     line_time: float = Field(0.0, ge=0, description="s from one row to the next: rolling shutter")
     moments: int = Field(5, ge=1, le=64, description="instants that the motion blur is summed of")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
-from alight.simulate.cameras import Eye, default_rig
+from alight.simulate.cameras import Eye, Poses, Shutter, default_rig
 from alight.simulate.course import LEAD, Extent, chart
 from alight.simulate.exposure import Imaging, Sensor, gains
 from alight.simulate.faults import Exposures, Faults, exposures
@@ -188,10 +188,15 @@ class SimulatedFlight:
         """True `world_from_body`."""
         return self.trajectory.pose((t_ns - START_NS) * 1e-9)
 
-    def camera_at(self, cam: int) -> Callable[[float], Pose]:
-        """True `world_from_cam` as a function of the trajectory's seconds."""
+    def camera_at(self, cam: int) -> Poses:
+        """True `world_from_cam` as a function of the trajectory's seconds (N,): rotations and places."""
         body_from_cam = self.true_rig.cameras[cam].body_from_cam
-        return lambda seconds: self.trajectory.pose(seconds) @ body_from_cam
+
+        def poses(seconds: F64) -> tuple[F64, F64]:
+            turns, places = self.trajectory.rotations(seconds), self.trajectory.place_world(seconds)
+            return turns @ body_from_cam.rotation, places + turns @ body_from_cam.translation
+
+        return poses
 
     @cached_property
     def biases(self) -> tuple[F64, F64]:
@@ -223,14 +228,18 @@ class SimulatedFlight:
     def image(self, index: int, cam: int) -> U8:
         """Draw one picture, (H, W, 3) RGB, lost or not; any order gives the same."""
         seconds = float(self.since(self.frame_times[index : index + 1])[0])
-        light = self.eyes[cam].radiance(self.world, self.camera_at(cam)(seconds), seconds)
+        light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, self._shutter)
         key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
         return self._glass[cam].expose(light, self._gains[cam][index], key, self.faults.cover(seconds, cam))
 
     @cached_property
     def eyes(self) -> tuple[Eye, ...]:
         """The cameras, their rays undistorted."""
-        return tuple(Eye(c.camera, self.imaging) for c in self.true_rig.cameras)
+        return tuple(Eye(c.camera, self.imaging.samples) for c in self.true_rig.cameras)
+
+    @property
+    def _shutter(self) -> Shutter:
+        return Shutter(self.imaging.exposure_time, self.imaging.line_time, self.imaging.moments)
 
     @cached_property
     def _glass(self) -> tuple[Sensor, ...]:
@@ -249,9 +258,8 @@ class SimulatedFlight:
         """(N,) mean light of every exposure, from a picture of a few pixels; None where nobody asks."""
         if not self.imaging.auto:
             return None
-        eye = Eye(self.true_rig.cameras[cam].camera.scaled(METER), self.imaging)
-        at = self.camera_at(cam)
-        return np.array([float(eye.radiance(self.world, at(float(s)), float(s)).mean()) for s in seconds])
+        eye, at = Eye(self.true_rig.cameras[cam].camera.scaled(METER)), self.camera_at(cam)
+        return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
         """The random stream of one source of randomness."""
