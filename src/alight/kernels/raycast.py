@@ -223,33 +223,6 @@ def cast_rays(
                     out[r, c] = _walk(height, pyramid, offsets, widths, start, ray, (t, t_end, 0.0), level)
 
 
-@kernel
-def _bilinear(layer: F32, x: float, y: float) -> float:
-    ix, iy = min(int(x), layer.shape[1] - 2), min(int(y), layer.shape[0] - 2)
-    u, v = x - ix, y - iy
-    upper = layer[iy, ix] * (1 - u) + layer[iy, ix + 1] * u
-    lower = layer[iy + 1, ix] * (1 - u) + layer[iy + 1, ix + 1] * u
-    return float(upper * (1 - v) + lower * v)
-
-
-@parallel_kernel
-def shadow_margin(height: F32, top: float, step: F64, limit: float, out: F32) -> None:
-    """Fill `out` (R, C) with how far, in metres, the sun's ray from each cell clears the terrain (negative: shadow).
-
-    `step` (3,): one march step towards the sun in (columns, rows, metres); steps of about a cell. Clipped to `limit`.
-    """
-    rows, cols = height.shape
-    for r in prange(rows):
-        for c in range(cols):
-            x, y, z, margin = float(c), float(r), float(height[r, c]), limit
-            while z < top and margin > -limit:
-                x, y, z = x + step[0], y + step[1], z + step[2]
-                if x < 0.0 or y < 0.0 or x > cols - 1.0 or y > rows - 1.0:
-                    break
-                margin = min(margin, z - _bilinear(height, x, y))
-            out[r, c] = max(margin, -limit)
-
-
 def max_pyramid(height: F32) -> tuple[F32, I64, I64]:
     """Return the pyramid of maxima over the patches of `height` (R, C), flat, with offset and width of each level."""
     level = np.maximum(np.maximum(height[:-1, :-1], height[:-1, 1:]), np.maximum(height[1:, :-1], height[1:, 1:]))

@@ -149,7 +149,8 @@ def load(raster: Raster, local: LocalFrame, extent: Box, cell: float) -> Ground:
     cols, rows = round((east - west) / cell), round((north - south) / cell)
     if rows < 2 or cols < 2 or rows * cols > MOST_CELLS:
         raise InputError(
-            f"{raster.height}: {cols} x {rows} cells of {cell:g} m cannot be held; set ground.size or a larger ground.cell"
+            f"{raster.height}: {cols} x {rows} cells of {cell:g} m cannot be held; "
+            "set ground.size or a larger ground.cell"
         )
     grid = Grid(west + 0.5 * cell, north - 0.5 * cell, cell, rows, cols)
     height, filled = _heights(raster, local, grid)

@@ -15,7 +15,9 @@ from alight.geometry import LocalFrame
 from alight.records import F64, InputError
 from alight.simulate.exposure import Imaging
 from alight.simulate.faults import Faults
+from alight.simulate.light import Light
 from alight.simulate.looks import Look
+from alight.simulate.movers import Traffic
 from alight.simulate.patterns import FlightPlan
 from alight.simulate.rasters import Raster
 from alight.simulate.relief import Relief
@@ -76,6 +78,8 @@ class Scene(Section):
     description: str = Field("", description="one sentence for people")
     origin: Origin = Field(Origin(), description="where on Earth")
     ground: Ground = Field(Ground(), description="relief and things")
+    light: Light = Field(Light(), description="sun, sky, haze, clouds, wind at the ground")
+    traffic: tuple[Traffic, ...] = Field((), description="cars that drive: [{path: [[east, north], ...]}, ...]")
     imaging: Imaging = Field(Imaging(), description="what lens and sensor make of the light")
     faults: Faults = Field(Faults(), description="what goes wrong between shutter and log")
     flight: FlightPlan = Field(FlightPlan(), description="where to fly, and with what")

@@ -16,6 +16,8 @@ from alight.kernels.layers import BLOCK, block_tops, box_mean, ground_light, sun
 from alight.kernels.raycast import max_pyramid
 from alight.records import F32, F64, U8, InputError, Terrain
 from alight.simulate import rasters
+from alight.simulate.light import Light, Sun
+from alight.simulate.movers import Mover
 from alight.simulate.rasters import Arrays
 from alight.simulate.scene import Origin, Scene, built_in, read_scene
 from alight.simulate.things.base import Box
@@ -27,27 +29,6 @@ SHADOW_REACH = 60.0  # metres: longer shadows end here
 HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
 TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # what is kept of what was made
 MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
-
-
-@dataclass(frozen=True)
-class Sun:
-    """Where the light comes from, radians, and its linear colours on a white flat surface."""
-
-    azimuth: float = math.radians(140.0)  # clockwise from north
-    elevation: float = math.radians(43.0)
-    colour: tuple[float, float, float] = (1.05, 1.0, 0.9)
-    sky: tuple[float, float, float] = (0.24, 0.28, 0.34)
-
-    @property
-    def direction(self) -> F64:
-        """(3,) unit vector towards the sun, world."""
-        c = math.cos(self.elevation)
-        return np.array([math.sin(self.azimuth) * c, math.cos(self.azimuth) * c, math.sin(self.elevation)])
-
-    @property
-    def numbers(self) -> F64:
-        """(9,) direction, colour, sky: what the kernels take."""
-        return np.array([*self.direction, *self.colour, *self.sky])
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +77,22 @@ class World:
     local: LocalFrame
     source: Source
     extent: Box
-    sun: Sun = Sun()
+    light: Light = field(default_factory=Light)
     scene: Scene | None = None
     warnings: tuple[str, ...] = ()  # what was assumed about it
     _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
     _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
+
+    @cached_property
+    def movers(self) -> tuple[Mover, ...]:
+        """What drives about: in the pictures, not in the truth."""
+        traffic = () if self.scene is None else self.scene.traffic
+        return tuple(Mover(t, self.height_at, self.seed + 1000 * k) for k, t in enumerate(traffic))
+
+    @property
+    def sun(self) -> Sun:
+        """Where the light comes from at the start."""
+        return self.light.sun_at(0.0)
 
     @property
     def cell(self) -> float:
@@ -128,8 +120,8 @@ class World:
 
     def patch(self, bounds: Box, time: float = 0.0) -> Patch:
         """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun."""
-        box = self._tile_box(bounds)
-        return _patch(self._patches.get((box, self.sun), lambda: self._make_patch(box), lambda p: p.nbytes))
+        box, sun = self._tile_box(bounds), self.light.sun_at(time)
+        return _patch(self._patches.get((box, sun), lambda: self._make_patch(box, sun), lambda p: p.nbytes))
 
     def height_at(self, east: float, north: float) -> float:
         """Height of the surface, metres above the origin."""
@@ -196,7 +188,7 @@ class World:
 
     # -- light
 
-    def _make_patch(self, box: tuple[int, int, int, int]) -> Patch:
+    def _make_patch(self, box: tuple[int, int, int, int], sun: Sun) -> Patch:
         i0, j0, i1, j1 = box[0] * SIDE, box[1] * SIDE, (box[2] + 1) * SIDE - 1, (box[3] + 1) * SIDE - 1
         layers = self._window(i0, j0, i1, j1, ("height", "label", "look", "tint"))
         light = np.empty((*layers["height"].shape, 5), np.float32)
@@ -204,20 +196,20 @@ class World:
             for ti in range(box[0], box[2] + 1):
                 rows = slice((box[3] - tj) * SIDE, (box[3] - tj + 1) * SIDE)
                 cols = slice((ti - box[0]) * SIDE, (ti - box[0] + 1) * SIDE)
-                light[rows, cols] = self._light(ti, tj)
+                light[rows, cols] = self._light(ti, tj, sun)
         look = layers["look"] if layers["look"].any() else None
         grid = self._grid(i0, j1, *layers["height"].shape)
         return Patch(grid, layers["height"], layers["label"], light, look, layers.get("tint"))
 
-    def _light(self, i: int, j: int) -> F32:
+    def _light(self, i: int, j: int, sun: Sun) -> F32:
         """(SIDE, SIDE, 5) of one tile; its own apron makes it the same whatever lies loaded beside it."""
-        key = ("light", i, j, self.sun)
-        return np.asarray(self._tiles.get(key, lambda: self._make_light(i, j), lambda a: a.nbytes))
+        key = ("light", i, j, sun)
+        return np.asarray(self._tiles.get(key, lambda: self._make_light(i, j, sun), lambda a: a.nbytes))
 
-    def _make_light(self, i: int, j: int) -> F32:
+    def _make_light(self, i: int, j: int, sun: Sun) -> F32:
         out = np.empty((SIDE, SIDE, 5), np.float32)
         out[..., [0, 1, 3]] = self._tiles.get(("sky", i, j), lambda: self._make_sky(i, j), lambda a: a.nbytes)
-        out[..., 2] = self._make_shadow(i, j)
+        out[..., 2] = self._make_shadow(i, j, sun)
         out[..., 4] = self._tile(i, j).depth
         return out
 
@@ -233,15 +225,15 @@ class World:
         ground_light(height, means, apron, apron, self.cell, np.array([gain for _, gain in HOLLOWS]), out)
         return out
 
-    def _make_shadow(self, i: int, j: int) -> F32:
+    def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
         """March towards the sun as far as the highest thing can throw a shadow."""
-        direction, flat = self.sun.direction, math.hypot(*self.sun.direction[:2])
+        direction, flat = sun.direction, math.hypot(*sun.direction[:2])
         out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
         if flat < 1e-6:
             return out
         east, north = direction[0] / flat, direction[1] / flat
-        steep = self.cell * math.tan(self.sun.elevation)
-        reach = min(SHADOW_REACH, (self.high - self.low) / math.tan(self.sun.elevation)) / self.cell
+        steep = self.cell * math.tan(sun.elevation)
+        reach = min(SHADOW_REACH, (self.high - self.low) / math.tan(sun.elevation)) / self.cell
         de, dn = math.ceil(abs(east) * reach) + 1, math.ceil(abs(north) * reach) + 1
         i0, i1 = i * SIDE - (de if east < 0 else 0), i * SIDE + SIDE - 1 + (de if east > 0 else 0)
         j0, j1 = j * SIDE - (dn if north < 0 else 0), j * SIDE + SIDE - 1 + (dn if north > 0 else 0)
@@ -252,58 +244,6 @@ class World:
         block_tops(height, tops)
         sun_margin(height, tops, row, col, float(height.max()), step, SHADOW_LIMIT, out)
         return out
-
-    # -- the whole extent as one array: what was there before patches
-
-    @cached_property
-    def _whole(self) -> Patch:
-        truth = self.truth()
-        patch = self.patch(self.extent)
-        r = round((patch.grid.north - truth.grid.north) / self.cell)
-        c = round((truth.grid.east - patch.grid.east) / self.cell)
-        cut = slice(r, r + truth.grid.rows), slice(c, c + truth.grid.cols)
-        return Patch(truth.grid, truth.height, truth.label, np.ascontiguousarray(patch.light[cut]))
-
-    @property
-    def grid(self) -> Grid:
-        """Of the extent."""
-        return self._whole.grid
-
-    @property
-    def height(self) -> F32:
-        """(R, C) over the extent."""
-        return self._whole.height
-
-    @property
-    def label(self) -> U8:
-        """(R, C) over the extent."""
-        return self._whole.label
-
-    @property
-    def depth(self) -> F32:
-        """(R, C) metres of water over the extent."""
-        return self._whole.light[..., 4]
-
-    @property
-    def light(self) -> F32:
-        """(R, C, 5) over the extent."""
-        return self._whole.light
-
-    @property
-    def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64]]:
-        """Of the extent."""
-        return self._whole.pyramid
-
-    @property
-    def place(self) -> F64:
-        """Of the extent."""
-        return self._whole.place
-
-    @cached_property
-    def level(self) -> float:
-        """Height of the plane that goes on outside the extent, metres."""
-        h = self.height
-        return float(np.mean([h[0].mean(), h[-1].mean(), h[:, 0].mean(), h[:, -1].mean()]))
 
 
 def _patch(value: Any) -> Patch:
@@ -334,14 +274,14 @@ def build(scene: str | Path | Scene, seed: int = 0) -> World:
         scene = read_scene(known.get(str(scene), Path(scene)))
     local, extent, raster = scene.origin.local, scene.ground.extent, scene.ground.raster
     if raster is None:
-        return World(scene.name, scene.description, seed, local, Stack(scene.ground, seed), extent, Sun(), scene)
+        return World(scene.name, scene.description, seed, local, Stack(scene.ground, seed), extent, scene.light, scene)
     if "origin" not in scene.model_fields_set:
         local = rasters.middle(raster)
     if "size" not in scene.ground.model_fields_set:
         extent = rasters.reach(raster, local, scene.ground.cell)
     under = rasters.load(raster, local, extent, scene.ground.cell)
     source = Stack(scene.ground, seed, under)
-    return World(scene.name, scene.description, seed, local, source, extent, Sun(), scene, under.warnings)
+    return World(scene.name, scene.description, seed, local, source, extent, scene.light, scene, under.warnings)
 
 
 def world_of(
@@ -351,10 +291,10 @@ def world_of(
     depth: F32 | None = None,
     look: U8 | None = None,
     tint: F32 | None = None,
-    sun: Sun | None = None,
+    light: Light | None = None,
     seed: int = 0,
 ) -> World:
     """A world out of arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
     label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
     source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint)
-    return World("arrays", "", seed, Origin().local, source, source.extent, sun or Sun())
+    return World("arrays", "", seed, Origin().local, source, source.extent, light or Light())

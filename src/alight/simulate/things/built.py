@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from alight.kernels import stamps
-from alight.kernels.stamps import BLUE, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, REACH, RED, TOP, TURN
+from alight.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
 from alight.records import F64, Terrain
 from alight.simulate.looks import Look
 from alight.simulate.things.base import (
@@ -257,4 +257,14 @@ class Parking(Layer):
             things[:, TURN] = math.radians(self.turn_deg + 90.0) + backwards + rng.normal(0.0, 0.03, len(things))
             things[:, LEVEL] = level
             found.append(things)
-        return np.concatenate(found)
+        return self._off_pads(lay, np.concatenate(found))
+
+    @staticmethod
+    def _off_pads(lay: Lay, cars: F64) -> F64:
+        """Without those that would stand where a later layer keeps the ground free."""
+        for other in lay.stack.lays[lay.index + 1 :]:
+            if isinstance(other.layer, Scattered) and other.layer.apart:
+                for east, north in other.layer.at:
+                    away = np.hypot(cars[:, EAST] - east, cars[:, NORTH] - north)
+                    cars = cars[away > other.layer.largest + cars[:, HALF_U]]
+        return cars

@@ -218,7 +218,7 @@ class Mounds(Dome):
         radius = spread(rng, self.radius, n)
         things[:, HALF_U], things[:, HALF_V] = radius, radius
         things[:, TOP], things[:, REACH] = spread(rng, self.height, n), 1.3 * radius
-        things[:, EXTRA] = 0.1 * things[:, TOP]
+        things[:, EXTRA] = np.minimum(0.1 * things[:, TOP], 0.04)
         self.paint(rng, things)
 
     def stand(self, sheet: Sheet, lay: Lay) -> None:
