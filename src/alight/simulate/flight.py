@@ -30,7 +30,7 @@ from alight.simulate.world import World, build
 
 START_NS = 1_700_000_000_000_000_000
 NAV_OFFSET_NS = 13_000_000  # the navigation solution keeps its own time
-METER = 1 / 40  # of the picture's size: what exposure control looks at
+METER = 16  # pixels across: what exposure control looks at
 # one random stream for each source of randomness; a new one goes at the end
 WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
 
@@ -258,7 +258,8 @@ class SimulatedFlight:
         """(N,) mean light of every exposure, from a picture of a few pixels; None where nobody asks."""
         if not self.imaging.auto:
             return None
-        eye, at = Eye(self.true_rig.cameras[cam].camera.scaled(METER)), self.camera_at(cam)
+        lens, at = self.true_rig.cameras[cam].camera, self.camera_at(cam)
+        eye = Eye(lens.scaled(METER / lens.width))
         return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
 
     def seeds(self, *key: int) -> np.random.SeedSequence:
