@@ -170,6 +170,8 @@ def _look_up(
         _light_at(buf, i, light, gx, gy)
         if tint.size > 0:
             _tint_at(buf, i, tint, gx, gy)
+        else:
+            buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
 
 
 @kernel
@@ -333,7 +335,7 @@ def _apply(buf: F32, lights: F32) -> None:
         phase = vx * sx + vy * sy + vz * sz
         leaf = buf[LEAF + i]
         sun = cosine * leaf * (F1 + buf[PARAM + P_HOT * B + i] * (phase * phase * phase - f32(0.35)))
-        sky = buf[SKY + i] * (f32(0.5) + f32(0.5) * nz) * (f32(0.35) + f32(0.65) * leaf)
+        sky = buf[SKY + i] * (f32(0.5) + f32(0.5) * nz) * (f32(0.2) + f32(0.8) * leaf)
         hx, hy, hz = vx + sx, vy + sy, vz + sz
         half = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + f32(1e-6))
         c2 = max(half * half, f32(0.05))

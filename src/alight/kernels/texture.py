@@ -260,7 +260,7 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
         finest = smallest(buf, FOOT)
         copy(buf, TX, KEPT_X)
         copy(buf, TY, KEPT_Y)
-        for k, (part, gain, opaque) in enumerate(((0.0, 1.08, 0.0), (0.4, 0.6, 0.35), (1.0, 0.27, 9.0))):
+        for k, (part, gain, opaque) in enumerate(((0.0, 1.2, 0.0), (0.4, 0.5, 0.35), (1.0, 0.15, 9.0))):
             fill(buf, WEIGHT, 0.0)
             _shift(buf, f32(part))
             for m, wavelength in enumerate((0.41, 0.17, 0.062)):

@@ -71,11 +71,11 @@ def _plant(first: Colour, second: Colour, third: Colour, **more: Any) -> Materia
 
 def _crown(first: Colour, second: Colour, **more: Any) -> Material:
     crown = _plant(first, second, (0.05, 0.045, 0.03), contrast=0.4, bump=0.5, deep=0.8, sway=0.03, hot=0.35, ridge=0.4)
-    return replace(crown, **{"open": 0.1, "coarse": 0.6, "vary": 0.15, "roughening": -0.1, **more})
+    return replace(crown, **{"open": 0.3, "coarse": 0.6, "vary": 0.15, "roughening": -0.1, **more})
 
 
 def _laid(first: Colour, second: Colour, third: Colour, **more: Any) -> Material:
-    plain = Material(first, second, third, contrast=0.08, uneven=0.9, vary=0.14, hue=0.03, bump=0.03, hot=0.05)
+    plain = Material(first, second, third, contrast=0.06, uneven=0.9, vary=0.14, hue=0.03, bump=0.015, hot=0.05)
     return replace(plain, **{"edge": 0.3, "patch": -1.3, "ridge": 0.2, "roughening": 0.1, **more})
 
 
@@ -105,7 +105,7 @@ MATERIALS: dict[Look, Material] = {
     Look.MUD: Material((0.075, 0.06, 0.045), (0.12, 0.095, 0.07), (0.16, 0.13, 0.10), patch=-1.0, contrast=0.13,
                        vary=0.25, uneven=0.9, bump=0.06, crack=0.4, things=(0.1, 0.08, 0.03, 0.0), gloss=0.15),
     Look.SAND: Material((0.34, 0.28, 0.19), (0.41, 0.345, 0.245), (0.28, 0.22, 0.15), patch=-1.4, edge=1.2,
-                        contrast=0.05, vary=0.10, uneven=0.8, bump=0.035, hot=0.15, roughening=0.1,
+                        contrast=0.025, vary=0.10, uneven=0.8, bump=0.012, hot=0.15, roughening=0.1,
                         things=(0.02, 0.02, 0.01, 0.006), tone=-0.4, spread=0.3, tall=0.6),
     Look.GRAVEL: Material((0.21, 0.20, 0.185), (0.30, 0.28, 0.25), (0.15, 0.12, 0.09), patch=-1.2, contrast=0.2,
                           vary=0.2, bump=0.12, things=(0.85, 0.7, 0.12, 0.01), tone=0.15, spread=0.65, tall=0.7),
@@ -113,7 +113,7 @@ MATERIALS: dict[Look, Material] = {
                                bump=0.15, hue=0.15, things=(0.5, 0.75, 0.45, 0.05), tone=0.4, spread=0.8, tall=0.25,
                                ridge=0.3),
     Look.SNOW: Material((0.82, 0.84, 0.88), (0.88, 0.89, 0.91), (0.70, 0.71, 0.73), patch=-1.5, edge=1.5, contrast=0.02,
-                        vary=0.04, uneven=0.9, hue=0.005, bump=0.03, hot=0.1, things=(0.01, 0.01, 0.004, 0.001),
+                        vary=0.04, uneven=0.9, hue=0.005, bump=0.01, hot=0.1, things=(0.01, 0.01, 0.004, 0.001),
                         tone=-0.7, spread=0.2, tall=0.5),
     Look.BROADLEAF: _crown((0.035, 0.075, 0.014), (0.075, 0.115, 0.022)),
     Look.CONIFER: _crown((0.018, 0.038, 0.014), (0.035, 0.06, 0.02), coarse=0.3, deep=1.2, open=0.3, sway=0.02),
@@ -127,13 +127,13 @@ MATERIALS: dict[Look, Material] = {
     Look.SCREE: Material((0.19, 0.18, 0.17), (0.29, 0.27, 0.24), (0.12, 0.10, 0.08), patch=-1.0, contrast=0.24,
                          vary=0.22, bump=0.25, ridge=0.4, things=(0.6, 0.8, 0.85, 0.6), tone=0.1, spread=0.5, tall=0.9),
     Look.ASPHALT: _laid((0.065, 0.065, 0.067), (0.12, 0.118, 0.115), (0.04, 0.04, 0.042), crack=0.7, vary=0.2,
-                        contrast=0.10, edge=0.08, patch=-1.25, things=(0.03, 0.03, 0.006, 0.0), tone=0.9, spread=0.8),
+                        contrast=0.07, edge=0.08, patch=-1.25, things=(0.03, 0.03, 0.006, 0.0), tone=0.9, spread=0.8),
     Look.CONCRETE: _laid((0.30, 0.295, 0.28), (0.39, 0.385, 0.36), (0.21, 0.20, 0.185), crack=0.6, edge=0.5,
-                         pattern=t.JOINTS, contrast=0.06, things=(0.02, 0.02, 0.004, 0.0), tone=-0.5, spread=0.3),
+                         pattern=t.JOINTS, contrast=0.045, things=(0.02, 0.02, 0.004, 0.0), tone=-0.5, spread=0.3),
     Look.SLABS: _laid((0.22, 0.215, 0.205), (0.30, 0.29, 0.27), (0.14, 0.14, 0.11), pattern=t.SLABS, contrast=0.09,
                       things=(0.03, 0.03, 0.006, 0.0), tone=-0.3, spread=0.5),
     Look.WHITE: _laid((0.80, 0.80, 0.79), (0.86, 0.86, 0.85), (0.66, 0.65, 0.62), contrast=0.025, vary=0.05,
-                      uneven=0.9, patch=-1.5, things=(0.005, 0.004, 0.0, 0.0), tone=-0.6),
+                      uneven=0.9, patch=-1.5, bump=0.008, things=(0.005, 0.004, 0.0, 0.0), tone=-0.6),
     Look.ROOF_TILES: _laid((0.22, 0.085, 0.05), (0.30, 0.14, 0.085), (0.10, 0.085, 0.055), pattern=t.TILES,
                            contrast=0.14, patch=-0.9, edge=0.6, vary=0.2),
     Look.ROOF_SLATE: _laid((0.07, 0.072, 0.08), (0.11, 0.11, 0.115), (0.12, 0.125, 0.08), pattern=t.TILES,
