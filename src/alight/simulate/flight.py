@@ -328,7 +328,8 @@ def fly(
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WIND,)))
     again = world.scene is not None and world.seed == seed and rig is None
-    return SimulatedFlight(world, chart(world, used.flight, rng), seed, rig or default_rig(), used, again)
+    trajectory = chart(world, used.flight, rng)
+    return SimulatedFlight(world, trajectory, seed, rig or default_rig(), used, again, warnings=list(world.warnings))
 
 
 def _with(section: S, wishes: dict[str, Any]) -> S:

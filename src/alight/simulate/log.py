@@ -14,12 +14,15 @@ import cv2
 import numpy as np
 import rasterio
 import yaml
+from numpy.typing import NDArray
+from rasterio.windows import Window
 
 from alight.geometry import Pose, quaternion_from_matrix
 from alight.records import U8, Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
 from alight.simulate.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean
+BAND = 512  # rows of a raster at a time: a multiple of its tiles
 JPEG_QUALITY = 90  # what small cameras write
 NAV_COLUMNS = (
     "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
@@ -35,6 +38,7 @@ TRUTH_COLUMNS = (
     " b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
 )
 SCENE_USED = "scene-used.yaml"  # `alight simulate` of it with the same seed makes the same flight
+SECTIONS = ("origin", "light", "traffic", "flight", "imaging", "sensors", "faults")
 EXPOSURE_COLUMNS = "true time [ns],stamp [ns],arrival [ns]"
 
 Progress = Callable[[int, int], None]  # exposures done, exposures in all
@@ -205,28 +209,32 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
     root.mkdir()
     truth, local = flight.truth, flight.local
     east, north = truth.grid.xy()
-    fall = (east[None] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
-    _raster(flight, root / "dem.tif", (local.height + truth.height + fall).astype(np.float32), math.nan)
-    _raster(flight, root / "class.tif", truth.label, 0)
-    _table(
-        root / "exposures.csv",
-        EXPOSURE_COLUMNS + "".join(f",{c.name}" for c in flight.rig.cameras),
-        _exposure_rows(flight),
-    )
+
+    def height(rows: slice) -> NDArray[Any]:
+        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
+        return np.asarray((local.height + truth.height[rows] + fall).astype(np.float32))
+
+    _raster(flight, root / "dem.tif", height, "float32", math.nan)
+    _raster(flight, root / "class.tif", lambda rows: truth.label[rows], "uint8", 0)
+    columns = EXPOSURE_COLUMNS + "".join(f",{c.name}" for c in flight.rig.cameras)
+    _table(root / "exposures.csv", columns, _exposure_rows(flight))
     if flight.repeatable:
         _dump(root / SCENE_USED, flight.scene.model_dump(mode="json"))
     _dump(root / "scene.yaml", scene_yaml(flight))
 
 
-def _raster(flight: SimulatedFlight, path: Path, values: np.ndarray[Any, Any], nodata: float) -> None:
+def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
+    """Write a raster band by band, so that a large world does not need its copies in memory."""
     grid = flight.truth.grid
     profile = {
-        "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": values.dtype.name,
-        "crs": flight.local.crs, "transform": rasterio.Affine(*grid.transform), "nodata": nodata,
-        "compress": "deflate", "tiled": True,
+        "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,
+        "crs": flight.local.crs, "transform": rasterio.Affine(*grid.transform),
+        "compress": "deflate", "tiled": True, "blockxsize": 256, "blockysize": 256,
     }  # fmt: skip
     with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(values, 1)
+        for start in range(0, grid.rows, BAND):
+            count = min(BAND, grid.rows - start)
+            dataset.write(rows(slice(start, start + count)), 1, window=Window(0, start, grid.cols, count))
 
 
 def _exposure_rows(flight: SimulatedFlight) -> Iterable[str]:
@@ -251,7 +259,7 @@ def scene_yaml(flight: SimulatedFlight) -> dict[str, Any]:
         "dem_cell_m": truth.grid.cell,
         "class_fraction": {kind.name.lower(): round(float(share[kind]), 4) for kind in Terrain},
         "safety": _safety(flight),
-        **{k: getattr(flight.scene, k).model_dump(mode="json") for k in ("flight", "imaging", "sensors", "faults")},
+        **{k: v for k, v in flight.scene.model_dump(mode="json").items() if k in SECTIONS},
         "true_rig": {c.name: _camera_yaml(c, flight.rate_hz) for c in flight.true_rig.cameras},
     }
 
