@@ -55,7 +55,7 @@ def simulated(scene: str, like: str) -> Path:
 def measure(subject: Subject) -> dict[str, Row]:
     """All tables' rows of one recording."""
     views = subject.views()
-    points = subject.points(views)
+    points = subject.points(views, subject.above(views))
     some = [views[i].image for i in np.unique(np.linspace(0, len(views) - 1, 8).astype(int))]
     looks = statistics(some)
     spectrum = {k: v for k, v in looks.items() if k.endswith(" px") or k == "slope"}
