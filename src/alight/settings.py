@@ -78,7 +78,9 @@ class Filter(_Model):
     accelerometer_noise: Positive = Field(3e-3, description="m/s^2 per sqrt(Hz)")
     accelerometer_walk: Positive = Field(3e-4, description="m/s^3 per sqrt(Hz)")
     accelerometer_bias_sigma: Positive = Field(0.2, description="m/s^2, 1-sigma of the accelerometer bias at the start")
-    mounting_sigma: NonNegative = Field(0.0, description="rad, camera mounting against the INS; 0 holds it")
+    mounting_sigma: NonNegative | None = Field(
+        None, description="rad, camera mounting against the INS; 0 holds it; None: 0.03 for photos, held in flights"
+    )
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
     smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
@@ -166,6 +168,12 @@ class Lander(_Model):
     belly_clearance: Positive | None = Field(None, description="m between the feet and the belly")
     feet: tuple[tuple[float, float], ...] | None = Field(None, description="(forward, left) of each foot, m")
     foot_radius: NonNegative = Field(0.0, description="m")
+    foot_contact: Literal["highest", "mean"] = Field(
+        "highest", description="ground that carries a foot: the highest cell under it, or their mean where it sinks in"
+    )
+    support: Literal["resting", "any"] = Field(
+        "resting", description="planes judged: those the lander can rest or rock on, or any three feet (stricter)"
+    )
     skids: tuple[float, float] | None = Field(None, description="length and distance between two skids, m")
     max_step: Positive | None = Field(None, description="m, between neighbouring cells; None: roughness alone")
     rotor_radius: Positive | None = Field(None, description="m; None: the footprint radius")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose, so3_log
+from alight.motion.dynamics import LONG
 from alight.motion.health import Votes
 from alight.motion.points import Gate, measure, take_up
 from alight.motion.ring import Refined, refine
@@ -48,7 +49,10 @@ class Features:
         ids, seen = tracks.ids[order], tracks.normalised[order]
         sigma = sight_sigma(tracks, self._camera, self._settings)[order]
         if _stale(state):
-            self.forget(state)
+            if (tracks.t_ns - state.clones[-1].t_ns) * 1e-9 > LONG:
+                state.relinearise()
+            else:
+                self.forget(state)
         gone = self._superfluous(state)
         votes = self._use_up(state, ids, gone)
         lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]

@@ -61,7 +61,7 @@ class MotionFilter:
         self._nav_sigma = np.ones(9)
         self._last_exposure_ns = -(1 << 62)
         self._doubts = 0  # in a row
-        self._map = 0
+        self._map, self._lost = 0, False
         self._recording = Recording(rig, settings) if settings.smooth else None
 
     def feed_imu(self, sample: ImuSample) -> None:
@@ -89,12 +89,14 @@ class MotionFilter:
         if sample.t_ns < self._state.t_ns:
             return
         self._propagate(self._state, sample.t_ns)
-        if (self._doubts >= _HOPELESS or vague(self._state)) and self._start(sample, sigma):
+        if self._doubts >= _HOPELESS and self._start(sample, sigma):
             return
         self._nav_sigma = sigma
         if self._recording:
             self._recording.nav.append(sample)
         self._measure_nav(self._state, sample, sigma)
+        if vague(self._state):
+            self._start(sample, sigma)
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
         """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
@@ -255,8 +257,13 @@ class MotionFilter:
 
     def _motion(self, state: State, support: int) -> Motion:
         judged, why = self._health.judge(state)
-        if judged is MotionState.GOOD:
-            self._doubts = 0
+        self._doubts = 0 if judged is MotionState.GOOD else self._doubts
+        if self._lost and judged is not MotionState.LOST:
+            self._map += 1
+            log.warning(
+                "motion: found again, in map %d: the way from the poses before is known by GPS/INS only", self._map
+            )
+        self._lost = judged is MotionState.LOST
         rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
         return Motion(
             state.t_ns,

@@ -16,7 +16,7 @@ _SETTLED = 3  # exposures until the start is over
 _ODDS = 5  # exposures in a row in which most features contradict the state, after which the state is doubted
 _AT_ODDS = 3  # GPS positions in a row outside their gate that are more than chance
 _NOISE = 3.0  # mean squared innovation over its variance above which the pictures are worse than they claim
-_TILT, _SPEED = 0.2, 10.0  # rad, m/s: 1-sigma above which nothing is known
+_TILT, _SPEED = 0.2, 20.0  # rad, m/s: 1-sigma above which nothing is known
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,9 @@ from alight.records import F64, NavSample
 from alight.settings import Filter
 
 
+GIMBAL = 0.03  # rad, 1-sigma of the camera's mounting against a gimbal's tag: photos, told by that no velocity is known
+
+
 def sigmas(sample: NavSample, noise: Filter) -> F64:
     """Return the (9,) bounds of position, attitude (in the world) and velocity error; defaults where a row has none."""
     position = _or(sample.sigma_position, noise.position_sigma)
@@ -52,7 +55,10 @@ def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
         P[VEL, VEL], P[VEL, NAV_VEL], P[NAV_VEL, VEL] = np.eye(3) * 10.0**2, np.zeros((3, 3)), np.zeros((3, 3))
     else:
         core[VEL] = sample.velocity_world
-    P[range(24, 27), range(24, 27)] = noise.mounting_sigma**2
+    mounting = noise.mounting_sigma
+    if mounting is None:
+        mounting = 0.0 if sample.velocity_world is not None else GIMBAL
+    P[range(24, 27), range(24, 27)] = mounting**2
     return State(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 

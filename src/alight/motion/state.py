@@ -101,6 +101,13 @@ class State:
         """Rows of all clones."""
         return np.arange(CORE, self.point_start)
 
+    def relinearise(self) -> None:
+        """Take Jacobians at the present estimates from here on."""
+        for c in self.clones:
+            c.first_R, c.first_p = c.R, c.p
+        for x in self.points:
+            x.first_x = x.x
+
     def add_clone(self) -> None:
         """Copy the present rig pose into the state behind the other clones."""
         J = np.zeros((CLONE, len(self.P)))
