@@ -124,9 +124,13 @@ def reach(raster: Raster, local: LocalFrame, cell: float) -> Box:
     """The largest box of whole cells about an origin that lies in the height raster, whichever way that is turned."""
     with _opened(raster.height, "height raster") as dataset:
         t = np.linspace(0.0, 1.0, 33)
+        a, b, c, d, e, f = dataset.transform[:6]
         sides = []
         for u, v in ((0.0 * t, t), (t, 0.0 * t + 1.0), (0.0 * t + 1.0, t), (t, 0.0 * t)):  # left, bottom, right, top
-            x, y = dataset.transform * (u * dataset.width, v * dataset.height)
+            x, y = (
+                a * u * dataset.width + b * v * dataset.height + c,
+                d * u * dataset.width + e * v * dataset.height + f,
+            )
             sides.append(transform(dataset.crs, local.crs, x, y))
     west, south, east, north = max(sides[0][0]), max(sides[1][1]), min(sides[2][0]), min(sides[3][1])
     if max(abs(west), abs(south), abs(east), abs(north)) > FARTHEST:
@@ -135,8 +139,8 @@ def reach(raster: Raster, local: LocalFrame, cell: float) -> Box:
         )
     half = 0.5 * cell  # centres of the outermost cells of the raster are half a cell in: nothing is lost by it
     w, s = (math.ceil((v - half) / cell) * cell for v in (west, south))
-    e, n = (math.floor((v + half) / cell) * cell for v in (east, north))
-    return w, s, e, n
+    right, top = (math.floor((v + half) / cell) * cell for v in (east, north))
+    return w, s, right, top
 
 
 def load(raster: Raster, local: LocalFrame, extent: Box, cell: float) -> Ground:
