@@ -1,4 +1,5 @@
-"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`.
+"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`; and the
+table of all keys of a scene file (docs/scene-keys.md).
 
 python bench/scene_pictures.py          # all; or the names of some
 """
@@ -13,6 +14,7 @@ import numpy as np
 
 from alight import simulate
 from alight.records import U8
+from alight.simulate.keys import reference
 from alight.simulate.scene import FOLDER, built_in
 
 DOCS = Path(__file__).parents[1] / "docs" / "scenes"
@@ -41,7 +43,9 @@ def save(image: U8, path: Path, quality: int = 88) -> None:
 
 
 def main() -> None:
-    """Draw every scene at every height."""
+    """Draw every scene at every height, and write down the keys."""
+    head = "# Keys of a scene file\n\nMade by `make pictures`, as `alight simulate --keys` prints them.\n\n"
+    (DOCS.parent / "scene-keys.md").write_text(head + reference(), encoding="utf-8")
     for name in sys.argv[1:] or built_in():
         for height in HEIGHTS:
             image = picture(name, height)

@@ -15,7 +15,7 @@ from alight.cli.simulate import PICTURE, blocks
 from alight.evaluate.flight import read_truth
 from alight.records import Frame
 from alight.settings import Settings
-from alight.simulate.scene import FOLDER, built_in, read_scene
+from alight.simulate.scene import FOLDER, built_in, read_scene, things
 from alight.sources import open_source
 
 SMALL = "ground: {size: [60, 60]}\nflight: {height: 20, duration: 0.5}\nimaging: {rate_hz: 4}\n"
@@ -161,6 +161,18 @@ def test_the_list_names_every_scene_and_its_picture(capsys: pytest.CaptureFixtur
         assert first.split(maxsplit=1) == [name, read_scene(path).description]
         assert Path(second.strip()) == FOLDER / "pictures" / f"{name}.jpg"
         assert 1_000 < Path(second.strip()).stat().st_size < 10_000
+
+
+def test_every_key_is_written_down(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.call(["simulate", "--keys"]) == 0
+    told = capsys.readouterr().out
+    assert "### `ground.relief`" in told
+    assert "| `height` | `40` | metres above what `above` says, at the start |" in told
+    for name, kind in things().items():
+        assert f"### `thing: {name}`" in told
+        assert all(f"| `{key}` |" in told for key in kind.model_fields if key != "thing")
+    page = Path(__file__).parents[1] / "docs" / "scene-keys.md"
+    assert page.read_text(encoding="utf-8").endswith(told), "run `make pictures`"
 
 
 def test_a_picture_in_a_terminal_has_two_pixels_a_character(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ def simulate(
     out: Annotated[Path | None, typer.Option("--out", metavar="FLIGHT", help="Folder for the flight log.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
     show: Annotated[bool, typer.Option("--list", help="Show the built-in scenes.")] = False,
+    keys: Annotated[bool, typer.Option("--keys", help="Print every key of a scene file, as Markdown.")] = False,
     height: Annotated[float | None, typer.Option(help="Metres above the ground, instead of the scene's.")] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds of a transect or a hover.")] = None,
     speed: Annotated[float | None, typer.Option(help="Metres a second.")] = None,
@@ -40,8 +41,8 @@ def simulate(
     verbose: VerboseOption = False,
 ) -> None:
     """Make a flight over simulated ground, with exact truth."""
-    if show:
-        _list()
+    if show or keys:
+        _list() if show else _keys()
         return
     if scene is None or out is None:
         raise typer.BadParameter("needs SCENE and --out FLIGHT; --list shows the built-in scenes")
@@ -104,6 +105,12 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
         at[int(last) - 1 if isinstance(at, list) else last] = yaml.safe_load(value)
     except (yaml.YAMLError, ValueError, IndexError, TypeError, AttributeError) as e:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
+
+
+def _keys() -> None:
+    from alight.simulate.keys import reference
+
+    say(reference().rstrip("\n"))
 
 
 def _list() -> None:
