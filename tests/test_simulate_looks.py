@@ -347,10 +347,11 @@ def test_leaves_look_different_from_two_places_and_stones_do_not():
     def likeness(look):
         world = ground(look, side=40.0)
         a, b = (Eye(SMALL).radiance(world, above(east, 0.0, 8.0), 0.0)[..., 1] for east in (0.0, 2.0))
-        return np.corrcoef(a[:-30].ravel(), b[30:].ravel())[0, 1]  # the camera moved up in the picture
+        fine = [np.diff(v) for v in (a[:-30], b[30:])]  # the camera moved up in the picture
+        return np.corrcoef(fine[0].ravel(), fine[1].ravel())[0, 1]
 
     assert likeness(Look.GRAVEL) > 0.9
-    assert likeness(Look.CONIFER) < 0.8 * likeness(Look.GRAVEL)
+    assert likeness(Look.CONIFER) < 0.7
 
 
 def test_wind_moves_grass_and_not_asphalt():

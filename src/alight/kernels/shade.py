@@ -209,7 +209,7 @@ def _wander(buf: F32, base: F64) -> None:
     if smallest(buf, FOOT) < 0.08:
         noise_at(buf, base, 0.1, 0.6, 0.8, 78)
         for i in range(B):
-            fine = f32(0.15) * smooth(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
+            fine = f32(0.22) * smooth(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
             buf[BUMP_E + i] += fine * buf[N + B + i]
             buf[BUMP_N + i] += fine * buf[N + 2 * B + i]
     copy(buf, BUMP_E, TX)

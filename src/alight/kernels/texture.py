@@ -260,6 +260,8 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
         finest = smallest(buf, FOOT)
         copy(buf, TX, KEPT_X)
         copy(buf, TY, KEPT_Y)
+        noise_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer hang at many heights
+        _hang(buf)
         for k, (part, gain, opaque) in enumerate(((0.0, 1.2, 0.0), (0.4, 0.5, 0.35), (1.0, 0.15, 9.0))):
             fill(buf, WEIGHT, 0.0)
             _shift(buf, f32(part))
@@ -270,6 +272,20 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
             _choose(buf, f32(part), f32(gain), f32(opaque))
         _settle(buf)
     copy(buf, SHADE, LEAF)
+    for i in range(B):  # the flanks of a crown: the dark below it
+        e, n = buf[SLOPE_E + i], buf[SLOPE_N + i]
+        flank = smooth(f32(1.5), f32(5.0), np.sqrt(e * e + n * n)) if buf[PARAM + P_DEEP * B + i] > f32(0.2) else F0
+        buf[LEAF + i] *= F1 - f32(0.85) * flank
+
+
+@kernel
+def _hang(buf: F32) -> None:
+    """Shift the place of the leaves by the parallax of their own height, 0 to a third of the depth."""
+    for i in range(B):
+        own = f32(0.16) * buf[PARAM + P_DEEP * B + i] * min(max(F1 + f32(0.8) * buf[N + i], F0), F2)
+        fall = own / max(buf[VZ + i], f32(0.3))
+        buf[KEPT_X + i] -= buf[VX + i] * fall
+        buf[KEPT_Y + i] -= buf[VY + i] * fall
 
 
 @kernel

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,10 +14,12 @@ from alight.geometry import Camera, Pose
 from alight.kernels.boxes import cast_boxes
 from alight.kernels.raycast import cast_rays
 from alight.kernels.shade import shade
-from alight.records import F32, F64, InputError, Rig, RigCamera
+from alight.records import F32, F64, InputError
 from alight.simulate.materials import tables
 from alight.simulate.movers import boxes_at
-from alight.simulate.world import Patch, World
+
+if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
+    from alight.simulate.world import Patch, World
 
 Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
 REACH = 12.0  # heights above the ground to which the ground is made; beyond it goes on level
@@ -157,21 +158,3 @@ def _near(boxes: F64, patch: Patch) -> F64:
     over = (boxes[..., 0] > x[0] - 30) & (boxes[..., 0] < x[-1] + 30) & (boxes[..., 1] > y[-1] - 30)
     over &= boxes[..., 1] < y[0] + 30
     return np.ascontiguousarray(boxes[:, over.any(axis=0)])
-
-
-def default_rig() -> Rig:
-    """A pair of 640x480 cameras looking down, 0.5 m apart across the body, mounted as exactly as people do."""
-    left = Camera(640, 480, 481.2, 480.3, 323.0, 242.9, "radial-tangential", (-0.0899, 0.0195, -0.00077, 0.00065))
-    right = Camera(640, 480, 480.2, 479.8, 322.6, 239.1, "radial-tangential", (-0.0895, 0.0187, -0.00063, 0.0005))
-    return Rig(
-        (
-            RigCamera("cam0", left, Pose(_looking_down(0.0026, -0.0007, 0.0038), np.array([0.12, 0.25, -0.06]))),
-            RigCamera("cam1", right, Pose(_looking_down(-0.0006, 0.0091, 0.0028), np.array([0.12, -0.25, -0.06]))),
-        )
-    )
-
-
-def _looking_down(*small: float) -> F64:
-    """Body from camera: image top is forward, image right is right, turned by a small rotation vector."""
-    down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)

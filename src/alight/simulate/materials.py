@@ -70,7 +70,7 @@ def _plant(first: Colour, second: Colour, third: Colour, **more: Any) -> Materia
 
 
 def _crown(first: Colour, second: Colour, **more: Any) -> Material:
-    crown = _plant(first, second, (0.05, 0.045, 0.03), contrast=0.4, bump=0.5, deep=0.8, sway=0.03, hot=0.35, ridge=0.4)
+    crown = _plant(first, second, (0.05, 0.045, 0.03), contrast=0.4, bump=0.5, deep=1.4, sway=0.03, hot=0.35, ridge=0.4)
     return replace(crown, **{"open": 0.3, "coarse": 0.6, "vary": 0.15, "roughening": -0.1, **more})
 
 
@@ -84,15 +84,15 @@ MOSS = (0.05, 0.085, 0.02)
 
 MATERIALS: dict[Look, Material] = {
     Look.BY_CLASS: Material((0.2, 0.2, 0.2), (0.2, 0.2, 0.2)),
-    Look.MEADOW: _plant((0.06, 0.115, 0.022), (0.17, 0.17, 0.06), SOIL, patch=-1.15, deep=0.06, coarse=0.2, sway=0.01,
-                        things=(0.25, 0.22, 0.10, 0.05), tone=0.25, spread=0.7, tall=0.3, open=-0.5, vary=0.22),
+    Look.MEADOW: _plant((0.06, 0.115, 0.022), (0.17, 0.17, 0.06), SOIL, patch=-1.15, deep=0.10, coarse=0.2, sway=0.01,
+                        things=(0.25, 0.22, 0.10, 0.05), tone=0.25, spread=0.7, tall=0.3, open=-0.25, vary=0.22),
     Look.LAWN: _plant((0.055, 0.12, 0.025), (0.11, 0.15, 0.04), MOSS, contrast=0.17, patch=-1.2, vary=0.16, deep=0.02,
                       open=-0.7, coarse=0.0, things=(0.1, 0.05, 0.0, 0.0), tone=0.5, uneven=0.7),
-    Look.DRY_GRASS: _plant((0.20, 0.17, 0.085), (0.29, 0.245, 0.13), SOIL, patch=-0.9, deep=0.08, coarse=0.3, sway=0.01,
+    Look.DRY_GRASS: _plant((0.20, 0.17, 0.085), (0.29, 0.245, 0.13), SOIL, patch=-0.9, deep=0.12, coarse=0.3, sway=0.01,
                            things=(0.3, 0.25, 0.12, 0.06), tone=0.1, spread=0.6, open=-0.4, vary=0.25),
     Look.TALL_GRASS: _plant((0.07, 0.11, 0.025), (0.19, 0.17, 0.065), (0.17, 0.15, 0.075), contrast=0.4, patch=-1.2,
-                            deep=0.3, open=0.15, coarse=0.35, sway=0.035, bump=0.25, roughening=-0.05, vary=0.22),
-    Look.CROP: _plant((0.05, 0.11, 0.02), (0.13, 0.15, 0.04), SOIL, contrast=0.35, patch=-1.3, deep=0.25, open=0.1,
+                            deep=0.45, open=0.2, coarse=0.35, sway=0.035, bump=0.25, roughening=-0.05, vary=0.22),
+    Look.CROP: _plant((0.05, 0.11, 0.02), (0.13, 0.15, 0.04), SOIL, contrast=0.35, patch=-1.3, deep=0.4, open=0.15,
                       coarse=0.2, sway=0.03, bump=0.2),
     Look.STUBBLE: _plant((0.24, 0.19, 0.10), (0.31, 0.25, 0.14), SOIL, contrast=0.3, patch=-0.6, deep=0.08, open=0.2,
                          coarse=0.0, things=(0.5, 0.4, 0.1, 0.0), tone=0.3, spread=0.5, roughening=-0.1),
@@ -116,8 +116,8 @@ MATERIALS: dict[Look, Material] = {
                         vary=0.04, uneven=0.9, hue=0.005, bump=0.01, hot=0.1, things=(0.01, 0.01, 0.004, 0.001),
                         tone=-0.7, spread=0.2, tall=0.5),
     Look.BROADLEAF: _crown((0.035, 0.075, 0.014), (0.075, 0.115, 0.022)),
-    Look.CONIFER: _crown((0.018, 0.038, 0.014), (0.035, 0.06, 0.02), coarse=0.3, deep=1.2, open=0.3, sway=0.02),
-    Look.BUSH: _crown((0.05, 0.075, 0.02), (0.11, 0.12, 0.04), deep=0.35, coarse=0.4, open=0.15),
+    Look.CONIFER: _crown((0.018, 0.038, 0.014), (0.035, 0.06, 0.02), coarse=0.3, deep=1.6, open=0.35, sway=0.02),
+    Look.BUSH: _crown((0.05, 0.075, 0.02), (0.11, 0.12, 0.04), deep=0.6, coarse=0.4, open=0.25),
     Look.ROCK: Material((0.17, 0.165, 0.16), (0.27, 0.255, 0.23), (0.09, 0.095, 0.06), patch=-0.7, edge=0.25,
                         contrast=0.22, uneven=0.5, vary=0.25, bump=0.2, crack=0.6, ridge=0.4, roughening=0.1,
                         things=(0.1, 0.1, 0.05, 0.0), tall=0.5),
@@ -151,7 +151,7 @@ MATERIALS: dict[Look, Material] = {
                          hue=0.0, bump=0.03, roughening=-0.5),
     Look.GLASS: _laid((0.02, 0.022, 0.025), (0.02, 0.022, 0.025), (0.02, 0.02, 0.02), contrast=0.02, gloss=1.0,
                       patch=-3.0, bump=0.0),
-    Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=1.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
+    Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=2.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
 }  # fmt: skip
 
 BY_CLASS: dict[Terrain, Look] = {
