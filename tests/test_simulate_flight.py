@@ -18,6 +18,7 @@ from alight.simulate import (
     Imaging,
     ImuErrors,
     NavErrors,
+    RigModel,
     Scene,
     build,
     default_rig,
@@ -138,7 +139,7 @@ def test_wrong_calibration_is_claimed_and_not_drawn(world, small_rig):
     wrong = Faults(calibration={"focal": 0.02}, mounting_deg=(1.0, 0.0, 0.0))
     a, b = fly(world, 2, 0.2, rig=small_rig), fly(world, 2, 0.2, rig=small_rig, faults=wrong)
     assert np.array_equal(a.image(0, 1), b.image(0, 1))
-    assert b.true_rig is small_rig
+    assert all(x.camera == y.camera for x, y in zip(b.true_rig.cameras, small_rig.cameras, strict=True))
     assert b.rig.cameras[0].camera.fu == pytest.approx(1.02 * 48.0)
 
 
@@ -332,12 +333,13 @@ def test_pictures_and_truth_agree_through_the_written_files(written):
         assert flight.world.height_at(points[r, c, 0], points[r, c, 1]) == pytest.approx(points[r, c, 2], abs=1e-3)
 
 
-def test_the_scene_that_was_used_makes_the_same_flight_again(tmp_path):
-    wishes = {"faults": Faults.model_validate(EVERYTHING), "nav": NavErrors.model_validate(HOLES)}
+def test_the_scene_that_was_used_makes_the_same_flight_again(small_rig, tmp_path):
+    wishes = {"faults": Faults.model_validate(EVERYTHING), "nav": NavErrors.model_validate(HOLES), "rig": small_rig}
     flight = fly("demo", 6, 0.5, height=31.0, rate_hz=4.0, imaging=Imaging(hot_pixels=0.01), **wishes)
     write(flight, tmp_path / "flight")
     again = fly(tmp_path / "flight" / "truth" / "scene-used.yaml", 6)
     assert again.scene == flight.scene
+    assert again.repeatable
     first, second = list(flight.events()), list(again.events())
     assert len(first) == len(second)
     assert all(same(a, b) for a, b in zip(first, second, strict=True))
@@ -345,7 +347,7 @@ def test_the_scene_that_was_used_makes_the_same_flight_again(tmp_path):
 
 def test_a_flight_that_its_scene_does_not_make_again_says_so(written):
     flight, out = written
-    assert not flight.repeatable  # a rig and another seed than the world's were given in Python
+    assert not flight.repeatable  # another seed than the world's was given in Python
     assert not (out / "truth" / "scene-used.yaml").exists()
 
 
@@ -481,3 +483,51 @@ def test_exposure_control_settles_on_its_target_and_follows(world, small_rig):
         means.append(np.mean([flight.image(k, 0).mean() / 255 for k in (0, 6, 11)]))
     assert means[0] == pytest.approx(0.3, rel=0.2)
     assert means[0] == pytest.approx(means[1], rel=0.02)
+
+
+# -- rigs
+
+
+def test_a_rig_survives_its_description_bit_for_bit():
+    for name in ("pair", "single", "wide", "oblique"):
+        rig = RigModel.model_validate(name).rig
+        tree = yaml.safe_load(yaml.safe_dump(RigModel.of(rig).model_dump(mode="json")))
+        for a, b in zip(RigModel.model_validate(tree).rig.cameras, rig.cameras, strict=True):
+            assert (a.name, a.camera) == (b.name, b.camera)
+            assert np.array_equal(a.body_from_cam.matrix, b.body_from_cam.matrix)
+
+
+def test_a_sensor_yaml_may_be_pasted_into_a_scene(written):
+    flight, out = written
+    trees = [yaml.safe_load((out / "mav0" / c / "sensor.yaml").read_text()) for c in ("cam0", "cam1")]
+    rig = RigModel.model_validate({"cameras": trees}).rig
+    for a, b in zip(rig.cameras, flight.rig.cameras, strict=True):
+        assert a.camera == b.camera
+        assert np.abs(a.body_from_cam.matrix - b.body_from_cam.matrix).max() < 1e-12
+
+
+def test_a_camera_is_its_field_of_view_and_its_tilt():
+    cam = RigModel.model_validate(
+        {"cameras": [{"resolution": [320, 240], "field_deg": 90, "tilt_deg": 30}]}
+    ).rig.cameras[0]
+    assert cam.camera.fu == pytest.approx(160.0)
+    axis = cam.body_from_cam.rotation[:, 2]
+    assert axis == pytest.approx([math.cos(math.radians(30)), 0.0, -0.5])
+    assert cam.body_from_cam.rotation[:, 0] == pytest.approx([0.0, -1.0, 0.0])  # the image's right is the body's
+    assert np.linalg.det(cam.body_from_cam.rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("rig", "says"),
+    [
+        ("trio", "rig.name"),
+        ({"cameras": [{"intrinsics": [-1, 1, 1, 1]}]}, "focal lengths"),
+        ({"cameras": [{"T_BS": {"data": [1] * 16}}]}, "not a rotation"),
+        ({"cameras": [{"focal": 3}]}, "focal"),
+    ],
+)
+def test_rigs_that_are_none_are_refused(tmp_path, rig, says):
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"rig": rig}))
+    with pytest.raises(InputError, match=says) as refusal:
+        fly(tmp_path / "mine.yaml")
+    assert "\n" not in str(refusal.value)

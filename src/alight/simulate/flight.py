@@ -16,11 +16,12 @@ from pydantic import ValidationError
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
-from alight.simulate.cameras import Eye, Poses, Shutter, default_rig
+from alight.simulate.cameras import Eye, Poses, Shutter
 from alight.simulate.course import LEAD, Extent, chart
 from alight.simulate.exposure import Imaging, Sensor, gains
 from alight.simulate.faults import Exposures, Faults, exposures
 from alight.simulate.patterns import FlightPlan
+from alight.simulate.rigs import RigModel
 from alight.simulate.scene import Scene, explain
 from alight.simulate.section import Section
 from alight.simulate.sensors import ImuErrors, NavErrors, imu_biases, imu_samples, nav_samples
@@ -324,12 +325,13 @@ def fly(
             "imaging": _with(imaging or s.imaging, {"rate_hz": rate_hz}),
             "sensors": _with(s.sensors, {"nav": nav, "imu": imu}),
             "faults": faults or s.faults,
+            "rig": RigModel.of(rig) if rig else s.rig,
         }
     )
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WIND,)))
-    again = world.scene is not None and world.seed == seed and rig is None
+    again = world.scene is not None and world.seed == seed
     trajectory = chart(world, used.flight, rng)
-    return SimulatedFlight(world, trajectory, seed, rig or default_rig(), used, again, warnings=list(world.warnings))
+    return SimulatedFlight(world, trajectory, seed, used.rig.rig, used, again, warnings=list(world.warnings))
 
 
 def _with(section: S, wishes: dict[str, Any]) -> S:

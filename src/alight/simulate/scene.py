@@ -21,6 +21,7 @@ from alight.simulate.movers import Traffic
 from alight.simulate.patterns import FlightPlan
 from alight.simulate.rasters import Raster
 from alight.simulate.relief import Relief
+from alight.simulate.rigs import RigModel
 from alight.simulate.section import Section
 from alight.simulate.sensors import Sensors
 from alight.simulate.things import Thing
@@ -80,6 +81,7 @@ class Scene(Section):
     ground: Ground = Field(Ground(), description="relief and things")
     light: Light = Field(Light(), description="sun, sky, haze, clouds, wind at the ground")
     traffic: tuple[Traffic, ...] = Field((), description="cars that drive: [{path: [[east, north], ...]}, ...]")
+    rig: RigModel = Field(RigModel(), description="the cameras: a name, or cameras of your own")
     imaging: Imaging = Field(Imaging(), description="what lens and sensor make of the light")
     faults: Faults = Field(Faults(), description="what goes wrong between shutter and log")
     flight: FlightPlan = Field(FlightPlan(), description="where to fly, and with what")
