@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from motion_scenarios import COVERED, DEGRADED, DROPPED, GOOD, JUMP, LOST, MOVING, OUTAGE, TURNED, Outcome
-from point_flight import NOISE, PointFlight, blind, damaged, run, seconds
+from point_flight import NOISE, PointFlight, blind, damaged, nees, run, seconds
 
-from alight.records import MotionState, NavSample, Tracks
+from alight.geometry import so3_log
+from alight.records import Motion, MotionState, NavSample, Tracks
 
 SMALL = {"count": 60.0}
 
@@ -87,19 +88,23 @@ def test_a_jump_that_stays_is_taken_in_after_5_s() -> None:
     assert np.linalg.norm(off[-1] - off[15]) < 1.0
 
 
-def test_blind_and_without_gps_is_lost_and_starts_anew_in_another_map() -> None:
-    """Nothing at all for a minute: LOST; when GPS/INS is back a new map begins, and the number of the map says so."""
-    f = PointFlight(seed=3, seconds=4.0, count=60)
-    gap = 60_000_000_000
+def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
+    """Nothing at all for 4 s: LOST, and when GPS/INS is back another map: the poses before and after are tied together
+    by GPS alone, and the number of the map says so; GOOD within a second."""
+    f = PointFlight(seed=3, seconds=8.0, count=60)
 
-    def later(e: object) -> object:
-        return replace(e, t_ns=e.t_ns + gap) if seconds(e) > 2.0 else e  # type: ignore[type-var,arg-type,attr-defined]
+    def cut(e: object) -> object:
+        if not 2.0 <= seconds(e) < 6.0:  # type: ignore[arg-type]
+            return replace(e, ids=e.ids + 1_000_000) if isinstance(e, Tracks) and seconds(e) >= 6.0 else e
+        return None if isinstance(e, NavSample) else blind(e) if isinstance(e, Tracks) else e
 
-    estimator, motions = run([e for e in map(later, f.events) if isinstance(e, NavSample | Tracks)])  # type: ignore[arg-type]
-    assert motions[0].map == 0
+    estimator, motions = run(damaged(f.events, cut))  # type: ignore[arg-type]
+    assert {m.state for m in motions if 4.1 < seconds(m) < 6.0} == {LOST}
+    assert {m.map for m in motions if seconds(m) < 6.0} == {0}
     assert motions[-1].map == 1
-    assert motions[-1].state is GOOD
+    assert {m.state for m in motions if seconds(m) > 7.0} == {GOOD}
     assert {m.map for m in estimator.ring()} == {1}
+    assert max(nees(m, f.truth(m.t_ns)) for m in motions if seconds(m) > 7.0) < 30.0
 
 
 def test_lost_is_said_while_it_lasts() -> None:
@@ -124,3 +129,19 @@ def test_live_needs_no_recording(smooth: bool) -> None:
     estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": smooth}))
     assert bool(estimator.smoothed()) == smooth
     assert motions[-1].state in (MotionState.GOOD, MotionState.INITIALISING)
+
+
+def test_a_camera_that_is_mounted_otherwise() -> None:
+    """The camera is turned by 20 mrad against the INS: as a state it is found to within what it claims, and what the
+    pictures say of the cameras stays consistent."""
+    f = PointFlight(seed=6, seconds=10.0, count=60, imu=False, mounting=(0.012, -0.010, 0.012))
+    motions = run(f.events, NOISE.model_copy(update={"mounting_sigma": 0.02}))[1]
+    held = run(f.events)[1]
+    body_from_cam = f.rig.cameras[0].body_from_cam
+
+    def tilt(m: Motion) -> float:
+        true = f.truth(m.t_ns) @ body_from_cam
+        return float(np.linalg.norm(so3_log(m.world_from_cams[0].rotation @ true.rotation.T)[:2]))
+
+    assert np.mean([tilt(m) for m in motions[-20:]]) < 0.6 * np.mean([tilt(m) for m in held[-20:]])
+    assert motions[-1].state is GOOD

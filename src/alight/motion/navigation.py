@@ -9,7 +9,6 @@ from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, OFFS
 from alight.records import F64, NavSample
 from alight.settings import Filter
 
-
 GIMBAL = 0.03  # rad, 1-sigma of the camera's mounting against a gimbal's tag: photos, told by that no velocity is known
 
 
