@@ -21,34 +21,45 @@ HILLS, RIDGES, DUNES = 0, 1, 2
 BLOCK = 8  # cells of a block's side
 
 
+@kernel
+def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
+    """Add the octaves at places (C,) to `out` (C,), in single precision from the first place."""
+    cos, sin = 1.0, 0.0
+    for k in range(wavelengths.size):
+        # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
+        a, b = cos / wavelengths[k], -sin / wavelengths[k]
+        c, d = sin / wavelengths[k], cos / wavelengths[k]
+        if form == DUNES:
+            a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
+        u0, v0 = math.floor(a * x[0] + b * y[0]), math.floor(c * x[0] + d * y[0])
+        i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
+        if form == HILLS:
+            for m in range(out.size):
+                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
+                out[m] += gain * noise32(u, v, i0, j0, bits)[0]
+        else:
+            for m in range(out.size):
+                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
+                out[m] += 1.9 * gain * (0.7 - abs(noise32(u, v, i0, j0, bits)[0]))
+        cos, sin = 0.7986 * cos - 0.6018 * sin, 0.6018 * cos + 0.7986 * sin  # 37 degrees: lattices never line up
+
+
+@kernel
+def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
+    """`add_fractal` on the calling thread alone: for a few places, where waking the others takes longer."""
+    for r in range(out.shape[0]):
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
+
+
 @parallel_kernel
 def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
-    """Add noise octaves at places (R, C) to `out` (R, C), row by row in single precision from the row's first place.
+    """Add noise octaves at places (R, C) to `out` (R, C).
 
     `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. An octave has about its
     amplitude as standard deviation.
     """
     for r in prange(out.shape[0]):
-        cos, sin = 1.0, 0.0
-        for k in range(wavelengths.size):
-            # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
-            a, b = cos / wavelengths[k], -sin / wavelengths[k]
-            c, d = sin / wavelengths[k], cos / wavelengths[k]
-            if form == DUNES:
-                a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
-            u0, v0 = math.floor(a * x[r, 0] + b * y[r, 0]), math.floor(c * x[r, 0] + d * y[r, 0])
-            i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
-            if form == HILLS:
-                for m in range(out.shape[1]):
-                    u = np.float32(a * x[r, m] + b * y[r, m] - u0)
-                    v = np.float32(c * x[r, m] + d * y[r, m] - v0)
-                    out[r, m] += gain * noise32(u, v, i0, j0, bits)[0]
-            else:
-                for m in range(out.shape[1]):
-                    u = np.float32(a * x[r, m] + b * y[r, m] - u0)
-                    v = np.float32(c * x[r, m] + d * y[r, m] - v0)
-                    out[r, m] += 1.9 * gain * (0.7 - abs(noise32(u, v, i0, j0, bits)[0]))
-            cos, sin = 0.7986 * cos - 0.6018 * sin, 0.6018 * cos + 0.7986 * sin  # 37 degrees: lattices never line up
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
 
 
 @parallel_kernel

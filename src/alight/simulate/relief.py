@@ -8,11 +8,12 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from alight.kernels.layers import DUNES, HILLS, RIDGES, add_fractal
+from alight.kernels.layers import DUNES, HILLS, RIDGES, add_fractal, add_fractal_here
 from alight.records import F64
 from alight.simulate.section import Section
 
 FORMS = {"hills": HILLS, "ridges": RIDGES, "dunes": DUNES}
+FEW = 8192  # places that one thread sees to sooner than many
 
 
 class Relief(Section):
@@ -31,7 +32,12 @@ class Relief(Section):
     def add(self, x: F64, y: F64, seed: int, out: F64) -> None:
         """Add this relief at places (R, C) to heights (R, C)."""
         if self.height > 0.0:
-            add_fractal(x, y, *self.octaves(), FORMS[self.form], seed, out)
+            _add(x, y, self.octaves(), FORMS[self.form], seed, out)
+
+
+def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64) -> None:
+    kernel = add_fractal if x.size > FEW else add_fractal_here
+    kernel(x, y, *waves, form, seed, out)
 
 
 def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
@@ -44,7 +50,9 @@ def octaves(deviation: float, longest: float, shortest: float, fall: float) -> t
 
 def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
     """A field of unit deviation at places of any shape."""
-    places = [np.ascontiguousarray(v).reshape(len(v), -1 if v.size else 1) for v in (x, y)]
-    out = np.zeros(places[0].shape)
-    add_fractal(*places, *octaves(1.0, longest, shortest, fall), HILLS, seed, out)
+    if x.size == 0:
+        return np.zeros(x.shape)
+    east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))
+    out = np.zeros(east.shape)
+    _add(east, north, octaves(1.0, longest, shortest, fall), HILLS, seed, out)
     return out.reshape(x.shape)

@@ -164,7 +164,7 @@ class Lay:
         if not len(things):
             return things
         stays = np.ones(len(things), bool)
-        level, allowed = self._feet(things)
+        level, allowed = self._feet(i, j)
         things = things.copy()
         things[:, LEVEL] = level
         stays[named:] = allowed[named:] & self._has_room(things, i, j, named)[named:]
@@ -179,19 +179,30 @@ class Lay:
         field = noise(things[:, EAST], things[:, NORTH], self.seed, layer.clump_size, 0.2 * layer.clump_size)
         return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
 
-    def _feet(self, things: F64) -> tuple[F64, Mask]:
-        """Level of each foot, and whether its ground is of an allowed class all around."""
-        layer = self.scattered
+    def ring(self, i: int, j: int) -> tuple[F64, F64]:
+        """(N, 1 + RING) places where the ground is asked for a block's candidates: the middle first, then around it."""
+        things = self.candidates(i, j)[0]
         turn = 2.0 * math.pi * np.arange(RING) / RING
-        ring = things[:, REACH, None] * (1.0 if layer.founded else 0.5)
-        x = things[:, EAST, None] + np.concatenate([0 * ring, ring * np.cos(turn)], axis=1)
-        y = things[:, NORTH, None] + np.concatenate([0 * ring, ring * np.sin(turn)], axis=1)
-        shapes = type(layer).shape is not Layer.shape
-        sheet = self.before(x, y) if shapes else self.stack.ground(x, y)
-        allowed: Mask = np.asarray(np.isin(sheet.label, [terrain(k) for k in layer.upon]).all(axis=1))
-        if layer.founded:
-            return np.asarray(sheet.ground.max(axis=1)), allowed
-        return np.asarray(sheet.ground.mean(axis=1) if shapes else sheet.ground[:, 0]), allowed
+        reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
+        x = things[:, EAST, None] + np.concatenate([0 * reach, reach * np.cos(turn)], axis=1)
+        return x, things[:, NORTH, None] + np.concatenate([0 * reach, reach * np.sin(turn)], axis=1)
+
+    @property
+    def shapes(self) -> bool:
+        """It changes the solid ground, so that it stands on what the layers before it made."""
+        return type(self.layer).shape is not Layer.shape
+
+    def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
+        """Level of each foot, and whether its ground is of an allowed class all around."""
+        if self.shapes:
+            sheet = self.before(*self.ring(i, j))
+            ground, label = sheet.ground, sheet.label
+        else:
+            ground, label = self.stack.feet(i, j)[self.index]
+        allowed: Mask = np.asarray(np.isin(label, [terrain(k) for k in self.scattered.upon]).all(axis=1))
+        if self.scattered.founded:
+            return np.asarray(ground.max(axis=1)), allowed
+        return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
 
     def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
         """Clear of what stands apart in earlier layers, and of those of its own that come first."""
@@ -233,6 +244,7 @@ class Stack:
     def __init__(self, ground: Ground, seed: int, raster: Under | None = None) -> None:
         self.spec, self.seed, self.cell, self.raster = ground, seed, ground.cell, raster
         self.streams = [self._stream("relief", k) for k in range(len(ground.relief))]
+        self.feet = lru_cache(1024)(self._feet)
         kinds: list[str] = []
         self.lays: list[Lay] = []
         for index, layer in enumerate(ground.layers):
@@ -268,6 +280,15 @@ class Stack:
         for lay in self.lays[:upto]:
             lay.layer.shape(sheet, lay)
         return sheet
+
+    def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8]]:
+        """Ground and classes under the candidates of all layers that stand, asked for at once; by layer."""
+        standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
+        rings = [lay.ring(i, j) for lay in standing]
+        sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
+        cuts = np.cumsum([len(r[0]) for r in rings])[:-1]
+        parts = zip(np.split(sheet.ground, cuts), np.split(sheet.label, cuts), strict=True)
+        return {lay.index: part for lay, part in zip(standing, parts, strict=True)}
 
     def tile(self, i: int, j: int) -> Tile:
         """All layers on the cells of one tile."""
