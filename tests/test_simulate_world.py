@@ -89,7 +89,7 @@ def test_a_patch_does_not_depend_on_threads(mixed):
 def test_small_and_large_patches_agree_on_every_cell(mixed):
     world = build(mixed, 5)
     large, small = world.patch((-60, -60, 60, 60)), world.patch((-10, -10, 10, 10))
-    r, c = (int(round(float(v))) for v in large.grid.index(np.array(small.grid.east), np.array(small.grid.north)))
+    r, c = (round(float(v)) for v in large.grid.index(np.array(small.grid.east), np.array(small.grid.north)))
     cut = np.s_[r : r + small.grid.rows, c : c + small.grid.cols]
     assert small.height.size < large.height.size
     for name in ("height", "label", "light", "look", "tint"):
@@ -521,7 +521,7 @@ def test_a_world_written_as_a_raster_comes_back(tmp_path):
     classes = put(tmp_path / "c.tif", truth.label, local.crs, 0.1, corner, nodata=0)
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     again = build(raster_scene({"height": height, "classes": classes}, origin=origin), 0).truth()
-    r, c = (int(round(float(v))) for v in truth.grid.index(np.array(again.grid.east), np.array(again.grid.north)))
+    r, c = (round(float(v)) for v in truth.grid.index(np.array(again.grid.east), np.array(again.grid.north)))
     cut = np.s_[r : r + again.grid.rows, c : c + again.grid.cols]
     assert again.height.size > 0.95 * truth.height.size
     assert np.abs(again.height - truth.height[cut]).max() < 2e-4  # heights of 500 m in float32
