@@ -8,14 +8,12 @@ from alight.simulate.log import write
 from alight.simulate.patterns import FlightPlan
 from alight.simulate.rigs import RigModel, default_rig
 from alight.simulate.scene import Scene, built_in, read_scene
-from alight.simulate.scenes import SCENES
 from alight.simulate.sensors import ImuErrors, NavErrors, Sensors
 from alight.simulate.truth import Footprint, Truth
 from alight.simulate.vehicle import Air, Limits
 from alight.simulate.world import World, build, world_of
 
 __all__ = [
-    "SCENES",
     "Air",
     "Faults",
     "FlightPlan",
