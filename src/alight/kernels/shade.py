@@ -383,9 +383,8 @@ def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
 
 
 @kernel
-def _texture(buf: F32, look: I32, looks: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
+def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
     """Fill reflectance and bumps."""
-    load_looks(buf, looks, look, P_BED)
     _unfold(buf, base)
     sway(buf, base, lights[WIND : WIND + 2], time, seed + 60)
     if wet:
@@ -419,6 +418,7 @@ def shade(
         n = row if centres.shape[0] > 1 else np.int64(0)
         buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.empty(3)
         fill(buf, WATER, 0.0)
+        loaded = -1
         for first in range(0, out.shape[1], B):
             if not _aim(buf, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
                 fill(buf, DIST, -1.0)
@@ -431,7 +431,8 @@ def shade(
             under = dive(buf, looks, look)
             if under:
                 waves(buf, base, lights[WIND : WIND + 2], times[n], seed + 40)
-            _texture(buf, look, looks, base, lights, times[n], seed, under)
+            loaded = load_looks(buf, looks, look, P_BED, loaded)
+            _texture(buf, base, lights, times[n], seed, under)
             if cars or tint.size > 0:
                 _dye(buf)
             _sunshine(buf, base, lights, times[n], seed + 950)

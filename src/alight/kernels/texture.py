@@ -77,11 +77,16 @@ TILES, SLABS, SEAMS, JOINTS = 1, 2, 3, 4
 
 
 @kernel
-def load_looks(buf: F32, looks: F32, look: I32, last: int) -> None:
-    """Fill the parameter slots, columns 0 to `last`; one fill a number where the whole block looks the same."""
+def load_looks(buf: F32, looks: F32, look: I32, last: int, before: int = -1) -> int:
+    """Fill the parameter slots, columns 0 to `last`; return the look of the block, -1 where it has several.
+
+    `before`: the look that the slots hold already, -1 none: most blocks look like the one before.
+    """
     same = True
     for i in range(1, B):
         same &= look[i] == look[0]
+    if same and look[0] == before:
+        return before
     for k in range(last):
         slot = PARAM + k * B
         if same:
@@ -89,6 +94,7 @@ def load_looks(buf: F32, looks: F32, look: I32, last: int) -> None:
         else:
             for i in range(B):
                 buf[slot + i] = looks[look[i], k]
+    return int(look[0]) if same else -1
 
 
 @kernel
@@ -157,7 +163,7 @@ def detail(buf: F32, base: F64, seed: int) -> None:
 
 @kernel
 def _scatter(
-    buf: F32, radius: np.float32, place: tuple[np.float32, np.float32, np.int32, np.int32], sun: F32, slot: int,
+    buf: F32, radius: np.float32, place: tuple[np.float32, np.float32, np.int32, np.int32], sun: F32,
     seed: np.uint32,
 ) -> None:  # fmt: skip
     u0, v0, i0, j0 = place
@@ -170,7 +176,7 @@ def _scatter(
         a, b = floor32(u), floor32(v)
         h = point32(column32(i32(a + i0), seed), i32(b + j0))
         h2 = u32(u32(h ^ u32(h >> u32(15))) * u32(0x2C1B3C6D))
-        there = F1 if f32(u32(h & low)) < f32(256) * buf[slot + i] else F0
+        there = F1 if f32(u32(h & low)) < f32(256) * buf[N + i] else F0
         x = (u - f32(a) - f32(0.3) - f32(0.4) * unit * f32(u32(u32(h >> u32(8)) & low))) * cell
         y = (v - f32(b) - f32(0.3) - f32(0.4) * unit * f32(u32(u32(h >> u32(16)) & low))) * cell
         x += y * (unit * f32(u32(h2 >> u32(24))) - f32(0.5))  # no two of one shape
@@ -208,7 +214,8 @@ def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
         if 2.0 * radius <= 0.5 * finest or largest(buf, slot) <= 0.0:
             continue
         u, v, i, j = lattice(base, 5.5 * radius, 1.0, 0.0, 0.0, 0.0)
-        _scatter(buf, f32(radius), (f32(u), f32(v), i32(i), i32(j)), towards, slot, seed32(seed + k))
+        copy(buf, slot, N)  # a fixed slot: LLVM must see that what is read is not what is written
+        _scatter(buf, f32(radius), (f32(u), f32(v), i32(i), i32(j)), towards, seed32(seed + k))
 
 
 @kernel
