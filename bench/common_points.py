@@ -16,7 +16,7 @@ from alight.records import F64, View
 
 FEATURES = 4000
 RATIO = 0.8
-MOST_ERROR = 1.0  # px, in each of the three
+MOST_ERROR = 0.7  # px, in each of the three
 TRIPLES = 8
 
 

@@ -86,11 +86,34 @@ def show(title: str, rows: Mapping[str, Row]) -> None:
         print(f"| {name} | " + " | ".join(_number(row.get(k, np.nan)) for k in keys) + " |", flush=True)
 
 
+SHORT = {
+    "accepted %": ("estimator", "accepted %"),
+    "texture ratio P10": ("estimator", "texture P10"),
+    "P50": ("estimator", "P50"),
+    "open NMAD, % of height": ("estimator", "open NMAD, % of height"),
+    "wrong: dry %": (f"estimator: {COLUMNS[1]}", "dry"),
+    "features on rough ground %": (f"estimator: {COLUMNS[1]}", "... rough"),
+    "wrong, given out %": (f"estimator: {COLUMNS[2]}", "dry"),
+    "StereoSGBM wrong: features %": (f"StereoSGBM: {COLUMNS[1]}", "features"),
+    "tracks left after 13 % of height": ("tracks", "13 % of height"),
+    "grey sd": ("pictures", "sd"),
+    "gradient kurtosis": ("pictures", "kurtosis"),
+    "flat pixels %": ("pictures", "flat %"),
+    "noise": ("pictures", "noise"),
+    "spectrum slope": ("spectrum", "slope"),
+}
+
+
+def short(tables: Mapping[str, Row]) -> Row:
+    """What decides, of all tables of one recording."""
+    return {name: tables.get(table, {}).get(column, np.nan) for name, (table, column) in SHORT.items()}
+
+
 def _number(v: float) -> str:
     return "" if np.isnan(v) else f"{v:.3g}" if abs(v) < 100 else f"{v:.0f}"
 
 
-def recordings(scenes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
+def recordings(scenes: Iterable[str], likes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
     """What is compared, by name; made when called."""
     out: dict[str, Callable[[], Subject]] = {}
     if (DATA / "sample").is_dir():
@@ -101,7 +124,7 @@ def recordings(scenes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
         out["PHOTOS"] = lambda: photos("photos", DATA / "mirafiori", OUT)
     else:
         print(f"{DATA / 'mirafiori'}: absent, so nothing is compared with it")
-    for like in ("sample", "photos"):
+    for like in likes:
         for s in scenes:
             out[f"{s} as {like}"] = lambda s=s, like=like: flight(s, simulated(s, like))  # type: ignore[misc]
     return out
@@ -113,10 +136,11 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--scenes", default=",".join(simulate.built_in()), help="names, with commas between")
     parser.add_argument("--keep", action="store_true", help="show the rows of earlier runs as well; references stay")
+    parser.add_argument("--like", default="sample,photos", help="how the simulated flights are flown")
     asked = parser.parse_args()
     kept = OUT / "results.json"
     results: dict[str, dict[str, Row]] = json.loads(kept.read_text()) if asked.keep and kept.exists() else {}
-    for name, make in recordings([s for s in asked.scenes.split(",") if s]).items():
+    for name, make in recordings([s for s in asked.scenes.split(",") if s], asked.like.split(",")).items():
         if name.isupper() and name in results:
             continue
         try:
@@ -125,6 +149,7 @@ def main() -> None:
             print(f"{name}: {e}")
         OUT.mkdir(parents=True, exist_ok=True)
         kept.write_text(json.dumps(results))
+    show("in short", {name: short(r) for name, r in results.items()})
     for title in dict.fromkeys(t for r in results.values() for t in r):
         show(title, {name: r[title] for name, r in results.items() if title in r})
 

@@ -22,7 +22,7 @@ from alight.sources import Source, open_source
 EARTH_RADIUS = 6371008.8  # metres, mean
 OPEN_RISE = 0.4  # metres between the lowest and the highest point near by, at most, for ground that counts as open
 NEAR = 0.75  # metres
-STEP = 0.065  # of the height between the views that make a point: what the photos have
+STEP = 0.13  # of the height between the three views that make a point
 
 
 @dataclass(frozen=True, eq=False)
