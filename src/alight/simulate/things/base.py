@@ -206,6 +206,11 @@ def power_law(rng: np.random.Generator, between: Between, exponent: float, count
     return np.asarray((a - u * (a - b)) ** (-1.0 / exponent))
 
 
+def covered(inside: F64, cell: float) -> F64:
+    """Share of a cell that lies inside an edge, `inside` metres from its centre: heights by it make straight edges."""
+    return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
+
+
 def turned(dx: F64, dy: F64, turn: float) -> tuple[F64, F64]:
     """Coordinates along and across a direction, counter-clockwise from east."""
     c, s = math.cos(turn), math.sin(turn)

@@ -83,11 +83,20 @@ class TallGrass(Outline):
         """Tufts, lower at the rim of a patch."""
         excess = self.excess(sheet, lay)
         mask = (excess > 0.0) & (sheet.height <= sheet.ground) & (sheet.depth <= self.shallower)
-        tufts = noise(sheet.x, sheet.y, lay.seed + 31, self.tuft, 0.4 * self.tuft, 0.3)
+        tufts = self._lie(sheet, lay)
         rim = ramp(0.0, 0.25, excess)
-        blades = self.height * rim * np.clip(0.45 + 0.22 * tufts, 0.08, 1.0)
+        blades = self.height * rim * np.clip(0.45 + 0.22 * tufts, 0.04, 1.0)
         sheet.height[mask], sheet.depth[mask] = (sheet.ground + blades)[mask], 0.0
         sheet.paint(..., mask, Terrain.TALL_VEGETATION, self.look, self.tint)
+
+    def _lie(self, sheet: Sheet, lay: Lay) -> F64:
+        """Of unit deviation: tufts, in swathes that the wind laid, streaks along them."""
+        bend = noise(sheet.x, sheet.y, lay.seed + 32, 30.0 * self.tuft, 10.0 * self.tuft)
+        u, v = turned(sheet.x, sheet.y, lay.seed % 628 * 0.01)
+        swathe = noise(u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 33, 12.0 * self.tuft, 4.0 * self.tuft, 0.5)
+        streak = noise(0.6 * u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 34, self.tuft, 0.3 * self.tuft, 0.2)
+        tufts = noise(sheet.x, sheet.y, lay.seed + 31, 2.0 * self.tuft, 0.4 * self.tuft, 0.4)
+        return 0.5 * swathe + 0.55 * streak + 0.67 * tufts
 
 
 class Crop(Layer):
@@ -153,6 +162,7 @@ class Fields(Layer):
             gap = noise(sheet.x, sheet.y, lay.seed + 7, 0.5, 0.15, 0.3)
             mask = (which == k) & self._in_row(crop, across / crop.spacing + 0.06 * gap) & (gap > -2.2)
             mask &= sheet.height <= sheet.ground
+            mask &= noise(sheet.x, sheet.y, lay.seed + 8, 5.0, 0.4, 0.5) > -1.7  # where nothing came up
             grown = 0.8 + 0.12 * gap + 0.08 * noise(sheet.x, sheet.y, lay.seed + 9, 15.0, 4.0)
             sheet.height[mask] = (sheet.ground + crop.height * np.clip(grown, 0.2, 1.3))[mask]
             sheet.paint(..., mask, terrain(crop.kind), crop.look, crop.tint)
@@ -164,7 +174,8 @@ class Fields(Layer):
     def _parcels(self, sheet: Sheet, lay: Lay) -> tuple[NDArray[np.int64], F64]:
         """Which crop grows at each place (-1: none), and metres across the rows."""
         u, v = turned(sheet.x, sheet.y, math.radians(self.turn_deg))
-        v = v + 0.6 * noise(sheet.x, sheet.y, lay.seed + 3, 90.0, 40.0)  # nobody drives quite straight
+        # nobody drives quite straight
+        v = v + 0.6 * noise(sheet.x, sheet.y, lay.seed + 3, 90.0, 40.0) + 0.05 * noise(u, v, lay.seed + 4, 9.0, 2.0)
         j = np.floor(v / self.parcel[1]).astype(np.int64)
         shifted = u / self.parcel[0] + 0.37 * j
         i = np.floor(shifted).astype(np.int64)

@@ -21,6 +21,7 @@ from alight.simulate.things.base import (
     Scattered,
     Sheet,
     Tint,
+    covered,
     power_law,
     ramp,
     terrain,
@@ -232,6 +233,6 @@ class Pads(Scattered):
             blend = self.keep + (1.0 - self.keep) * ramp(0.0, max(self.bank, 1e-9), outside)
             inside = outside <= 0.0
             ground = plane + blend * (sheet.ground[index] - plane)
-            sheet.ground[index] = ground + np.where(inside, self.up, 0.0)
+            sheet.ground[index] = ground + self.up * covered(-outside, sheet.cell)
             sheet.depth[index] = np.where(inside, 0.0, sheet.depth[index])
             sheet.paint(index, inside, terrain(self.kind), self.look, self.tint)

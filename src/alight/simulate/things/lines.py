@@ -11,7 +11,19 @@ from alight.kernels.layers import along_line
 from alight.records import F64, Terrain
 from alight.simulate.looks import Look
 from alight.simulate.relief import noise
-from alight.simulate.things.base import UNTINTED, CoverName, Layer, LookName, Mask, Places, Sheet, Tint, ramp, terrain
+from alight.simulate.things.base import (
+    UNTINTED,
+    CoverName,
+    Layer,
+    LookName,
+    Mask,
+    Places,
+    Sheet,
+    Tint,
+    covered,
+    ramp,
+    terrain,
+)
 
 if TYPE_CHECKING:
     from alight.simulate.tiles import Lay
@@ -119,7 +131,7 @@ class Roads(Lined):
             sheet.ground[:] = np.where(
                 dry & (away < self.reach()), height + blend * (sheet.ground - height), sheet.ground
             )
-        sheet.ground[inside] += self.kerb
+        sheet.ground += np.where(dry, self.kerb * covered(half - away, sheet.cell), 0.0)
         sheet.paint(..., inside, terrain(self.kind), self.look, self.tint)
         self._marks(sheet, inside, aside, along)
         if self.ruts > 0.0:
@@ -168,16 +180,21 @@ class Walls(Lined):
         ways = self.ways(sheet, lay)
         if ways is None:
             return
-        # half a diagonal of a cell either side lets no ray through
-        inside = np.abs(ways[..., 0]) <= max(0.5 * self.thickness, 0.5001 * sheet.cell)
+        # a thin one keeps its height instead of a straight edge; half a cell either side lets no ray through
+        within = max(0.5 * self.thickness, 0.5001 * sheet.cell) - np.abs(ways[..., 0])
+        thin = self.thickness < 3.0 * sheet.cell
+        share = (within >= 0.0).astype(np.float64) if thin else covered(within, sheet.cell)
+        inside = share > 0.0
         if self.gap is not None:
             inside &= (ways[..., 1] < self.gap[0]) | (ways[..., 1] > self.gap[1])
         if self.posts > 0.0:
             inside &= np.abs(ways[..., 1] % self.posts - 0.5 * self.posts) <= max(
                 0.5 * self.thickness, 0.6 * sheet.cell
             )
-        inside &= sheet.ground + self.height > sheet.height
-        sheet.height[inside] = (sheet.ground + self.height)[inside]
+        rise = share * (sheet.ground + self.height - sheet.height)
+        inside &= rise > 0.0
+        sheet.height[inside] += rise[inside]
+        inside &= share >= 0.5
         sheet.depth[inside] = 0.0
         sheet.paint(..., inside, Terrain.STRUCTURE, self.look, self.tint)
 
