@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from rich.console import Console
 
 from alight import cli
@@ -15,7 +17,7 @@ from alight.cli.simulate import PICTURE, blocks
 from alight.evaluate.flight import read_truth
 from alight.records import Frame
 from alight.settings import Settings
-from alight.simulate.scene import FOLDER, built_in, read_scene, things
+from alight.simulate.scene import FOLDER, built_in, parse_scene, read_scene, things
 from alight.sources import open_source
 
 SMALL = "ground: {size: [60, 60]}\nflight: {height: 20, duration: 0.5}\nimaging: {rate_hz: 4}\n"
@@ -173,6 +175,15 @@ def test_every_key_is_written_down(capsys: pytest.CaptureFixture[str]) -> None:
         assert all(f"| `{key}` |" in told for key in kind.model_fields if key != "thing")
     page = Path(__file__).parents[1] / "docs" / "scene-keys.md"
     assert page.read_text(encoding="utf-8").endswith(told), "run `make pictures`"
+
+
+def test_the_scenes_of_the_documentation_are_scenes() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "simulator.md").read_text(encoding="utf-8")
+    blocks_of_yaml = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    scenes = [parse_scene(yaml.safe_load(b), "docs/simulator.md") for b in blocks_of_yaml]
+    assert len(scenes) >= 3
+    assert scenes[0].flight.kind == "lawn_mower"
+    assert [layer.thing for layer in scenes[0].ground.layers] == ["fields", "pads", "houses", "rocks"]
 
 
 def test_a_picture_in_a_terminal_has_two_pixels_a_character(tmp_path: Path) -> None:
