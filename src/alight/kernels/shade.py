@@ -81,7 +81,13 @@ from alight.kernels.water import dive, refract, scum, water_light, waves
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
 
-TREE, ROCK, STRUCTURE = 4, 6, 8  # codes of records.Terrain whose borders are edges of height: colours keep to them
+TREE, ROCK, PAVED, STRUCTURE = (
+    4,
+    6,
+    7,
+    8,
+)  # codes of records.Terrain whose borders are edges of height: colours keep to them
+STEEP = 3.0  # slope of a side
 PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
 # numbers of the light, after the sun's direction (3), its colour (3) and the sky's (3)
 HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
@@ -157,17 +163,20 @@ def _look_up(
     for i in range(B):
         gx = (base[0] - place[0] + buf[X + i]) * per
         gy = (place[1] - base[1] - buf[Y + i]) * per
+        _light_at(buf, i, light, gx, gy)
+        steep = math.hypot(buf[SLOPE_E + i], buf[SLOPE_N + i])
+        if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
+            gx, gy = gx + buf[SLOPE_E + i] / steep, gy - buf[SLOPE_N + i] / steep
         r, c = _class_near(label, gx, gy)
-        here = label[r, c]
-        if not _hard(here):
-            q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
-            if not _hard(label[q, p]):
-                r, c = q, p
+        q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
+        if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
+            q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
+        if steep <= STEEP and not _hard(label[r, c]) and not _hard(label[q, p]):
+            r, c = q, p
         look[i] = int(looks_layer[r, c]) if looks_layer.size > 0 else 0
         if look[i] == 0:
             look[i] = by_class[label[r, c]]
         buf[WATER + i] = wet[look[i]]
-        _light_at(buf, i, light, gx, gy)
         if tint.size > 0:
             _tint_at(buf, i, tint, gx, gy)
         else:

@@ -215,6 +215,8 @@ def small_things(buf: F32, base: F64, sun: F64, seed: int) -> None:
             continue
         u, v, i, j = lattice(base, 5.5 * radius, 1.0, 0.0, 0.0, 0.0)
         copy(buf, slot, N)  # a fixed slot: LLVM must see that what is read is not what is written
+        for m in range(B):  # many here, none there
+            buf[N + m] *= min(max(F1 + f32(0.9) * buf[ASIDE + m], f32(0.05)), F2)
         _scatter(buf, f32(radius), (f32(u), f32(v), i32(i), i32(j)), towards, seed32(seed + k))
 
 
@@ -247,7 +249,7 @@ def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) ->
         deep = part * buf[PARAM + P_DEEP * B + i]
         free = F1 if buf[SHADE + i] < F0 else F0
         take = free if buf[WEIGHT + i] > buf[PARAM + P_OPEN * B + i] - opaque else F0
-        shown = gain if buf[PARAM + P_DEEP * B + i] > F0 else F1
+        shown = F1 + (gain - F1) * min(f32(2.2) * buf[PARAM + P_DEEP * B + i], F1)  # little dark under short grass
         buf[SHADE + i] = shown if take > F0 else buf[SHADE + i]
         fall = min(deep / max(buf[VZ + i], f32(0.3)), f32(1.5))
         buf[ALONG + i] = fall if take > F0 else buf[ALONG + i]
