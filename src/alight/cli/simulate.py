@@ -17,7 +17,7 @@ from alight.records import InputError, SettingsError
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do without
     from alight.simulate.scene import Scene
 
-PICTURE = 40, 15  # characters, columns and rows: two pixels a character, one above the other
+PICTURE = 32, 12  # characters, columns and rows: two pixels a character, one above the other
 SHORTCUTS = {"height": "flight.height", "duration": "flight.duration", "speed": "flight.speed"}
 
 
@@ -130,8 +130,9 @@ def _list() -> None:
 def _card(name: str, description: str, picture: Path) -> Table:
     """A scene for a terminal: its picture in half blocks, its name and its description beside it."""
     table = Table.grid(padding=(0, 2))
-    table.add_row(blocks(picture), Text.assemble((f"\n{name}\n\n", "bold"), description), end_section=True)
-    table.add_row("", "")
+    table.add_column(min_width=PICTURE[0], no_wrap=True)
+    table.add_column()
+    table.add_row(blocks(picture), Text.assemble((f"\n{name}\n\n", "bold"), description))
     return table
 
 
