@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench bench-simulator pictures clean
+.PHONY: help demo test check format bench bench-motion bench-simulator pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -24,6 +24,9 @@ format: $(MADE)  ## put the source into its form
 
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 	for b in bench/bench_*.py; do $(BIN)/python $$b || exit 1; done
+
+bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
+	$(BIN)/python bench/bench_motion.py
 
 bench-simulator: $(MADE)  ## the simulator: speed, geometry, and how real it is beside ../shared/data
 	$(BIN)/python bench/bench_simulator.py && $(BIN)/python bench/realism.py

@@ -81,6 +81,11 @@ class PointFlight:
         """True world_from_body."""
         return self.pose((t_ns - START) * 1e-9)
 
+    @staticmethod
+    def seconds_of(e: Event | Tracks) -> float:
+        """Since the first exposure."""
+        return (e.t_ns - START) * 1e-9
+
     def _velocity(self, t: F64, h: float = 1e-3) -> F64:
         return (self.poses(t + h)[1] - self.poses(t - h)[1]) / (2 * h)
 

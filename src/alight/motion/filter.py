@@ -9,11 +9,14 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
-from alight.geometry import Pose, so3_exp
+from alight.geometry import Pose, so3_exp, so3_log
+from alight.motion.course import SIGMA, WAY, attitude
 from alight.motion.dynamics import (
+    LONG,
     Step,
     bias_walk,
     constant_step,
@@ -39,6 +42,7 @@ log = logging.getLogger(__name__)
 _JUMP = (
     5.0  # s of GPS positions outside their gate after which they are taken as a jump, and not as a fault that passes
 )
+_FRESH = 0.2  # s between a GPS position and the exposure that it is taken for
 _KEEP_NS = 1_000_000_000  # ns of IMU samples kept
 _DOUBT = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added to a state that the pictures contradict
 _HOPELESS = 3  # doubts in a row without a good exposure between, after which the state is made anew
@@ -62,6 +66,8 @@ class MotionFilter:
         self._last_exposure_ns = -(1 << 62)
         self._doubts = 0  # in a row
         self._map, self._lost = 0, False
+        self._heard: NavSample | None = None  # the last row
+        self._before: tuple[Tracks, F64] | None = None  # the last exposure with a GPS position and no attitude
         self._recording = Recording(rig, settings) if settings.smooth else None
 
     def feed_imu(self, sample: ImuSample) -> None:
@@ -83,6 +89,7 @@ class MotionFilter:
     def feed_nav(self, sample: NavSample) -> None:
         """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
         sigma = sigmas(sample, self._settings)
+        self._heard = sample
         if self._state is None:
             self._start(sample, sigma)
             return
@@ -100,10 +107,13 @@ class MotionFilter:
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
         """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
-        state = self._state
-        if state is None or tracks.t_ns < state.t_ns or tracks.t_ns <= self._last_exposure_ns:
+        if tracks.t_ns <= self._last_exposure_ns or (self._state is not None and tracks.t_ns < self._state.t_ns):
             return None
         self._last_exposure_ns = tracks.t_ns
+        self._orient(tracks)
+        state = self._state
+        if state is None:
+            return None
         self._propagate(state, tracks.t_ns)
         votes = self._features.see(state, tracks) if len(tracks.ids) else Votes()
         if self._health.look(tracks.t_ns, votes):
@@ -112,6 +122,28 @@ class MotionFilter:
         if self._recording:
             self._recording.exposures.append((motion, tracks, self._snapshot(state)))
         return motion
+
+    def _orient(self, tracks: Tracks) -> None:
+        """Where GPS comes without attitude, the pictures give it: at the start, and between photos (M26)."""
+        heard, before = self._heard, self._before
+        if heard is None or heard.position_world is None or heard.world_from_body is not None:
+            return
+        if (tracks.t_ns - heard.t_ns) * 1e-9 > _FRESH:
+            return
+        if before is not None and np.linalg.norm((heard.position_world - before[1])[:2]) < WAY:
+            return
+        self._before = (tracks, heard.position_world)
+        if before is None:
+            return
+        found = attitude(before[0], tracks, heard.position_world - before[1], self._cams[0])
+        if found is None:
+            return
+        if self._state is None:
+            row = replace(heard, t_ns=tracks.t_ns, world_from_body=found, sigma_attitude=np.abs(found.T) @ SIGMA)
+            self._start(row, sigmas(row, self._settings))
+        elif tracks.t_ns - before[0].t_ns > LONG * 1e9:
+            e = so3_log(found @ self._state.R.T)
+            self._state.correct(e / SIGMA, np.diag(1.0 / SIGMA), np.arange(ATT.start, ATT.stop))
 
     def ring(self) -> tuple[Motion, ...]:
         """The keyframes held, refined together with all that was seen from them (M23): consistent with each other.
