@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,12 +46,10 @@ class Eye:
     """A camera ready to look: the rays of all its pixels, undistorted once."""
 
     camera: Camera
-    samples: Any = 1  # rays a pixel
+    samples: int = 1  # rays a pixel
     rays: tuple[F32, ...] = field(init=False)  # one (H, W, 3) a sample, z = 1
 
     def __post_init__(self) -> None:
-        if not isinstance(self.samples, int):  # an Imaging
-            object.__setattr__(self, "samples", self.samples.samples)
         u, v = np.meshgrid(np.arange(self.camera.width, dtype=float), np.arange(self.camera.height, dtype=float))
         rays = (self.camera.rays(np.stack([u + a, v + b], -1)).astype(np.float32) for a, b in spread(self.samples))
         object.__setattr__(self, "rays", tuple(rays))
