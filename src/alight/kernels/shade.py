@@ -15,7 +15,6 @@ from alight.kernels.block import (
     BLUE,
     BUMP_E,
     BUMP_N,
-    CLOUD,
     DIST,
     F0,
     F1,
@@ -25,18 +24,11 @@ from alight.kernels.block import (
     FOOT,
     GREEN,
     I32,
-    LEAF,
     MARGIN,
-    NX,
-    NY,
-    NZ,
     PARAM,
     RED,
-    SHADE,
-    SKY,
     SLOPE_E,
     SLOPE_N,
-    SUN,
     TINT_B,
     TINT_G,
     TINT_R,
@@ -53,19 +45,16 @@ from alight.kernels.block import (
     Z,
     copy,
     f32,
-    fading,
     fill,
     noise_at,
     smallest,
     smooth,
 )  # fmt: skip
 from alight.kernels.compiler import kernel, parallel_kernel, prange
+from alight.kernels.illuminate import WIND, car_shadows, dye, face_normals, haze, illuminate, slope_normals, sunshine
 from alight.kernels.texture import (
     P_BED,
-    P_BUMP,
     P_DEEP,
-    P_GLOSS,
-    P_HOT,
     PARAMS,
     colours,
     detail,
@@ -89,9 +78,6 @@ TREE, ROCK, PAVED, STRUCTURE = (
 )  # codes of records.Terrain whose borders are edges of height: colours keep to them
 STEEP = 3.0  # slope of a side
 PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
-# numbers of the light, after the sun's direction (3), its colour (3) and the sky's (3)
-HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
-LIGHTS = 20
 
 
 @kernel
@@ -266,124 +252,6 @@ def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look
 
 
 @kernel
-def _face_normals(buf: F32, boxes: F64) -> None:
-    for i in range(B):
-        code = int(buf[FACE + i])
-        side = code & 7
-        if code == 0:
-            continue
-        box = boxes[code >> 3]
-        buf[NX + i], buf[NY + i], buf[NZ + i] = F0, F0, F1
-        if side > 1:
-            sign = 1.0 if side == 2 or side == 4 else -1.0
-            e, n = (box[3], box[4]) if side < 4 else (-box[4], box[3])
-            buf[NX + i], buf[NY + i], buf[NZ + i] = f32(sign * e), f32(sign * n), F0
-
-
-@kernel
-def _car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
-    """Take the sun from what lies behind a car."""
-    for m in range(boxes.shape[0]):
-        box = boxes[m]
-        reach = math.hypot(box[5], box[6]) + (box[7] + 1.0) * math.hypot(sun[0], sun[1]) / max(sun[2], 0.05)
-        se, sn = box[3] * sun[0] + box[4] * sun[1], box[3] * sun[1] - box[4] * sun[0]
-        for i in range(B):
-            dx, dy = base[0] + buf[X + i] - box[0], base[1] + buf[Y + i] - box[1]
-            if dx * dx + dy * dy > reach * reach or (int(buf[FACE + i]) != 0 and int(buf[FACE + i]) >> 3 == m):
-                continue
-            u, v, w = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, base[2] + buf[Z + i] - box[2]
-            near, far = 1e-3, 1e9
-            for p, d, low, high in ((u, se, -box[5], box[5]), (v, sn, -box[6], box[6]), (w, sun[2], 0.0, box[7])):
-                if abs(d) < 1e-9:
-                    near = near if low <= p <= high else 2e9
-                    continue
-                a, b = (low - p) / d, (high - p) / d
-                near, far = max(near, min(a, b)), min(far, max(a, b))
-            if near <= far:
-                buf[SUN + i] = F0
-
-
-@kernel
-def _sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
-    """Fill SUN: the share of the sun that comes past terrain and small things, and CLOUD: past the clouds."""
-    for i in range(B):
-        buf[SUN + i] = smooth(f32(-0.03), f32(0.05), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
-    fill(buf, CLOUD, 0.0)
-    if lights[CLOUD_DARK] <= 0.0:
-        return
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
-    size, de, dn = lights[CLOUD_SIZE], -lights[DRIFT] * time, -lights[DRIFT + 1] * time
-    for k, w in enumerate((0.75, 0.5, 0.3)):
-        noise_at(buf, base, size * 0.45**k, 0.8, 0.6, seed + k, de, dn)
-        for i in range(B):
-            buf[CLOUD + i] += f32(w) * buf[N + i]
-    edge, dark = f32(lights[CLOUDS]), f32(lights[CLOUD_DARK])
-    for i in range(B):
-        buf[CLOUD + i] = dark * smooth(edge - f32(0.25), edge + f32(0.25), buf[CLOUD + i])
-        buf[SUN + i] *= F1 - buf[CLOUD + i]
-
-
-@kernel
-def _normals(buf: F32) -> None:
-    for i in range(B):
-        bump = buf[PARAM + P_BUMP * B + i]
-        e, n = buf[SLOPE_E + i] + bump * buf[BUMP_E + i], buf[SLOPE_N + i] + bump * buf[BUMP_N + i]
-        scale = F1 / np.sqrt(F1 + e * e + n * n)
-        buf[NX + i], buf[NY + i], buf[NZ + i] = -e * scale, -n * scale, scale
-
-
-@kernel
-def _apply(buf: F32, lights: F32) -> None:
-    """Lambert's law under sun and sky, with the back-scatter of rough ground and the shine of smooth; dry pixels."""
-    sx, sy, sz = lights[0], lights[1], lights[2]
-    for i in range(B):
-        nx, ny, nz = buf[NX + i], buf[NY + i], buf[NZ + i]
-        cosine = max(F0, nx * sx + ny * sy + nz * sz) * buf[SUN + i]
-        vx, vy, vz = buf[VX + i], buf[VY + i], buf[VZ + i]
-        phase = vx * sx + vy * sy + vz * sz
-        leaf = buf[LEAF + i]
-        sun = cosine * leaf * (F1 + buf[PARAM + P_HOT * B + i] * (phase * phase * phase - f32(0.35)))
-        sky = buf[SKY + i] * (f32(0.5) + f32(0.5) * nz) * (f32(0.2) + f32(0.8) * leaf)
-        hx, hy, hz = vx + sx, vy + sy, vz + sz
-        half = (nx * hx + ny * hy + nz * hz) / np.sqrt(hx * hx + hy * hy + hz * hz + f32(1e-6))
-        c2 = max(half * half, f32(0.05))
-        shine = buf[PARAM + P_GLOSS * B + i]
-        spark = shine * buf[SUN + i] * fading((F1 - c2) / c2 * f32(25.0)) * (f32(0.5) + f32(2.0) * (F1 - vz))
-        dry = F1 - buf[WATER + i]
-        wet = buf[WATER + i]
-        mirror = shine * f32(0.12)
-        red = buf[RED + i] * (lights[3] * sun + lights[6] * sky) + lights[3] * spark + mirror * lights[6] * sky
-        green = buf[GREEN + i] * (lights[4] * sun + lights[7] * sky) + lights[4] * spark + mirror * lights[7] * sky
-        blue = buf[BLUE + i] * (lights[5] * sun + lights[8] * sky) + lights[5] * spark + mirror * lights[8] * sky
-        buf[RED + i] = dry * red + wet * buf[RED + i]
-        buf[GREEN + i] = dry * green + wet * buf[GREEN + i]
-        buf[BLUE + i] = dry * blue + wet * buf[BLUE + i]
-
-
-@kernel
-def _dye(buf: F32) -> None:
-    for i in range(B):
-        buf[RED + i] *= buf[TINT_R + i]
-        buf[GREEN + i] *= buf[TINT_G + i]
-        buf[BLUE + i] *= buf[TINT_B + i]
-
-
-@kernel
-def _haze(buf: F32, lights: F32) -> None:
-    """Dim what is far and add the light that the air scatters (Koschmieder, 1924); sky where nothing was hit."""
-    for i in range(B):
-        up = max(-buf[VZ + i], F0)
-        low = (F1 - up) * (F1 - up)
-        seen = fading(min(lights[HAZE] * max(buf[DIST + i], F0), f32(9.0)))
-        hit = F1 if buf[DIST + i] > F0 else F0
-        for colour, k in ((RED, 0), (GREEN, 1), (BLUE, 2)):
-            ground = buf[colour + i] * seen + lights[AIR + k] * (F1 - seen)
-            sky = lights[6 + k] * (F1 + low)
-            buf[colour + i] = hit * ground + (F1 - hit) * sky
-
-
-@kernel
 def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
     for i in range(min(B, out.shape[1] - first)):
         out[r, first + i, 0] += weight * buf[RED + i]
@@ -419,7 +287,7 @@ def shade(
     `by_class` (9,) look of a class, `wet` (L,) 1 for water: `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3),
     `times` (N,) seconds, `boxes` (N, M, 12): of the whole picture (N = 1) or of each row; `directions` (H, W, 3) with
     z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W) from `cast_boxes`; `pixel`: angle of a pixel; `level`: height
-    of the plane that goes on where the patch ends; `lights` (LIGHTS,): see the names above.
+    of the plane that goes on where the patch ends; `lights` (LIGHTS,): see `illuminate`.
     """
     lights32 = lights.astype(np.float32)
     for r in prange(out.shape[0]):
@@ -431,7 +299,7 @@ def shade(
         for first in range(0, out.shape[1], B):
             if not _aim(buf, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
                 fill(buf, DIST, -1.0)
-                _haze(buf, lights32)
+                haze(buf, lights32)
                 _put(buf, f32(weight), row, first, out)
                 continue
             _wander(buf, base)
@@ -443,16 +311,16 @@ def shade(
             loaded = load_looks(buf, looks, look, P_BED, loaded)
             _texture(buf, base, lights, times[n], seed, under)
             if cars or tint.size > 0:
-                _dye(buf)
-            _sunshine(buf, base, lights, times[n], seed + 950)
+                dye(buf)
+            sunshine(buf, base, lights, times[n], seed + 950)
             if boxes.shape[1] > 0:
-                _car_shadows(buf, boxes[n], base, lights)
-            _normals(buf)
+                car_shadows(buf, boxes[n], base, lights)
+            slope_normals(buf)
             if cars:
-                _face_normals(buf, boxes[n])
+                face_normals(buf, boxes[n])
             if under:
                 water_light(buf, lights)
                 scum(buf, base, lights[WIND : WIND + 2], times[n], seed + 980)
-            _apply(buf, lights32)
-            _haze(buf, lights32)
+            illuminate(buf, lights32)
+            haze(buf, lights32)
             _put(buf, f32(weight), row, first, out)
