@@ -26,7 +26,7 @@ SPACING = 0.02  # of the height between exposures
 FRAMES, QUICK_FRAMES = 41, 11
 SCENES = (
     "meadow", "farmland", "village", "forest", "quarry", "lakes",
-    "desert", "snow", "concrete", "car_park", "tall_grass",
+    "desert", "snow", "concrete", "car_park", "tall_grass", "yard",
 )  # fmt: skip
 SEEDS, QUICK_SEEDS = 3, 1
 FIRST_SEED = {"tuning": 1, "test": 1001}
