@@ -5,10 +5,10 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench clean
+.PHONY: help demo test check format bench bench-motion bench-simulator pictures clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 10
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
 
 demo: $(MADE)  ## a small simulated flight, a landing site found in it, and the report: out/demo/report.html
 	$(BIN)/alight demo --out out/demo
@@ -24,6 +24,15 @@ format: $(MADE)  ## put the source into its form
 
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 	for b in bench/bench_*.py; do $(BIN)/python $$b || exit 1; done
+
+bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
+	$(BIN)/python bench/bench_motion.py
+
+bench-simulator: $(MADE)  ## the simulator: speed, geometry, and how real it is beside ../shared/data
+	$(BIN)/python bench/bench_simulator.py && $(BIN)/python bench/realism.py
+
+pictures: $(MADE)  ## the built-in scenes from 20 and 100 m: docs/scenes, and what `alight simulate --list` shows
+	$(BIN)/python bench/scene_pictures.py
 
 clean:  ## everything that was made, .venv included
 	rm -rf .venv out dist .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

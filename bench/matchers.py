@@ -17,7 +17,7 @@ WRONG = 0.01  # of the height above ground
 STEP = 0.13  # of the height between the pictures of a pair: every second photo
 PAIRS = 4
 Mask = NDArray[np.bool_]
-ByGroup = dict[str, tuple[float, float, float]]  # given out, wrong before any refusal, wrong and given out; percent
+ByGroup = dict[str, tuple[float, ...]]  # given out, wrong before any refusal, wrong and given out, percent; more
 
 
 def _grey(view: View) -> NDArray[np.uint8]:
@@ -25,12 +25,15 @@ def _grey(view: View) -> NDArray[np.uint8]:
 
 
 def groups(points: Points) -> dict[str, Mask]:
-    """Which points are judged together: all, open and rough ground, each class of the truth."""
-    out = {"all": np.ones(len(points.xyz), bool), "open": points.open, "rough": ~points.open}
-    for t in Terrain:
-        if t != Terrain.UNKNOWN and (points.kind == t).sum() >= 50:
-            out[t.name.lower()] = points.kind == t
-    return out
+    """Which points are judged together: dry, open and rough ground, where descriptors match, each class."""
+    even = ~points.feature | points.feature.all()  # a reference has nothing but features
+    dry = points.kind != Terrain.WATER
+    out = {
+        "dry": even & dry, "open": even & points.open, "rough": even & dry & ~points.open,
+        "features": points.feature & dry, "... open": points.feature & points.open,
+        "... rough": points.feature & dry & ~points.open,
+    }  # fmt: skip
+    return out | {t.name.lower(): even & (points.kind == t) for t in list(Terrain)[1:]}
 
 
 def _wrong(error: F64, given: Mask, above: float) -> float:
@@ -61,19 +64,21 @@ def estimator(
     height, inside = _at(found.height.astype(np.float64), found, points)
     accepted, _ = _at(found.trusted, found, points)
     visible, _ = _at(seen, found, points)
+    shared, _ = _at(1.0 - found.residual, found, points)
     error = height - points.xyz[:, 2]
     usable = inside & visible & np.isfinite(error)
     accepted &= usable
     by_group = {}
     for name, group in groups(points).items():
         if (usable & group).sum() >= 50:
-            e = error - np.median(error[accepted & points.open]) if (accepted & points.open).any() else error
             by_group[name] = (
                 100 * float(accepted[usable & group].mean()),
-                _wrong(e, usable & group, above),
-                _wrong(e, accepted & group, above),
+                _wrong(error, usable & group, above),
+                _wrong(error, accepted & group, above),
+                float(np.median(shared[usable & group])),
             )
-    good = error[accepted & points.open] if (accepted & points.open).any() else np.array([np.nan])
+    even = groups(points)["open"] & accepted
+    good = error[even] if even.any() else np.array([np.nan])
     row = {
         "height m": above,
         "accepted %": 100 * float(found.trusted[seen].mean()),

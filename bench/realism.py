@@ -11,6 +11,7 @@ and spacing at 47 m, so that pictures are compared at the same ground sampling.
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -32,7 +33,10 @@ PHOTO_LENS = Camera(
     1600, 1300, 1956.0, 1956.0, 788.5, 660.1, "radial-tangential", (-0.40097, 0.20014, 0.00109, 0.00012)
 )
 LOOK_DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-COLUMNS = ("given out", "off by more than 1 % of the height before any refusal", "the same and given out")
+COLUMNS = (
+    "given out, %", "off by more than 1 % of the height before any refusal, %", "off by more and given out, %",
+    "texture ratio, median",
+)  # fmt: skip
 Row = Mapping[str, float]
 
 
@@ -40,7 +44,7 @@ def simulated(scene: str, like: str) -> Path:
     """The folder of a simulated flight, as the sample (30 m, stereo, 5 m/s) or as the photos (47 m, one each 3 m)."""
     out = OUT / f"{scene}-{like}"
     if like == "sample":
-        made = simulate.fly(scene, SEED, 6.0, height=30.0, speed=5.0, rate_hz=10.0)
+        made = simulate.fly(scene, SEED, 6.0, height=30.0, speed=5.0, rate_hz=8.0)
     else:
         rig = Rig((RigCamera("cam0", PHOTO_LENS, Pose(LOOK_DOWN, np.zeros(3))),))
         made = simulate.fly(scene, SEED, 6.0, height=47.0, speed=6.12, rate_hz=2.0, rig=rig)
@@ -50,8 +54,8 @@ def simulated(scene: str, like: str) -> Path:
 
 def measure(subject: Subject) -> dict[str, Row]:
     """All tables' rows of one recording."""
-    points = subject.points()
     views = subject.views()
+    points = subject.points(views, subject.above(views))
     some = [views[i].image for i in np.unique(np.linspace(0, len(views) - 1, 8).astype(int))]
     looks = statistics(some)
     spectrum = {k: v for k, v in looks.items() if k.endswith(" px") or k == "slope"}
@@ -65,7 +69,7 @@ def measure(subject: Subject) -> dict[str, Row]:
         "estimator": row,
         "tracks": tracks,
     } | {
-        f"{matcher}: {column}": {group: numbers[k] for group, numbers in failures.items()}
+        f"{matcher}: {column}": {group: numbers[k] for group, numbers in failures.items() if k < len(numbers)}
         for matcher, failures in (("estimator", by_class), ("StereoSGBM", pair))
         for k, column in enumerate(COLUMNS)
     }
@@ -82,22 +86,45 @@ def show(title: str, rows: Mapping[str, Row]) -> None:
         print(f"| {name} | " + " | ".join(_number(row.get(k, np.nan)) for k in keys) + " |", flush=True)
 
 
+SHORT = {
+    "accepted %": ("estimator", "accepted %"),
+    "texture ratio P10": ("estimator", "texture P10"),
+    "P50": ("estimator", "P50"),
+    "open NMAD, % of height": ("estimator", "open NMAD, % of height"),
+    "wrong: dry %": (f"estimator: {COLUMNS[1]}", "dry"),
+    "features on rough ground %": (f"estimator: {COLUMNS[1]}", "... rough"),
+    "wrong, given out %": (f"estimator: {COLUMNS[2]}", "dry"),
+    "StereoSGBM wrong: features %": (f"StereoSGBM: {COLUMNS[1]}", "features"),
+    "tracks left after 13 % of height": ("tracks", "13 % of height"),
+    "grey sd": ("pictures", "sd"),
+    "gradient kurtosis": ("pictures", "kurtosis"),
+    "flat pixels %": ("pictures", "flat %"),
+    "noise": ("pictures", "noise"),
+    "spectrum slope": ("spectrum", "slope"),
+}
+
+
+def short(tables: Mapping[str, Row]) -> Row:
+    """What decides, of all tables of one recording."""
+    return {name: tables.get(table, {}).get(column, np.nan) for name, (table, column) in SHORT.items()}
+
+
 def _number(v: float) -> str:
     return "" if np.isnan(v) else f"{v:.3g}" if abs(v) < 100 else f"{v:.0f}"
 
 
-def recordings(scenes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
+def recordings(scenes: Iterable[str], likes: Iterable[str]) -> dict[str, Callable[[], Subject]]:
     """What is compared, by name; made when called."""
     out: dict[str, Callable[[], Subject]] = {}
     if (DATA / "sample").is_dir():
-        out["SAMPLE (rendered, 30 m)"] = lambda: flight("sample", DATA / "sample")
+        out["SAMPLE"] = lambda: flight("sample", DATA / "sample")
     else:
         print(f"{DATA / 'sample'}: absent, so nothing is compared with it")
     if (DATA / "mirafiori").is_dir():
-        out["PHOTOS (real, 47 m)"] = lambda: photos("photos", DATA / "mirafiori", OUT)
+        out["PHOTOS"] = lambda: photos("photos", DATA / "mirafiori", OUT)
     else:
         print(f"{DATA / 'mirafiori'}: absent, so nothing is compared with it")
-    for like in ("sample", "photos"):
+    for like in likes:
         for s in scenes:
             out[f"{s} as {like}"] = lambda s=s, like=like: flight(s, simulated(s, like))  # type: ignore[misc]
     return out
@@ -107,16 +134,24 @@ def main() -> None:
     """Print all tables."""
     logging.disable(logging.WARNING)
     parser = argparse.ArgumentParser()
-    parser.add_argument("--scenes", default=",".join(simulate.SCENES))
-    scenes = [s for s in parser.parse_args().scenes.split(",") if s]
-    results: dict[str, dict[str, Row]] = {}
-    for name, make in recordings(scenes).items():
+    parser.add_argument("--scenes", default=",".join(simulate.built_in()), help="names, with commas between")
+    parser.add_argument("--keep", action="store_true", help="show the rows of earlier runs as well; references stay")
+    parser.add_argument("--like", default="sample,photos", help="how the simulated flights are flown")
+    asked = parser.parse_args()
+    kept = OUT / "results.json"
+    results: dict[str, dict[str, Row]] = json.loads(kept.read_text()) if asked.keep and kept.exists() else {}
+    for name, make in recordings([s for s in asked.scenes.split(",") if s], asked.like.split(",")).items():
+        if name.isupper() and name in results:
+            continue
         try:
             results[name] = measure(make())
         except AlightError as e:
             print(f"{name}: {e}")
-    for title in next(iter(results.values()), {}):
-        show(title, {name: r[title] for name, r in results.items()})
+        OUT.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(results))
+    show("in short", {name: short(r) for name, r in results.items()})
+    for title in dict.fromkeys(t for r in results.values() for t in r):
+        show(title, {name: r[title] for name, r in results.items() if title in r})
 
 
 if __name__ == "__main__":

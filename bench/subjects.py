@@ -8,19 +8,21 @@ from pathlib import Path
 import cv2
 import mirafiori_reference as reference
 import numpy as np
+from common_points import common_points
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from alight.evaluate.flight import Truth, read_truth
 from alight.evaluate.photos import LEAST_TRACK, MOST_ERROR
 from alight.geometry import LocalFrame, Pose
-from alight.records import F64, Frame, View
+from alight.records import F64, Frame, Terrain, View
 from alight.settings import Settings
 from alight.sources import Source, open_source
 
 EARTH_RADIUS = 6371008.8  # metres, mean
 OPEN_RISE = 0.4  # metres between the lowest and the highest point near by, at most, for ground that counts as open
 NEAR = 0.75  # metres
+STEP = 0.13  # of the height between the three views that make a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +31,8 @@ class Points:
 
     xyz: F64  # (N, 3) metres, world
     kind: NDArray[np.uint8]  # (N,) Terrain codes, 0 where the reference has no classes
-    open: NDArray[np.bool_]  # (N,) the ground about it is smooth
+    open: NDArray[np.bool_]  # (N,) the ground about it is smooth, and no water
+    feature: NDArray[np.bool_]  # (N,) descriptors match there: the only places that a reference knows
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +63,32 @@ class Subject:
         fall = (e[None] ** 2 + n[:, None] ** 2) / (2 * EARTH_RADIUS)
         return np.asarray(self.truth.dem - self.source.local.height - fall, np.float32)
 
-    def points(self, count: int = 40_000) -> Points:
-        """All points of a reference, or cells of the truth drawn evenly."""
+    def above(self, views: list[View]) -> float:
+        """Median height of the cameras above the ground, metres."""
+        ground = np.nanmedian(self.surface()) if self.cloud is None else np.median(self.cloud[:, 2])
+        return float(np.median([v.centre[2] for v in views]) - ground)
+
+    def points(self, views: list[View], above: float, count: int = 40_000) -> Points:
+        """All points of a reference; else cells of the truth drawn evenly, and such points as a reference has."""
         if self.cloud is not None:
-            return Points(self.cloud, np.zeros(len(self.cloud), np.uint8), _smooth_points(self.cloud))
+            n = len(self.cloud)
+            return Points(self.cloud, np.zeros(n, np.uint8), _smooth_points(self.cloud), np.ones(n, bool))
         assert self.truth is not None
-        height, grid = self.surface(), self.truth.grid
+        height, grid, kind = self.surface(), self.truth.grid, self.truth.label
         box = np.ones((2 * round(NEAR / grid.cell) + 1,) * 2, np.uint8)
-        smooth = cv2.dilate(height, box) - cv2.erode(height, box) < OPEN_RISE
-        chosen = np.random.default_rng(0).permutation(height.size)[:count]
-        r, c = np.unravel_index(chosen[np.isfinite(height.ravel()[chosen])], height.shape)
+        smooth = (cv2.dilate(height, box) - cv2.erode(height, box) < OPEN_RISE) & (kind != Terrain.WATER)
+        drawn = np.random.default_rng(0).permutation(np.flatnonzero(np.isfinite(height)))[:count]
+        r, c = np.unravel_index(drawn, height.shape)
         e, n = grid.xy()
-        return Points(np.c_[e[c], n[r], height[r, c]], self.truth.label[r, c], smooth[r, c])
+        even = Points(np.c_[e[c], n[r], height[r, c]], kind[r, c], smooth[r, c], np.zeros(len(r), bool))
+        found = common_points(views, STEP * above)
+        r, c = (np.rint(i).astype(int) for i in grid.index(found[:, 0], found[:, 1]))
+        inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
+        found, r, c = found[inside], r[inside], c[inside]
+        own = Points(found, kind[r, c], smooth[r, c], np.ones(len(r), bool))
+        return Points(
+            *(np.concatenate([getattr(even, k), getattr(own, k)]) for k in ("xyz", "kind", "open", "feature"))
+        )
 
 
 def _smooth_points(cloud: F64) -> NDArray[np.bool_]:

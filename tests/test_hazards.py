@@ -163,9 +163,19 @@ def test_a_foot_on_a_rock_tilts_the_lander_by_the_closed_form() -> None:
     z[34, 46] = 0.2  # exactly under the north-eastern foot at heading north
     lander = Lander(radius=0.9, feet=FEET, headings=1, max_slope=math.radians(5))
     h = judge(z, lander)
-    # of the four triples the steepest has the rock's foot at a right angle's end: gradient 0.2 / 1.2 along both legs
-    assert_allclose(h.slope[MID], math.atan(0.2 / 1.2 * math.sqrt(2)), atol=1e-4)
+    # at rest it stands on the rock, the foot across from it and one of the two others: 0.2 m in 1.2 m
+    assert_allclose(h.slope[MID], math.atan(0.2 / 1.2), atol=1e-4)
     assert Hazard.SLOPE in refused(h)
+    # any three: the foot across from the rock hangs in the ground, and both legs climb 0.2 m in 1.2 m
+    strict = judge(z, lander.model_copy(update={"support": "any"}))
+    assert_allclose(strict.slope[MID], math.atan(0.2 / 1.2 * math.sqrt(2)), atol=1e-4)
+
+
+def test_feet_that_sink_in_stand_on_the_mean_of_their_ground() -> None:
+    z = flat()
+    z[34, 46] = 0.9
+    lander = Lander(radius=0.9, feet=FEET, foot_radius=0.1, foot_contact="mean", headings=1)
+    assert_allclose(judge(z, lander).slope[MID], math.atan(0.9 / 5 / 1.2), atol=1e-4)  # five cells under a foot
 
 
 @pytest.mark.parametrize("gear", [{"feet": FEET}, {"skids": (1.2, 1.0)}])
@@ -198,6 +208,23 @@ def test_noise_makes_doubt_and_not_refusal() -> None:
     assert refused(sure) == Hazard(0)
     assert 0.3 < unsure.p_safe[MID] < 0.99
     assert refused(unsure) == Hazard.DOUBT
+
+
+def test_a_belly_at_its_clearance_is_even_odds() -> None:
+    z = flat()
+    z[MID] = 0.2499
+    lander = Lander(radius=0.9, feet=FEET, belly_clearance=0.25)
+    p = assess(ground(z, sigma=0.02), None, lander, EXACT).p_safe
+    assert_allclose(p[MID], 0.5, atol=0.02)
+    assert p[40, 60] > 0.999  # the rock is not under it
+
+
+def test_what_was_not_seen_costs_probability() -> None:
+    z = flat()
+    z[40, 44] = np.nan
+    p = judge(z, settings=Hazards(tilt_sigma=0.0, bridge=0.0, hidden_hazard=0.5)).p_safe
+    assert_allclose(p[MID], 1 - 0.5 / 317, atol=1e-6)
+    assert p[60, 20] == 1.0
 
 
 def test_a_slope_at_the_limit_is_even_odds() -> None:

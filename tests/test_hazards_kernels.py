@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
-from alight.hazards.footprint import disc_mask, disc_spans, feet_of, skids_of
-from alight.kernels.contact import rail_support
+from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, skids_of, unlike_directions
+from alight.kernels.contact import resting_pitch
 from alight.kernels.terrain import fill_basins
 from alight.settings import Lander
 
@@ -87,32 +87,57 @@ def test_steps_and_rotor_rise_agree_with_a_search(holes: float) -> None:
         assert_allclose(rise[r, c], np.nanmax(over), atol=1e-5)
 
 
+def contacts(h: np.ndarray, r: int, c: int, lander: Lander, k: int) -> np.ndarray | None:
+    """(feet, 3) column and row offset and contact height of every foot at one heading; None if one is unknown."""
+    feet, points = feet_of(lander, CELL), []
+    for f in range(feet.xy.shape[1]):
+        under = np.array([r, c]) + feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]]
+        if (under < 0).any() or (under >= SHAPE).any() or np.isnan(h[tuple(under.T)]).any():
+            return None
+        ground = h[tuple(under.T)].astype(np.float64)
+        points.append([*feet.xy[k, f] * CELL, ground.mean() if lander.foot_contact == "mean" else ground.max()])
+    return np.array(points)
+
+
+def carrying(points: np.ndarray, support: str) -> list[np.ndarray]:
+    """Planes (gx, gy, a) that three feet with the centre between them make, and that no foot's ground rises above."""
+    planes = []
+    for three in combinations(points, 3):
+        A = np.array(three)
+        held = np.linalg.solve(np.vstack([A[:, :2].T, np.ones(3)]), [0, 0, 1])
+        plane = np.linalg.solve(np.column_stack([A[:, :2], np.ones(3)]), A[:, 2])
+        over = points[:, 2] - np.column_stack([points[:, :2], np.ones(len(points))]) @ plane
+        if support == "any" or ((held > -1e-6).all() and (over < 1e-6).all()):
+            planes.append(plane)
+    return planes
+
+
 def brute_feet(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, float]:
-    """Worst tilt and worst rise over headings and triples, straight from the definition; NaN if a foot is unknown."""
-    feet = feet_of(lander, CELL)
+    """Worst tilt and worst rise over headings and planes, straight from the definition; NaN if a foot is unknown."""
     tilts, rises = [], []
     rr, cc = cells_in_disc(r, c, lander.radius)
-    for k in range(lander.headings):
-        points = []
-        for f in range(len(lander.feet or ())):
-            under = np.array([r, c]) + feet.offsets[feet.starts[k, f] : feet.starts[k, f + 1]]
-            if (under < 0).any() or (under >= SHAPE).any() or np.isnan(h[tuple(under.T)]).any():
-                return math.nan, math.nan
-            points.append([*feet.xy[k, f] * CELL, h[tuple(under.T)].max()])
-        for three in combinations(points, 3):
-            A = np.array(three)
-            gx, gy, a = np.linalg.solve(np.column_stack([A[:, :2], np.ones(3)]), A[:, 2])
+    for k in range(len(feet_of(lander, CELL).xy)):
+        points = contacts(h, r, c, lander, k)
+        if points is None:
+            return math.nan, math.nan
+        for gx, gy, a in carrying(points, lander.support):
             tilts.append(math.atan(math.hypot(gx, gy)))
             rises.append(np.nanmax(h[rr, cc] - a - gx * (cc - c) * CELL - gy * (rr - r) * CELL))
     return max(tilts), max(rises)
 
 
-def test_feet_agree_with_the_definition_at_every_heading() -> None:
+SQUARE = ((0.3, 0.3), (0.3, -0.3), (-0.3, 0.3), (-0.3, -0.3))
+FIVE = ((0.35, 0.0), (0.1, 0.3), (0.1, -0.3), (-0.3, 0.2), (-0.3, -0.2))
+
+
+@pytest.mark.parametrize("support", ["resting", "any"])
+@pytest.mark.parametrize(("feet", "contact"), [(SQUARE, "highest"), (SQUARE, "mean"), (FIVE, "highest")])
+def test_feet_agree_with_the_definition_at_every_heading(feet: object, contact: str, support: str) -> None:
     h = rough_ground(4, 0.004)
-    square = ((0.3, 0.3), (0.3, -0.3), (-0.3, 0.3), (-0.3, -0.3))
-    lander = Lander(radius=0.4, feet=square, foot_radius=0.11, belly_clearance=0.12, headings=5)
+    gear = {"feet": feet, "foot_radius": 0.11, "foot_contact": contact, "support": support}
+    lander = Lander(radius=0.4, belly_clearance=0.12, headings=5, **gear)  # type: ignore[arg-type]
     fp = footprint_of(h, lander.radius, CELL)
-    tilt, rise = gear_contact(h, fp, np.zeros(SHAPE, bool), lander, CELL)
+    tilt, rise = gear_contact(h, fp, np.zeros(SHAPE, bool), lander, CELL, spare=0.05)
     judged = 0
     for r in range(SHAPE[0]):
         for c in range(SHAPE[1]):
@@ -120,8 +145,25 @@ def test_feet_agree_with_the_definition_at_every_heading() -> None:
             assert_allclose(tilt[r, c], want_tilt, atol=1e-4)
             if math.isfinite(want_rise):
                 judged += 1
-                assert (rise[r, c] > 0.12) == (want_rise > 0.12) or abs(want_rise - 0.12) < 1e-5
+                assert_allclose(np.clip(rise[r, c], 0.07, 0.17), np.clip(want_rise, 0.07, 0.17), atol=1e-4)
     assert judged > 50
+
+
+def test_a_lander_that_looks_the_same_is_judged_once() -> None:
+    assert len(unlike_directions(8, np.array(SQUARE))) == 2
+    assert len(unlike_directions(20, np.array(SQUARE))) == 5
+    assert len(unlike_directions(8, np.array(FIVE))) == 8
+    assert len(unlike_directions(7, np.array(SQUARE))) == 7  # a quarter turn is none of the seven
+
+
+@pytest.mark.parametrize("radius", [0.0, 1.0, 4.0, 7.07, 18.3])
+def test_blocks_cover_the_disc(radius: float) -> None:
+    spans = disc_spans(radius)
+    n = spans.size // 2
+    covered = np.zeros((2 * n + 9, 2 * n + 9), bool)
+    for r, c in block_starts(spans, 4):
+        covered[r + n : r + n + 4, c + n : c + n + 4] = True
+    assert covered[: 2 * n + 1, : 2 * n + 1][disc_mask(spans) > 0].all()
 
 
 def resting_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> float:
@@ -150,14 +192,28 @@ def test_the_tilt_of_skids_bounds_that_of_the_lander_at_rest() -> None:
     assert np.isnan(tilt[0, 0])  # a rail off the map
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_rail_settles_on_the_lowest_line_above_its_profile(seed: int) -> None:
+@pytest.mark.parametrize("seed", range(8))
+def test_rails_settle_where_the_lander_lies_lowest(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    along, profile = np.linspace(-4, 4, 9), rng.normal(0, 1, 9)
-    level, slope = rail_support(along, profile)
-    got = linprog([1, 0], A_ub=-np.column_stack([np.ones(9), along]), b_ub=-profile, bounds=[(None, None)] * 2)
-    assert_allclose(level, got.x[0], atol=1e-9)
-    assert (level + slope * along >= profile - 1e-9).all()
+    along, left, right = np.linspace(-4, 4, 9), rng.normal(0, 1, 9), rng.normal(0, 1, 9)
+    low, high = resting_pitch(along, left, right)
+    rails = np.concatenate([left, right])
+    lever = -np.tile(along, 2)
+    select = np.kron(np.eye(2), np.ones((9, 1)))
+    A = -np.column_stack([select, -lever])
+    got = linprog([1, 1, 0], A_ub=A, b_ub=-rails, bounds=[(None, None)] * 3)
+    for pitch in (low, high):
+        assert_allclose((left - pitch * along).max() + (right - pitch * along).max(), got.fun, atol=1e-4)
+    assert low <= high
+    assert low - 1e-4 <= got.x[2] <= high + 1e-4
+
+
+def test_a_lander_rocks_over_mirrored_bumps() -> None:
+    along = np.linspace(-4, 4, 9)
+    left, right = np.where(along == 2, 1.0, 0.0), np.where(along == -2, 1.0, 0.0)
+    low, high = resting_pitch(along, left, right)
+    # f = max(1 - 2 b, 4 |b|) + max(1 + 2 b, 4 |b|) is level at 2 as far as 1 - 2 |b| >= 4 |b|
+    assert_allclose([low, high], [-1 / 6, 1 / 6], atol=1e-4)
 
 
 def flooded_by_queue(surface: np.ndarray, outlet: np.ndarray) -> np.ndarray:

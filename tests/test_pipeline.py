@@ -64,10 +64,11 @@ def errors(elevation: ElevationMap) -> np.ndarray:
     """Found less true height of every cell; NaN where nothing was found or the world ends."""
     f, _ = flight()
     x, y = np.meshgrid(*elevation.grid.xy())
-    g = f.world.grid
+    whole = f.world.truth()
+    g = whole.grid
     row, col = (np.round(k).astype(int) for k in g.index(x, y))
     inside = (row >= 0) & (row < g.rows) & (col >= 0) & (col < g.cols)
-    truth = np.where(inside, f.world.height[row.clip(0, g.rows - 1), col.clip(0, g.cols - 1)], np.nan)
+    truth = np.where(inside, whole.height[row.clip(0, g.rows - 1), col.clip(0, g.cols - 1)], np.nan)
     return np.asarray(elevation.height - truth)
 
 

@@ -1,18 +1,17 @@
 """Rays, noise, light: exact against closed forms and plain NumPy twins; pictures do not depend on threads."""
 
-import dataclasses
-
 import numba
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from alight.geometry import Camera, Grid, LocalFrame, Pose
+from alight.geometry import Camera, Grid, Pose
 from alight.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
-from alight.kernels.raycast import cast_ray, cast_rays, max_pyramid, shadow_margin
+from alight.kernels.raycast import cast_ray, cast_rays, max_pyramid
 from alight.records import Terrain
-from alight.simulate import Imaging, Sun, World
 from alight.simulate.cameras import Eye
+from alight.simulate.light import Light
+from alight.simulate.world import world_of
 
 LENSES = {
     "none": Camera(96, 72, 72.0, 71.0, 48.3, 36.1),
@@ -22,13 +21,12 @@ LENSES = {
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
-def make_world(surface, side=60.0, cell=0.1, kind=Terrain.SHORT_GRASS):
+def make_world(surface, side=60.0, cell=0.1, kind=Terrain.SHORT_GRASS, **more):
     n = round(side / cell) + 1
     grid = Grid(-side / 2, side / 2, cell, n, n)
     x, y = grid.xy()
     height = np.asarray(surface(*np.meshgrid(x, y)), np.float32)
-    label = np.full(grid.shape, kind, np.uint8)
-    return World("test", "", 0, LocalFrame(47.0, 13.0, 500.0), grid, height, label, np.zeros_like(height), Sun())
+    return world_of(grid, height, np.full(grid.shape, kind, np.uint8), **more)
 
 
 def tilted(east=1.3, north=-2.1, up=20.0):
@@ -40,7 +38,7 @@ def tilted(east=1.3, north=-2.1, up=20.0):
 
 def look(world, camera, pose):
     """Depth and world points of all pixels."""
-    eye = Eye(camera, Imaging())
+    eye = Eye(camera)
     depth = eye.depth(world, pose)
     return depth, pose.apply(eye.rays[0].astype(np.float64) * depth[..., None])
 
@@ -81,12 +79,13 @@ def test_sphere_bump_is_hit_where_the_sphere_is():
 
 
 def subpixel_depth(world, camera, pose, pixels):
-    to_grid = np.diag([1 / world.grid.cell, -1 / world.grid.cell, 1.0])
-    row, col = world.grid.index(*pose.translation[:2])
+    patch = world.patch(world.extent)
+    to_grid = np.diag([1 / world.cell, -1 / world.cell, 1.0])
+    row, col = patch.grid.index(*pose.translation[:2])
     out = np.empty((1, len(pixels)))
-    origins, low = np.array([[float(col), float(row), pose.translation[2]]]), float(world.height.min())
+    origins, low = np.array([[float(col), float(row), pose.translation[2]]]), patch.low
     cast_rays(
-        world.height, *world.pyramid, origins, camera.rays(pixels)[None], (to_grid @ pose.rotation)[None], low, out
+        patch.height, *patch.pyramid, origins, camera.rays(pixels)[None], (to_grid @ pose.rotation)[None], low, out
     )
     return out[0]
 
@@ -96,7 +95,8 @@ def test_step_edge_lies_where_projection_says_to_a_fiftieth_of_a_pixel(lens):
     world = make_world(lambda x, y: np.where(x > 3.95, 2.0, 0.0))
     pose, camera = tilted(east=0.0, north=0.0), LENSES[lens]
     north = np.linspace(-5, 5, 21)
-    brink = world.grid.xy()[0][np.argmax(world.height[0] > 1.0)]
+    truth = world.truth()
+    brink = truth.grid.xy()[0][np.argmax(truth.height[0] > 1.0)]
     edge = camera.project(pose.inverse.apply(np.stack([np.full(21, brink), north, np.full(21, 2.0)], -1)))
     # which way over the picture leads to the east
     beyond = camera.project(pose.inverse.apply(np.stack([np.full(21, brink + 0.1), north, np.full(21, 2.0)], -1)))
@@ -184,30 +184,14 @@ def test_rays_that_see_no_ground_miss():
 
 
 def test_shadow_of_a_wall_is_as_long_as_the_sun_says():
-    world = make_world(lambda x, y: np.where(np.abs(y) < 0.26, 2.0, 0.0), side=12.0)
-    world = dataclasses.replace(world, sun=Sun(azimuth=np.pi, elevation=np.radians(45.0)))  # from the south
-    margin = world.light[:, 60, 2]
-    _, north = world.grid.xy()
+    light = Light(azimuth_deg=180.0, elevation_deg=45.0)  # from the south
+    world = make_world(lambda x, y: np.where(np.abs(y) < 0.26, 2.0, 0.0), side=12.0, light=light)
+    patch = world.patch(world.extent)
+    margin = patch.light[:, patch.grid.cols // 2, 2]
+    _, north = patch.grid.xy()
     shadow = (margin < 0) & (np.abs(north) > 0.35)
     assert north[shadow].min() > 0.3
     assert north[shadow].max() == pytest.approx(0.2 + 2.0, abs=0.11)
-
-
-def test_shadow_margin_agrees_with_numpy():
-    rng = np.random.default_rng(5)
-    height = rng.uniform(0, 1, (12, 15)).astype(np.float32)
-    step, limit = np.array([0.7, -0.6, 0.08]), 2.0
-    out = np.empty_like(height)
-    shadow_margin(height, float(height.max()), step, limit, out)
-    for r in range(12):
-        for c in range(15):
-            k = np.arange(1, 60)
-            x, y, z = c + k * step[0], r + k * step[1], float(height[r, c]) + k * step[2]
-            used = (x >= 0) & (y >= 0) & (x <= 14) & (y <= 11) & (z - step[2] < height.max())
-            used &= np.cumprod(used).astype(bool)
-            h = map_coordinates(height.astype(float), [y, x], order=1, mode="nearest")
-            expected = min([limit, *(z - h)[used]])
-            assert out[r, c] == pytest.approx(max(expected, -limit), abs=1e-6)
 
 
 def hash_twin(i, j, seed):
@@ -258,7 +242,7 @@ def test_hash_repeats_nowhere_near_and_uses_all_bits():
 
 
 def draw(world, height, seconds=0.0, camera=LENSES["radtan"]):
-    return Eye(camera, Imaging()).radiance(world, tilted(up=height), seconds)
+    return Eye(camera).radiance(world, tilted(up=height), seconds)
 
 
 @pytest.fixture(scope="module")
@@ -277,10 +261,10 @@ def test_picture_does_not_depend_on_threads(meadow):
 
 
 def test_water_moves_and_ground_does_not(meadow):
-    pond = dataclasses.replace(
-        meadow, label=np.full_like(meadow.label, Terrain.WATER), depth=np.full_like(meadow.depth, 0.5)
-    )
-    assert np.array_equal(draw(meadow, 10.0, 0.0), draw(meadow, 10.0, 0.1))
+    truth = meadow.truth()
+    pond = world_of(truth.grid, truth.height, np.full_like(truth.label, Terrain.WATER), np.full_like(truth.height, 0.5))
+    road = world_of(truth.grid, truth.height, np.full_like(truth.label, Terrain.PAVED))
+    assert np.array_equal(draw(road, 10.0, 0.0), draw(road, 10.0, 0.1))
     a, b = draw(pond, 10.0, 0.0), draw(pond, 10.0, 0.1)
     assert (np.abs(a - b) / a.mean() > 0.01).mean() > 0.5
 
@@ -290,7 +274,7 @@ def test_texture_is_fixed_to_the_ground():
     flat = make_world(lambda x, y: 0.0 * x, side=40.0)
     camera = LENSES["none"]
     a, b = Pose(DOWN, np.array([0.0, 0.0, 14.4])), Pose(DOWN, np.array([2.0, 1.0, 14.4]))
-    eye = Eye(camera, Imaging())
+    eye = Eye(camera)
     first, second = (eye.radiance(flat, p, 0.0)[..., 1] for p in (a, b))
     u, v = np.meshgrid(np.arange(96.0), np.arange(72.0))
     points = a.apply(camera.rays(np.stack([u, v], -1)) * 14.4)
@@ -308,16 +292,5 @@ def test_texture_is_band_limited_by_the_pixel():
     """One ray a pixel is near enough to four: no sparkle that a lens would not show."""
     flat = make_world(lambda x, y: 0.0 * x, side=100.0, cell=0.2)
     pose = Pose(DOWN, np.array([0.0, 0.0, 30.0]))
-    one, four = (Eye(LENSES["none"], Imaging(samples=n)).radiance(flat, pose, 0.0) for n in (1, 4))
+    one, four = (Eye(LENSES["none"], n).radiance(flat, pose, 0.0) for n in (1, 4))
     assert np.std(one - four) < 0.5 * np.std(four)
-
-
-def test_exposure_is_bounded_and_seeded():
-    eye = Eye(LENSES["none"], Imaging())
-    light = np.full((72, 96, 3), 0.25, np.float32)
-    a, b, c = (eye.expose(light, np.random.default_rng(s)) for s in (1, 1, 2))
-    assert np.array_equal(a, b)
-    assert not np.array_equal(a, c)
-    assert a.dtype == np.uint8
-    assert a[36, 40:56].mean() == pytest.approx(255 * (0.25 * 1.25) ** (1 / 2.2), abs=1.5)
-    assert eye.expose(light * 100, np.random.default_rng(1)).min() >= 245

@@ -89,18 +89,29 @@ def test_features_are_spread_and_bounded(ground: np.ndarray) -> None:
         assert len(np.unique(tracks.ids)) == len(tracks.ids)
 
 
-def test_a_long_way_needs_the_predicted_motion(ground: np.ndarray) -> None:
-    """110 px between two exposures: the prediction finds the features, without it the search bound refuses them."""
+@pytest.mark.parametrize("cameras", [1, 2])
+@pytest.mark.parametrize("predicted", [True, False])
+def test_a_long_way_is_followed(ground: np.ndarray, predicted: bool, cameras: int) -> None:
+    """110 px between two exposures, one camera or two, with a prediction and without: the shift of the whole picture,
+    or with one camera the depth of the ground, is found first."""
     there, here = pose(0.0), pose(7.3)
+    tracker = Tracker(Rig(RIG.cameras[:cameras]), SETTINGS)
+    seen = []
+    for k, p in enumerate((there, here)):
+        whole = frame(ground, k, p)
+        seen.append(tracker.feed(Frame(k, whole.images[:cameras]), poses(p)[:cameras] if predicted else None))
+    both, a, b = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
+    assert len(both) > 25
+    assert np.median(np.abs(seen[1].pixels[b, 0] - carried(seen[0].pixels[a, 0], there, here))) < 0.1
 
-    def kept(predicted: bool) -> int:
-        tracker = Tracker(RIG, SETTINGS)
-        first = tracker.feed(frame(ground, 0, there), poses(there) if predicted else None)
-        second = tracker.feed(frame(ground, 1, here), poses(here) if predicted else None)
-        return len(np.intersect1d(first.ids, second.ids))
 
-    assert kept(True) > 25
-    assert kept(False) < 5
+def test_half_a_turn_that_nobody_predicted_is_found(ground: np.ndarray) -> None:
+    tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(3.0, 1.0, np.pi)
+    first = tracker.feed(frame(ground, 0, there), poses(there))
+    second = tracker.feed(frame(ground, 1, here), poses(pose(3.0, 1.0)))
+    both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
+    assert len(both) > 20
+    assert np.median(np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here))) < 0.15
 
 
 def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None:

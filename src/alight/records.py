@@ -130,6 +130,9 @@ class Motion:
     velocity_world: F64 | None = None  # (3,) m/s
     state: MotionState = MotionState.GOOD
     tracks: int = 0  # features that supported it
+    offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
+    why: str = ""  # it is not GOOD
+    map: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,11 +47,14 @@ class Tracks(_Model):
 class Filter(_Model):
     """The structure-from-motion filter, and its smoother."""
 
-    points: int = Field(80, ge=4, description="points held in the state")
+    points: int = Field(40, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
     pixel_sigma: Positive = Field(0.5, description="px, 1-sigma of a track on ground of the reference texture")
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
+    vague_share: Positive = Field(
+        0.2, description="sigma of the depth over depth, above which a feature measures nothing"
+    )
     keyframe_baseline: Positive = Field(0.02, description="baseline over depth between the poses held")
     nav_position_tau: Positive = Field(60.0, description="s, correlation time of the GPS/INS position error")
     nav_attitude_tau: Positive = Field(120.0, description="s, correlation time of the GPS/INS attitude error")
@@ -75,7 +78,9 @@ class Filter(_Model):
     accelerometer_noise: Positive = Field(3e-3, description="m/s^2 per sqrt(Hz)")
     accelerometer_walk: Positive = Field(3e-4, description="m/s^3 per sqrt(Hz)")
     accelerometer_bias_sigma: Positive = Field(0.2, description="m/s^2, 1-sigma of the accelerometer bias at the start")
-    mounting_sigma: NonNegative = Field(0.0, description="rad, camera mounting against the INS; 0 holds it")
+    mounting_sigma: NonNegative | None = Field(
+        None, description="rad, camera mounting against the INS; 0 holds it; None: 0.03 for photos, held in flights"
+    )
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
     smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
@@ -163,6 +168,12 @@ class Lander(_Model):
     belly_clearance: Positive | None = Field(None, description="m between the feet and the belly")
     feet: tuple[tuple[float, float], ...] | None = Field(None, description="(forward, left) of each foot, m")
     foot_radius: NonNegative = Field(0.0, description="m")
+    foot_contact: Literal["highest", "mean"] = Field(
+        "highest", description="ground that carries a foot: the highest cell under it, or their mean where it sinks in"
+    )
+    support: Literal["resting", "any"] = Field(
+        "resting", description="planes judged: those the lander can rest or rock on, or any three feet (stricter)"
+    )
     skids: tuple[float, float] | None = Field(None, description="length and distance between two skids, m")
     max_step: Positive | None = Field(None, description="m, between neighbouring cells; None: roughness alone")
     rotor_radius: Positive | None = Field(None, description="m; None: the footprint radius")
@@ -196,6 +207,8 @@ class Hazards(_Model):
     min_landable: Fraction = Field(0.5, description="terrain below this probability is refused")
     tilt_sigma: NonNegative = Field(0.003, description="rad, 1-sigma of the map's common tilt")
     noise_length: NonNegative = Field(0.4, description="m over which neighbouring heights share their noise")
+    usual_sigma: NonNegative = Field(0.03, description="m, 1-sigma of heights of a raster that does not say (hazards)")
+    hidden_hazard: Fraction = Field(0.25, description="probability that a footprint nobody saw would hide a hazard")
 
 
 class SitesSettings(_Model):

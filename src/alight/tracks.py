@@ -24,6 +24,14 @@ Poses = tuple[Pose, ...]
 _BORDER = 4  # px; nearer to the edge the SSD window hangs over it
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
 _LEAST = 12  # features that a common turn of the image is told from
+_SMALL = 160  # px, about the shorter side of a picture shrunk to be looked at as a whole
+_SWEEP_STEP = 0.12  # of the logarithm of depth
+_FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
+_OVERLAP = 0.2  # share of the image that two pictures must have in common in it
+_FEW = 0.1  # share of the features found below which the prediction is doubted
+_TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried then
+_REACH = 160  # px, at most
+_PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
 _PER_CELL = 3  # features that may run together in one cell of the grid before the younger are dropped
 
 
@@ -110,11 +118,51 @@ class Tracker:
         m = self._memory
         if m is None or not len(m.ids):
             return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
-        guess = self._predicted(m, prediction)
-        then, start = turned(m.image, m.pixels, guess)
-        pixels, good = self._match(then, image, start, guess, self._cameras[0])
+        now_from_then = prediction[0].inverse @ m.poses[0] if prediction and m.poses else None
+        if now_from_then is None:
+            guess = _found_again(m.image, image, m.pixels, (0.0,))
+        else:
+            depth = m.depth if np.isfinite(m.depth).any() else self._swept(m, image, now_from_then)
+            guess = self._transfer(m.pixels, depth, now_from_then, self._cameras[0])
+            if np.linalg.norm(guess - m.pixels, axis=1).mean() > _FAR:
+                guess = guess + _common_shift(m.image, image, m.pixels, guess)
+        pixels, good = self._matched(m, image, guess)
+        if good.mean() < _FEW:  # the prediction may be wrong as a whole
+            other = self._matched(m, image, _found_again(m.image, image, m.pixels, _TURNS))
+            pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= _spread(m.ids, pixels, good, self._cell)
-        return m.ids[good], pixels[good], m.depth[good]
+        depth = self._carried(m, pixels, now_from_then) if now_from_then is not None else m.depth
+        return m.ids[good], pixels[good], depth[good]
+
+    def _matched(self, m: _Memory, image: U8, guess: F32) -> tuple[F32, Mask]:
+        then, start = turned(m.image, m.pixels, guess)
+        return self._match(then, image, start, guess, self._cameras[0])
+
+    def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
+        """One depth for all features when none is known: the plane across the view that makes the pictures agree (M1c).
+
+        Without it a camera alone could not be followed over the 127 px between two photos.
+        """
+        way, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
+        least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
+        shifts = np.geomspace(least, most, int(np.log(most / least) / _SWEEP_STEP))
+        if way * camera.fu < least:
+            return m.depth
+        small, now = _shrunken(m.image), _shrunken(image)
+        scores = [
+            _agreement(small, now, m.pixels, self._transfer(m.pixels, depth, now_from_then, camera), _factor(image))
+            for depth in (np.full(len(m.ids), way / s) for s in shifts)
+        ]
+        return np.full(len(m.ids), way / shifts[int(np.argmax(scores))])
+
+    def _carried(self, m: _Memory, pixels: F32, now_from_then: Pose) -> F64:
+        """Depths in the present view: by parallax where there is enough, else the old ones carried on."""
+        camera = self._cameras[0]
+        then, now = normalise(camera, m.pixels.astype(np.float64)), normalise(camera, pixels.astype(np.float64))
+        w, arm = inverse_depth(then, now, now_from_then)
+        z = np.where(w * arm * camera.fu > _PARALLAX, 1.0 / np.maximum(w, 1e-9), m.depth)
+        points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
+        return np.asarray(now_from_then.apply(points)[:, 2])
 
     def _flow(self, a: U8, b: U8, pixels: F32, guess: F32, levels: int) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
@@ -123,13 +171,6 @@ class Tracker:
             a, b, pixels, guess.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
         return np.asarray(there), np.asarray(ok[:, 0] > 0)
-
-    def _predicted(self, m: _Memory, prediction: Poses | None) -> F32:
-        """Where the features should be now (M1): their stereo depth carried by the predicted motion."""
-        if prediction is None or m.poses is None:
-            return m.pixels.copy()
-        now_from_then = prediction[0].inverse @ m.poses[0]
-        return self._transfer(m.pixels, m.depth, now_from_then, self._cameras[0])
 
     def _transfer(self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera) -> F32:
         """Take pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
@@ -213,6 +254,73 @@ def turned(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
     # linear as the matching itself samples: cubic doubles the drift; cv2.warpAffine rounds places to 1/32 px
     warped = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
+
+
+def _common_shift(then: U8, now: U8, pixels: F32, guess: F32) -> F32:
+    """Return the (2,) px that all guesses are off by alike: a degree of tilt is 34 px, more than a search may bound."""
+    a, b = _shrunken(then), _shrunken(now)
+    k = _factor(now)
+    warped, there = _warped(a, b, pixels, guess, k)
+    r = _REACH // k
+    if there.mean() < _OVERLAP or min(a.shape) <= 4 * r:
+        return np.zeros(2, np.float32)
+    high = [_high(warped), _high(b)]
+    inner = high[0][r:-r, r:-r] * there[r:-r, r:-r]
+    score = cv2.matchTemplate(high[1], inner, cv2.TM_CCORR_NORMED, mask=there[r:-r, r:-r].astype(np.float32))
+    y, x = np.unravel_index(int(np.argmax(score)), score.shape)
+    return np.array([(x - r) * k, (y - r) * k], np.float32)
+
+
+def _found_again(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
+    """Where (N, 2) pixels of one picture are in another of which nothing is known: turned about the axis and shifted.
+
+    Phase correlation of shrunken pictures; the turn whose peak is the highest.
+    """
+    middle = (np.array([then.shape[1], then.shape[0]], np.float64) - 1.0) / 2.0
+    k, a, b = _factor(now), _shrunken(then), _shrunken(now)
+    window = cv2.createHanningWindow((b.shape[1], b.shape[0]), cv2.CV_32F)
+    best, found = -1.0, pixels
+    for turn in turns:
+        R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        guess = ((pixels - middle) @ R.T + middle).astype(np.float32)
+        warped, _ = _warped(a, b, pixels, guess, k)
+        shift, peak = cv2.phaseCorrelate(_high(warped), _high(b), window)
+        if peak > best:
+            best, found = peak, guess + np.array(shift, np.float32) * k
+    return found.astype(np.float32)
+
+
+def _high(image: U8) -> F32:
+    """A picture less its slow changes."""
+    x = image.astype(np.float32)
+    return np.asarray(x - cv2.GaussianBlur(x, (0, 0), 4.0), dtype=np.float32)
+
+
+def _factor(image: U8) -> int:
+    return max(1, round(int(min(image.shape)) / _SMALL))
+
+
+def _shrunken(image: U8) -> U8:
+    k = 1.0 / _factor(image)
+    return np.asarray(cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA))
+
+
+def _warped(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> tuple[U8, Mask]:
+    """A shrunken picture under the affine map from `pixels` to `guess` (full size), and where it has something."""
+    a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, guess))
+    affine = np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T
+    size = (now.shape[1], now.shape[0])
+    there = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
+    return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(there)
+
+
+def _agreement(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> float:
+    """Correlation of two shrunken pictures where the affine map from `pixels` to `guess` (full size) overlaps them."""
+    warped, there = _warped(then, now, pixels, guess, factor)
+    if there.mean() < _OVERLAP:
+        return -1.0
+    x, y = warped[there].astype(np.float64), now[there].astype(np.float64)
+    return float(np.corrcoef(x, y)[0, 1]) if x.std() > 0 and y.std() > 0 else -1.0
 
 
 def strength(image: U8, pixels: F32, window_px: int) -> F64:

@@ -19,7 +19,7 @@ from alight.hazards.contact import (
     step_of,
 )
 from alight.hazards.known import judged_height
-from alight.hazards.probability import mean_near, safe_probability
+from alight.hazards.probability import Margins, mean_near, safe_probability
 from alight.records import F32, U8, ElevationMap, Hazard, HazardMap, TerrainMap
 from alight.settings import Hazards, Lander
 
@@ -35,6 +35,7 @@ class _Findings:
     step: F32
     edge: Bool
     unknown: Bool
+    rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
     blocked: Bool  # something stands in the belly's or rotor's way
     vetoed: Bool
 
@@ -46,21 +47,30 @@ def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int])
     return terrain.landable < settings.min_landable
 
 
-def _find(height: F32, terrain: TerrainMap | None, lander: Lander, settings: Hazards, cell: float) -> _Findings:
+def _find(
+    height: F32, terrain: TerrainMap | None, spare: float, lander: Lander, settings: Hazards, cell: float
+) -> _Findings:
     fp = footprint_of(height, lander.radius, cell)
     edge = near_edge(height.shape, lander.radius, cell)
     unknown = np.isnan(height) | np.isnan(fp.level) | (fp.unknown > settings.unknown_share)
-    blocked, slope = np.zeros_like(edge), fp.slope
+    blocked, slope, rise = np.zeros_like(edge), fp.slope, None
     if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
         blocked |= rotor_rise(height, fp, lander, cell) > lander.rotor_rise
         unknown |= share_near(np.isnan(height), lander.rotor_radius, cell) > settings.unknown_share
         edge |= near_edge(height.shape, lander.rotor_radius, cell)
     if lander.has_gear:
-        slope, rise = gear_contact(height, fp, edge | unknown, lander, cell)
+        slope, rise = gear_contact(height, fp, edge | unknown, lander, cell, spare)
         unknown |= np.isnan(slope) & ~edge
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
+        rise = None if lander.belly_clearance is None else rise
     vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
-    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, blocked, vetoed)
+    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed)
+
+
+def _spare(sigma: F32) -> float:
+    """How near to the belly's clearance the rise is wanted in numbers, metres: beyond, the odds are settled."""
+    known = sigma[np.isfinite(sigma)]
+    return 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0
 
 
 def _reasons(f: _Findings, lander: Lander) -> U8:
@@ -124,11 +134,12 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
         raise ValueError("terrain and elevation must share one grid")
     cell = elevation.grid.cell
     height = judged_height(elevation, lander, settings)
-    found = _find(height, terrain, lander, settings, cell)
-    reasons = _reasons(found, lander)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
-    p = safe_probability(found.footprint, found.slope, sigma, lander, settings, cell)
+    found = _find(height, terrain, _spare(sigma), lander, settings, cell)
+    reasons = _reasons(found, lander)
+    margins = Margins(found.footprint, found.slope, found.rise, sigma, None)
+    p = safe_probability(margins, lander, settings, cell)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))
     reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.hazards.footprint import disc_mask, disc_spans, feet_of, padded_spans, skids_of
+from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, padded_spans, skids_of
 from alight.kernels import contact as gear
 from alight.kernels import hazards as kernels
 from alight.records import F32
@@ -28,6 +28,7 @@ class Footprint:
     grad_r: F32  # metres a row
     slope: F32  # rad
     roughness: F32  # metres, largest deviation (G2)
+    above: F32  # metres, the highest ground over the plane
     scatter: F32  # metres, 1-sigma of the deviations
     count: F32  # known cells
 
@@ -37,17 +38,16 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     spans = disc_spans(radius / cell)
     sums = np.empty((6, height.shape[0], height.shape[1] + 1))
     kernels.row_sums(height, sums)
-    count, level, grad_c, grad_r, largest, squares = (np.empty_like(height) for _ in range(6))
+    count, level, grad_c, grad_r, above, below, squares = (np.empty_like(height) for _ in range(7))
     kernels.fit_planes(sums, spans, count, level, grad_c, grad_r, squares)
-    kernels.deviations(height, level, grad_c, grad_r, spans, largest)
+    kernels.deviations(height, level, grad_c, grad_r, spans, above, below)
     judged = np.isfinite(level)
     slope = np.arctan(np.hypot(grad_c, grad_r) / np.float32(cell))
     scatter = np.sqrt(squares / np.maximum(count - 3, 1))
     unknown = 1 - count / np.float32(disc_mask(spans).sum())
     nan = np.float32(np.nan)
-    return Footprint(
-        unknown, level, grad_c, grad_r, slope, np.where(judged, largest, nan), np.where(judged, scatter, nan), count
-    )
+    rough, above, scatter = (np.where(judged, a, nan) for a in (np.maximum(above, -below), above, scatter))
+    return Footprint(unknown, level, grad_c, grad_r, slope, rough, above, scatter, count)
 
 
 def step_of(height: F32, radius: float, cell: float) -> F32:
@@ -71,31 +71,64 @@ def rotor_rise(height: F32, footprint: Footprint, lander: Lander, cell: float) -
     return rise
 
 
-def gear_contact(height: F32, footprint: Footprint, skip: Bool, lander: Lander, cell: float) -> tuple[F32, F32]:
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """What the contact kernels read, heights in cells."""
+
+    ground: F32  # (R, C), +inf where unknown
+    body: F32  # (R + 2 pad, C + 2 pad), -inf where unknown and off the map
+    tops: F32  # like `body`: highest cell of the block that starts there
+    own: F32  # (4, R, C) the footprint's plane and the highest ground above it
+    spans: NDArray[np.int64]
+    blocks: NDArray[np.int64]
+
+
+def _ground_of(height: F32, footprint: Footprint, lander: Lander, cell: float) -> _Ground:
+    scale = np.float32(1 / cell)
+    known = np.isfinite(height)
+    spans = disc_spans(lander.radius / cell)
+    pad = spans.size // 2 + gear.BLOCK
+    body = np.pad(np.where(known, height * scale, np.float32(-np.inf)), pad, constant_values=-np.inf)
+    block = np.ones((gear.BLOCK, gear.BLOCK), np.uint8)
+    tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
+    own = np.stack(
+        [footprint.level * scale, footprint.grad_c * scale, footprint.grad_r * scale, footprint.above * scale]
+    )
+    ground = np.where(known, height * scale, np.float32(np.inf))
+    return _Ground(ground, body, np.asarray(tops), own, spans, block_starts(spans, gear.BLOCK))
+
+
+def gear_contact(
+    height: F32, footprint: Footprint, skip: Bool, lander: Lander, cell: float, spare: float = 0.0
+) -> tuple[F32, F32]:
     """Rest feet or skids on the ground at every heading (G4, G5).
+
+    Args:
+        height: (R, C) metres, NaN = unknown.
+        footprint: its planes.
+        skip: (R, C) cells whose answer is not wanted.
+        lander: its gear.
+        cell: metres.
+        spare: metres about the belly clearance within which the rise is wanted in numbers.
 
     Returns:
         The worst tilt (R, C) rad, and the worst rise of the ground above the contact plane under the body, metres
-        (where it is below the belly clearance only a bound). NaN where a foot or rail would stand on unknown ground,
-        and where `skip` says that the answer is not wanted.
+        (exact within `spare` of the belly clearance, elsewhere only on which side). NaN where a foot or rail would
+        stand on unknown ground, and where `skip` holds.
     """
-    in_cells = [
-        np.ascontiguousarray(a / np.float32(cell))
-        for a in (height, footprint.level, footprint.grad_c, footprint.grad_r, footprint.roughness)
-    ]
-    spare = math.inf if lander.belly_clearance is None else lander.belly_clearance / cell
+    g = _ground_of(height, footprint, lander, cell)
+    clearance = math.inf if lander.belly_clearance is None else lander.belly_clearance
+    limits = ((clearance - spare) / cell, (clearance + spare) / cell)
     tilt, rise = np.empty_like(height), np.empty_like(height)
-    spans = disc_spans(lander.radius / cell)
     if lander.feet is not None:
         f = feet_of(lander, cell)
-        gear.feet_contact(
-            in_cells[0], skip, *in_cells[1:], f.xy, f.offsets, f.starts, f.triples, spans, spare, tilt, rise
-        )
+        feet = (f.xy, f.solve, f.offsets, f.starts, f.triples, g.spans, g.blocks, limits)
+        how = (lander.foot_contact == "mean", lander.support == "any")
+        gear.feet_contact(g.ground, g.body, g.tops, skip, g.own, *feet, *how, tilt, rise)
     else:
         s = skids_of(lander, cell)
-        gear.skid_contact(
-            in_cells[0], skip, *in_cells[1:], s.axes, s.offsets, s.along, s.gauge, spans, spare, tilt, rise
-        )
+        skids = (s.axes, s.offsets, s.along, s.gauge, g.spans, g.blocks, limits)
+        gear.skid_contact(g.ground, g.body, g.tops, skip, g.own, *skids, tilt, rise)
     return np.arctan(tilt), rise * np.float32(cell)
 
 

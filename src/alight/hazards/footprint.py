@@ -49,6 +49,28 @@ def directions(headings: int) -> F64:
     return np.stack([np.sin(angle), -np.cos(angle)], axis=1)
 
 
+def unlike_directions(headings: int, points: F64) -> F64:
+    """Those of `directions` at which the points (n, 2) (forward, left), metres, lie elsewhere than at an earlier one.
+
+    A lander that looks the same after a turn, as a square one does after a quarter, need not be judged twice.
+    """
+    kept: dict[bytes, F64] = {}
+    for ahead in directions(headings):
+        at = np.rint(1e6 * (points[:, :1] * ahead + points[:, 1:] * [ahead[1], -ahead[0]])) + 0.0
+        kept.setdefault(at[np.lexsort(at.T)].tobytes(), ahead)
+    return np.array(list(kept.values()))
+
+
+def block_starts(spans: I64, side: int) -> I64:
+    """(b, 2) (row, column) offsets of the blocks of `side` cells a side that cover the disc, the middle ones first."""
+    reach = spans.size // 2
+    rows = range(-reach, reach + 1, side)
+    widest = [max(int(spans[i + reach]) for i in range(r, min(r + side, reach + 1))) for r in rows]
+    starts = np.array([(r, c) for r, w in zip(rows, widest, strict=True) for c in range(-w, w + 1, side)])
+    nearest_first = np.argsort(np.hypot(*(starts + (side - 1) / 2).T), kind="stable")
+    return starts[nearest_first].astype(np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Feet:
     """The cells under each foot at each heading."""
@@ -57,6 +79,7 @@ class Feet:
     offsets: I64  # (n, 2) (row, column) of all those cells
     starts: I64  # (headings, feet + 1) where each foot's cells begin
     triples: I64  # (t, 3) feet that can carry the lander together
+    solve: F64  # (headings, t, 3, 3) from the heights of those three to their plane (level, per column, per row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +101,26 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
     return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
 
 
-def _triples(feet: F64) -> I64:
-    """Every three feet that span a tenth or more of the largest triangle: thinner ones carry nothing."""
+def _holds_centre(corners: F64) -> bool:
+    """Whether the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
+    weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
+    return bool((weights >= -1e-6).all())
+
+
+def _triples(feet: F64, any_three: bool) -> I64:
+    """Every three feet that can carry: no thinner than a tenth of the largest triangle, the lander's centre within."""
     every = list(combinations(range(len(feet)), 3))
     u, v = (np.array([feet[t[k]] - feet[t[0]] for t in every]) for k in (1, 2))
     area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-    return np.array([t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()], dtype=np.int64)
+    thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
+    held = [t for t in thick if _holds_centre(feet[list(t)])]
+    return np.array(thick if any_three or not held else held, dtype=np.int64)
+
+
+def _solves(xy: F64, triples: I64) -> F64:
+    """(headings, t, 3, 3): what takes three heights to the plane through them."""
+    corners = xy[:, triples]  # (headings, t, 3, 2)
+    return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 
 
 def feet_of(lander: Lander, cell: float) -> Feet:
@@ -94,7 +131,7 @@ def feet_of(lander: Lander, cell: float) -> Feet:
     offsets: list[I64] = []
     starts: list[I64] = []
     begin = 0
-    for ahead in directions(lander.headings):
+    for ahead in unlike_directions(lander.headings, np.array(lander.feet)):
         left = np.array([ahead[1], -ahead[0]])
         cells = [_cells_within(f * ahead + s * left, lander.foot_radius / cell) for f, s in body]
         ends = np.cumsum([len(c) for c in cells])
@@ -102,7 +139,8 @@ def feet_of(lander: Lander, cell: float) -> Feet:
         begin += int(ends[-1])
         offsets += cells
         xy.append(np.array([c[:, ::-1].mean(axis=0) for c in cells]))
-    return Feet(np.array(xy), np.concatenate(offsets), np.array(starts, dtype=np.int64), _triples(body))
+    centres, triples = np.array(xy), _triples(body, lander.support == "any")
+    return Feet(centres, np.concatenate(offsets), np.array(starts, dtype=np.int64), triples, _solves(centres, triples))
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:
@@ -110,7 +148,8 @@ def skids_of(lander: Lander, cell: float) -> Skids:
     assert lander.skids is not None
     length, gauge = lander.skids[0] / cell, lander.skids[1] / cell
     along = np.linspace(-length / 2, length / 2, max(3, 2 * math.ceil(length / 2) + 1))
-    axes = directions(lander.headings)
+    corners = 0.5 * np.array([(f, g) for f in (-1, 1) for g in (-1, 1)]) * lander.skids
+    axes = unlike_directions(lander.headings, corners)
     left = np.stack([axes[:, 1], -axes[:, 0]], axis=1)
     rails = [along[None, :, None] * axes[:, None] + side * gauge / 2 * left[:, None] for side in (1, -1)]
     offsets = np.round(np.stack(rails, axis=1)).astype(np.int64)[..., ::-1]

@@ -1,15 +1,16 @@
-"""How likely a touchdown meets every limit: first version, normal errors (docs/method-ground.md, section 3)."""
+"""How likely a touchdown meets every limit: normal errors (docs/method-hazards.md, section 3)."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.special import ndtr
 
 from alight.hazards.contact import Footprint
-from alight.hazards.footprint import disc_mask, disc_spans
+from alight.hazards.footprint import disc_mask, disc_spans, feet_of
 from alight.records import F32
 from alight.settings import Hazards, Lander
 
@@ -45,20 +46,57 @@ def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: Hazards
     return out
 
 
-def safe_probability(
-    footprint: Footprint, slope: F32, sigma: F32, lander: Lander, settings: Hazards, cell: float
-) -> F32:
-    """P(slope and roughness within the limits) at every cell (G7 to G9).
+def gear_lever(lander: Lander, cell: float, settings: Hazards) -> float:
+    """What 1 m of noise at each contact tilts a lander on feet or skids at its worst heading, 1/m (G8b).
 
-    Args:
-        footprint: the planes.
-        slope: (R, C) rad, the slope or the worst tilt of feet or skids.
-        sigma: (R, C) metres, root mean square height sigma in the footprint.
-        lander, settings: the limits.
-        cell: metres.
+    The noise of a foot that stands on the mean of its cells is shared by those that are independent.
     """
-    local = np.fmin(sigma, footprint.scatter)  # the part of the noise that the footprint does not share
-    p_slope = _below(lander.max_slope, slope, slope_sigma(footprint, sigma, cell, settings))
-    if lander.belly_clearance is not None and lander.has_gear:
-        return p_slope
-    return p_slope * _below(lander.max_roughness, footprint.roughness, local)
+    if lander.skids is not None:
+        return math.sqrt(2.0) / min(lander.skids)
+    gradients = feet_of(lander, cell).solve[:, :, 1:] / cell  # (headings, t, 2, 3)
+    worst = np.linalg.eigvalsh(gradients @ gradients.swapaxes(-1, -2)).max()
+    return math.sqrt(worst / _alone(lander, cell, settings))
+
+
+def _alone(lander: Lander, cell: float, settings: Hazards) -> float:
+    """Independent heights that one contact is the mean of."""
+    if lander.foot_contact == "highest":
+        return 1.0
+    return max(1.0, math.pi * lander.foot_radius**2 / max(settings.noise_length, cell) ** 2)
+
+
+def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: Hazards) -> F32:
+    """1-sigma of the tilt of feet or skids, rad (G8b)."""
+    lever = np.float32(gear_lever(lander, cell, settings))
+    out: F32 = np.sqrt((lever * sigma) ** 2 + np.float32(settings.tilt_sigma**2)).astype(np.float32)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """What a touchdown meets, (R, C) each; the probability is that of the limits being kept in truth."""
+
+    footprint: Footprint
+    slope: F32  # rad, of the footprint or the worst tilt of feet or skids
+    rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
+    sigma: F32  # metres, root mean square height sigma in the footprint
+    landable: F32 | None  # probability that the cover of the footprint may be landed on; None or NaN: not known
+
+
+def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float) -> F32:
+    """P(a touchdown keeps every limit) at every cell (G7 to G9): tilt, ground below, cover, and what was not seen."""
+    local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
+    if lander.has_gear:
+        tilt_sigma = gear_sigma(local, lander, cell, settings)
+    else:
+        tilt_sigma = slope_sigma(m.footprint, m.sigma, cell, settings)
+    p = _below(lander.max_slope, m.slope, tilt_sigma)
+    if m.rise is not None and lander.belly_clearance is not None:
+        rise_sigma = np.float32(math.sqrt(1 + 1 / _alone(lander, cell, settings))) * local
+        p *= _below(lander.belly_clearance, m.rise, rise_sigma)
+    else:
+        p *= _below(lander.max_roughness, m.footprint.roughness, local)
+    p *= 1 - np.float32(settings.hidden_hazard) * m.footprint.unknown
+    if m.landable is not None:
+        p *= np.nan_to_num(m.landable, nan=1.0)
+    return p

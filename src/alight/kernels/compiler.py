@@ -30,6 +30,8 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_dir()))
 
 import numba  # noqa: E402  (the environment must be set first)
 
+# who imported numba before us has it caching beside the sources, by each file's own time: stale callers again
+numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
 if not numba.config.DISABLE_JIT:
     numba.config.THREADING_LAYER = "omp"  # two Python threads calling parallel kernels abort on `workqueue`
 

@@ -14,6 +14,7 @@ from alight.kernels.compiler import kernel, parallel_kernel, prange
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
+B = NDArray[np.bool_]
 
 
 @parallel_kernel
@@ -105,12 +106,13 @@ def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_
 
 
 @kernel
-def _raise_to_deviation(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
-    """Keep the larger of `top` and |line - plane|, cell by cell; slices without offsets vectorise (12 times faster)."""
+def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> None:
+    """Keep the extremes of line - plane, cell by cell; slices without offsets vectorise (12 times faster)."""
     for c in range(top.size):
-        d = abs(line[c] - base[c] - x * grad[c])
-        t = top[c]
+        d = line[c] - base[c] - x * grad[c]
+        t, b = top[c], low[c]
         top[c] = d if d > t else t
+        low[c] = d if d < b else b
 
 
 @kernel
@@ -123,16 +125,16 @@ def _raise_to_rise(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
 
 
 @parallel_kernel
-def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, largest: F32) -> None:
-    """Fill largest (R, C) with the largest |h - plane| in the footprint (G2); 0 where there is no plane."""
+def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
+    """Fill above and below (R, C) with the extremes of h - plane in the footprint (G2); 0 where there is no plane."""
     rows, cols = height.shape
     reach = spans.size // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
         gc = grad_c[r]
-        top = largest[r]
-        for c in range(cols):
-            top[c] = np.float32(0.0)
+        top, low = above[r], below[r]
+        top[:] = np.float32(0.0)
+        low[:] = np.float32(0.0)
         for i in range(spans.size):
             q = r + i - reach
             if q < 0 or q >= rows:
@@ -143,7 +145,7 @@ def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, la
             for dc in range(-spans[i], spans[i] + 1):
                 lo, hi = max(0, -dc), min(cols, cols - dc)
                 if hi > lo:
-                    _raise_to_deviation(top[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
+                    _widen(top[lo:hi], low[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
 
 
 @parallel_kernel
@@ -192,3 +194,28 @@ def highest_above(height: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64,
                 lo, hi = max(0, -dc), min(cols, cols - dc)
                 if hi > lo:
                     _raise_to_rise(top[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
+
+
+@parallel_kernel
+def cast_shadows(height: F32, towards_r: float, towards_c: float, climb: float, longest: int, out: B) -> None:
+    """Fill out (R, C): something towards the sun stands above the ray to it, followed cell by cell.
+
+    Args:
+        height: (R, C) metres, no NaN.
+        towards_r, towards_c: unit vector (row, column) towards the sun.
+        climb: rise of the ray a cell, metres.
+        longest: cells after which a ray is taken to be free.
+    """
+    rows, cols = height.shape
+    top = height.max()
+    for r in prange(rows):
+        for c in range(cols):
+            out[r, c] = False
+            for i in range(1, longest + 1):
+                q, p = math.floor(r + i * towards_r + 0.5), math.floor(c + i * towards_c + 0.5)
+                ray = height[r, c] + i * climb
+                if q < 0 or q >= rows or p < 0 or p >= cols or ray > top:
+                    break
+                if height[q, p] > ray + 0.5 * climb:
+                    out[r, c] = True
+                    break

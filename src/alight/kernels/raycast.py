@@ -21,14 +21,16 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+Three = tuple[float, float, float]
+
 MISS = -1.0
-START_LEVEL = 1
-STRIP = 32  # pixels of a row that start their rays together
+START_LEVEL = 2  # of the pyramid, under a ceiling
+STRIP = 16  # pixels of a row that start their rays together
 
 
 @kernel
 def _patch_hit(
-    corners: tuple[float, float, float, float], start: tuple[float, float, float], ray: F64, length: float
+    corners: tuple[float, float, float, float], start: tuple[float, float, float], ray: Three, length: float
 ) -> float:
     """Return the first parameter in [0, length] where the ray is at or below the bilinear patch, or MISS.
 
@@ -57,15 +59,14 @@ def _patch_hit(
 
 
 @kernel
-def _clip(origin: F64, ray: F64, shape: tuple[int, int], top: float) -> tuple[float, float]:
+def _clip(origin: Three, ray: Three, shape: tuple[int, int], top: float) -> tuple[float, float]:
     """Return the parameters between which the ray is over the grid and not above `top` (empty: first > second)."""
     t0, t1 = 0.0, math.inf
-    for axis in range(2):
-        end = shape[1 - axis] - 1.0
-        if ray[axis] != 0.0:
-            a, b = -origin[axis] / ray[axis], (end - origin[axis]) / ray[axis]
+    for place, rate, end in ((origin[0], ray[0], shape[1] - 1.0), (origin[1], ray[1], shape[0] - 1.0)):
+        if rate != 0.0:
+            a, b = -place / rate, (end - place) / rate
             t0, t1 = max(t0, min(a, b)), min(t1, max(a, b))
-        elif not 0.0 <= origin[axis] <= end:
+        elif not 0.0 <= place <= end:
             return 1.0, 0.0
     if ray[2] < 0.0:
         t0 = max(t0, (top - origin[2]) / ray[2])
@@ -75,40 +76,24 @@ def _clip(origin: F64, ray: F64, shape: tuple[int, int], top: float) -> tuple[fl
 
 
 @kernel
-def _exit(position: float, inverse: float, low: int, high: int) -> float:
-    """Return the parameter at which one coordinate leaves [low, high]; `inverse`: of its rate, 0 for standing still."""
-    if inverse > 0.0:
-        return (high - position) * inverse
-    if inverse < 0.0:
-        return (low - position) * inverse
-    return math.inf
-
-
-@kernel
-def cast_ray(
-    height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, ray: F64, ceiling: float = math.inf
+def _walk(
+    height: F32, pyramid: F32, offsets: I64, widths: I64, origin: Three, ray: Three, span: Three, level: int
 ) -> float:
-    """Return the parameter of the ray's first point at or below the surface, or MISS.
-
-    `origin`, `ray` (3,): grid coordinates (column, row) and metres up. `pyramid`, `offsets`, `widths`: see
-    `max_pyramid`. A falling ray meets nothing above `ceiling`, which the caller knows.
-    """
-    rows, cols = height.shape
-    last = offsets.size - 1
-    t, t_end = _clip(origin, ray, (rows, cols), min(float(pyramid[offsets[last]]), ceiling))
-    if t > t_end:
-        return MISS
-    ix = min(max(math.floor(origin[0] + t * ray[0]), 0), cols - 2)
-    iy = min(max(math.floor(origin[1] + t * ray[1]), 0), rows - 2)
-    per_x = 1.0 / ray[0] if ray[0] != 0.0 else 0.0
-    per_y = 1.0 / ray[1] if ray[1] != 0.0 else 0.0
-    level = min(last, START_LEVEL) if ceiling < math.inf else last
+    """Follow a ray over the grid from `span[0]` to `span[1]`, down and up the pyramid; see `cast_ray`."""
+    rows, cols, last = height.shape[0], height.shape[1], offsets.size - 1
+    ox, oy, oz = origin
+    rx, ry, rz = ray
+    t, t_end = span[0], span[1]
+    ix = min(max(int(ox + t * rx), 0), cols - 2)
+    iy = min(max(int(oy + t * ry), 0), rows - 2)
+    per_x, per_y = 1.0 / rx if rx != 0.0 else 0.0, 1.0 / ry if ry != 0.0 else 0.0
+    ahead_x, ahead_y = 1 if rx > 0.0 else 0, 1 if ry > 0.0 else 0
     while True:
         nx, ny = ix >> level, iy >> level
-        x0, y0, x1, y1 = nx << level, ny << level, (nx + 1) << level, (ny + 1) << level
-        tx, ty = _exit(origin[0], per_x, x0, x1), _exit(origin[1], per_y, y0, y1)
+        tx = ((nx + ahead_x << level) - ox) * per_x if rx != 0.0 else math.inf
+        ty = ((ny + ahead_y << level) - oy) * per_y if ry != 0.0 else math.inf
         t1 = max(t, min(tx, ty, t_end))
-        low = origin[2] + min(t * ray[2], t1 * ray[2])
+        low = oz + min(t * rz, t1 * rz)
         if low <= pyramid[offsets[level] + ny * widths[level] + nx] + 1e-9:
             if level > 0:
                 level -= 1
@@ -119,22 +104,38 @@ def cast_ray(
                 np.float64(height[iy + 1, ix]),
                 np.float64(height[iy + 1, ix + 1]),
             )
-            start = (origin[0] + t * ray[0] - ix, origin[1] + t * ray[1] - iy, origin[2] + t * ray[2])
-            s = _patch_hit(corners, start, ray, t1 - t)
+            s = _patch_hit(corners, (ox + t * rx - ix, oy + t * ry - iy, oz + t * rz), ray, t1 - t)
             if s >= 0.0:
                 return float(t + s)
         if t1 >= t_end:
             return MISS
         t = t1
+        x0, y0 = nx << level, ny << level
+        size = 1 << level
         if tx <= ty:
-            ix = x1 if ray[0] > 0.0 else x0 - 1
-            iy = min(max(math.floor(origin[1] + t * ray[1]), y0), y1 - 1)
+            ix = x0 + size if ahead_x else x0 - 1
+            iy = min(max(math.floor(oy + t * ry), y0), y0 + size - 1)
         else:
-            iy = y1 if ray[1] > 0.0 else y0 - 1
-            ix = min(max(math.floor(origin[0] + t * ray[0]), x0), x1 - 1)
+            iy = y0 + size if ahead_y else y0 - 1
+            ix = min(max(math.floor(ox + t * rx), x0), x0 + size - 1)
         if ix < 0 or iy < 0 or ix > cols - 2 or iy > rows - 2:
             return MISS
         level = min(level + 1, last)
+
+
+@kernel
+def cast_ray(height: F32, pyramid: F32, offsets: I64, widths: I64, origin: F64, ray: F64) -> float:
+    """Return the parameter of the ray's first point at or below the surface, or MISS.
+
+    `origin`, `ray` (3,): grid coordinates (column, row) and metres up. `pyramid`, `offsets`, `widths`: see
+    `max_pyramid`.
+    """
+    start, along = (origin[0], origin[1], origin[2]), (ray[0], ray[1], ray[2])
+    last = offsets.size - 1
+    t, t_end = _clip(start, along, height.shape, float(pyramid[offsets[last]]))
+    if t > t_end:
+        return MISS
+    return float(_walk(height, pyramid, offsets, widths, start, along, (t, t_end, 0.0), last))
 
 
 @kernel
@@ -181,13 +182,12 @@ def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64,
     fan[0], fan[1], fan[2], fan[3] = math.inf, -math.inf, math.inf, -math.inf
     for c in range(first, last):
         dx, dy, dz = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
-        ray = rays[c - first]
         for k in range(3):
-            ray[k] = turn[k, 0] * dx + turn[k, 1] * dy + turn[k, 2] * dz
-        if ray[2] > -0.05:
+            rays[c - first, k] = turn[k, 0] * dx + turn[k, 1] * dy + turn[k, 2] * dz
+        if rays[c - first, 2] > -0.05:
             falls = False
             continue
-        a, b = -ray[0] / ray[2], -ray[1] / ray[2]
+        a, b = -rays[c - first, 0] / rays[c - first, 2], -rays[c - first, 1] / rays[c - first, 2]
         fan[0], fan[1], fan[2], fan[3] = min(fan[0], a), max(fan[1], a), min(fan[2], b), max(fan[3], b)
     return falls
 
@@ -201,7 +201,7 @@ def cast_rays(
 
     `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
     camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. Rays start where the highest ground below
-    their strip begins: a third of the time of a walk from the camera.
+    their strip begins: 2.5 to 3 times as fast as from the camera.
     """
     rows, cols = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])
@@ -210,38 +210,17 @@ def cast_rays(
         rays, fan = np.empty((STRIP, 3)), np.empty(4)
         for first in range(0, out.shape[1], STRIP):
             last = min(first + STRIP, out.shape[1])
-            top = math.inf
+            top, level = math.inf, offsets.size - 1
             if _turn_strip(directions, r, first, last, turns[n], rays, fan):
                 top = _ceiling(pyramid, offsets, widths, (rows, cols), origins[n], fan, summit, low)
+                level = min(level, START_LEVEL)
+            start = (origins[n, 0], origins[n, 1], origins[n, 2])
             for c in range(first, last):
-                out[r, c] = cast_ray(height, pyramid, offsets, widths, origins[n], rays[c - first], top)
-
-
-@kernel
-def _bilinear(layer: F32, x: float, y: float) -> float:
-    ix, iy = min(int(x), layer.shape[1] - 2), min(int(y), layer.shape[0] - 2)
-    u, v = x - ix, y - iy
-    upper = layer[iy, ix] * (1 - u) + layer[iy, ix + 1] * u
-    lower = layer[iy + 1, ix] * (1 - u) + layer[iy + 1, ix + 1] * u
-    return float(upper * (1 - v) + lower * v)
-
-
-@parallel_kernel
-def shadow_margin(height: F32, top: float, step: F64, limit: float, out: F32) -> None:
-    """Fill `out` (R, C) with how far, in metres, the sun's ray from each cell clears the terrain (negative: shadow).
-
-    `step` (3,): one march step towards the sun in (columns, rows, metres); steps of about a cell. Clipped to `limit`.
-    """
-    rows, cols = height.shape
-    for r in prange(rows):
-        for c in range(cols):
-            x, y, z, margin = float(c), float(r), float(height[r, c]), limit
-            while z < top and margin > -limit:
-                x, y, z = x + step[0], y + step[1], z + step[2]
-                if x < 0.0 or y < 0.0 or x > cols - 1.0 or y > rows - 1.0:
-                    break
-                margin = min(margin, z - _bilinear(height, x, y))
-            out[r, c] = max(margin, -limit)
+                ray = (rays[c - first, 0], rays[c - first, 1], rays[c - first, 2])
+                t, t_end = _clip(start, ray, (rows, cols), min(summit, top))
+                out[r, c] = MISS
+                if t <= t_end:
+                    out[r, c] = _walk(height, pyramid, offsets, widths, start, ray, (t, t_end, 0.0), level)
 
 
 def max_pyramid(height: F32) -> tuple[F32, I64, I64]:
@@ -249,8 +228,10 @@ def max_pyramid(height: F32) -> tuple[F32, I64, I64]:
     level = np.maximum(np.maximum(height[:-1, :-1], height[:-1, 1:]), np.maximum(height[1:, :-1], height[1:, 1:]))
     levels = [level]
     while level.size > 1:
-        padded = np.pad(level, [(0, n % 2) for n in level.shape], constant_values=-np.inf)
-        level = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2).max(axis=(1, 3))
+        if level.shape[0] % 2 or level.shape[1] % 2:
+            level = np.pad(level, [(0, n % 2) for n in level.shape], constant_values=-np.inf)
+        rows = np.maximum(level[::2], level[1::2])  # slices: eight times as fast as a reduction over blocks
+        level = np.maximum(rows[:, ::2], rows[:, 1::2])
         levels.append(level)
     offsets = np.cumsum([0] + [a.size for a in levels[:-1]])
     flat = np.concatenate([a.ravel() for a in levels]).astype(np.float32)

@@ -1,8 +1,7 @@
-"""The light that a hit point sends to a pixel: material by world position, sun with shadow, sky, moving water.
+"""The light that a hit point sends to a pixel: look by world position, sun with shadow, clouds, haze, moving water.
 
-Every texture is noise of the world position, so that no place repeats, with each octave faded out below two pixel
-footprints: the picture is band-limited as a lens would make it. Linear radiance; a white flat surface in the sun is
-about 1. The columns of a material row are named in `alight.simulate.materials`.
+Blocks of 128 pixels of a row go through passes that are vector loops (`alight.kernels.block`). Linear radiance; a white
+flat surface in the sun is about 1.
 """
 
 from __future__ import annotations
@@ -12,263 +11,316 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.kernels.block import (
+    BLUE,
+    BUMP_E,
+    BUMP_N,
+    DIST,
+    F0,
+    F1,
+    F32,
+    F64,
+    FACE,
+    FOOT,
+    GREEN,
+    I32,
+    MARGIN,
+    PARAM,
+    RED,
+    SLOPE_E,
+    SLOPE_N,
+    TINT_B,
+    TINT_G,
+    TINT_R,
+    TX,
+    TY,
+    VX,
+    VY,
+    VZ,
+    WATER,
+    B,
+    N,
+    X,
+    Y,
+    Z,
+    copy,
+    f32,
+    fill,
+    noise_at,
+    smallest,
+    smooth,
+)  # fmt: skip
 from alight.kernels.compiler import kernel, parallel_kernel, prange
-from alight.kernels.noise import gradient_noise, hash3
+from alight.kernels.illuminate import WIND, car_shadows, dye, face_normals, haze, illuminate, slope_normals, sunshine
+from alight.kernels.texture import (
+    P_BED,
+    P_DEEP,
+    PARAMS,
+    colours,
+    detail,
+    foliage,
+    laid,
+    load_looks,
+    patches,
+    small_things,
+    sway,
+)  # fmt: skip
+from alight.kernels.water import dive, refract, scum, water_light, waves
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-I64 = NDArray[np.int64]
-Three = tuple[float, float, float]
+I16 = NDArray[np.int16]
 
-BARE, TREE, WATER, ROCK, STRUCTURE = 1, 4, 5, 6, 8  # codes of records.Terrain
-CONTRAST, BUMP, FLECKS, FLECK_SIZE, FLECK_GAIN, SWAY = 6, 7, 8, 9, 10, 11  # columns after the two colours
-FIRST_WAVELENGTH = 3.0  # metres, of octave 0; each next is half as long
-SLOPE_E, SLOPE_N, MARGIN, SKY, DEPTH = 0, 1, 2, 3, 4  # layers of `light`
-
-
-@kernel
-def _smooth(low: float, high: float, x: float) -> float:
-    t = min(max((x - low) / (high - low), 0.0), 1.0)
-    return t * t * (3.0 - 2.0 * t)
+TREE, ROCK, PAVED, STRUCTURE = (
+    4,
+    6,
+    7,
+    8,
+)  # codes of records.Terrain whose borders are edges of height: colours keep to them
+STEEP = 3.0  # slope of a side
+PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
 
 
 @kernel
-def _detail(x: float, y: float, footprint: float, amplitudes: F64, seed: int) -> Three:
-    """Sum the octaves that the pixel resolves: value (about unit deviation) and its slopes, scaled by wavelength."""
-    value, slope_x, slope_y, wavelength = 0.0, 0.0, 0.0, FIRST_WAVELENGTH
-    c, s = 1.0, 0.0
-    for k in range(amplitudes.size):
-        w = amplitudes[k] * _smooth(1.6, 3.2, wavelength / footprint)
-        if w <= 0.0:
-            break
-        relief = w * min(1.0, 0.4 / wavelength)  # long waves of relief are the height layer's
-        u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
-        n, du, dv = gradient_noise(u, v, seed + 101 * k)
-        value += w * n
-        slope_x += relief * (c * du + s * dv)
-        slope_y += relief * (c * dv - s * du)
-        wavelength *= 0.5
-        c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s  # 37 degrees an octave: lattices never line up
-    return value, slope_x, slope_y
+def _aim(
+    buf: F32, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float, level: float,
+    base: F64,
+) -> bool:  # fmt: skip
+    """Fill places, directions to the camera, distance (-1: sky) and footprint; False: the block sees only sky."""
+    last, seen = depth.shape[1] - 1, False
+    for i in range(B):
+        c = min(first + i, last)
+        d0, d1, d2 = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
+        x = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
+        y = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
+        z = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
+        length = math.sqrt(x * x + y * y + z * z)
+        t = depth[r, c]
+        if t < 0.0 and z < -1e-3:
+            t = (level - centre[2]) / z
+        if t > 0.0 and not seen:
+            seen = True
+            for k, rate in enumerate((x, y, z)):
+                base[k] = math.floor(centre[k] + t * rate)
+        if not seen:
+            base[0], base[1], base[2] = centre[0], centre[1], centre[2]
+        there = max(t, 0.0)
+        buf[X + i] = f32(centre[0] + there * x - base[0])
+        buf[Y + i] = f32(centre[1] + there * y - base[1])
+        buf[Z + i] = f32(centre[2] + there * z - base[2])
+        buf[VX + i], buf[VY + i], buf[VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
+        buf[DIST + i] = f32(t * length) if t > 0.0 else f32(-1.0)
+        buf[FOOT + i] = f32(max(there * pixel, 1e-4))
+    if seen:  # sky before the first hit: anywhere
+        for i in range(B):
+            if buf[DIST + i] < F0:
+                buf[X + i], buf[Y + i], buf[Z + i] = F0, F0, F0
+    return seen
 
 
 @kernel
-def _flecks(x: float, y: float, footprint: float, size: float, density: float, seed: int) -> float:
-    """Pebbles, leaves, flowers: one disc in some of the cells of a lattice; returns -1 (dark) to 1 (bright)."""
-    total = 0.0
-    for k in range(2):
-        radius = size * (1.0 + 1.7 * k)
-        fade = _smooth(0.5, 1.2, 2.0 * radius / footprint)
-        if fade <= 0.0:
-            continue
-        cell = 5.0 * radius
-        i, j = math.floor(x / cell), math.floor(y / cell)
-        h = hash3(i, j, seed + 7 * k)
-        if (h & 0xFF) >= 256.0 * density:
-            continue
-        cx, cy = 0.25 + 0.5 * ((h >> 8) & 0xFF) / 255.0, 0.25 + 0.5 * ((h >> 16) & 0xFF) / 255.0
-        r = math.hypot(x / cell - i - cx, y / cell - j - cy) * cell
-        disc = 1.0 - _smooth(0.7 * radius, 0.7 * radius + max(0.5 * radius, footprint), r)
-        total += fade * disc * (((h >> 24) & 0xFF) / 127.5 - 1.0)
-    return min(max(total, -1.0), 1.0)
-
-
-@kernel
-def _tiles(x: float, y: float, footprint: float, seed: int) -> float:
-    """Roof tiles of 0.3 x 0.4 m, each with a brightness of its own, and the dark line between two rows."""
-    fade: float = _smooth(1.0, 2.5, 0.3 / footprint)
-    u, v = (0.94 * x - 0.34 * y) / 0.3, (0.34 * x + 0.94 * y) / 0.4
-    h: int = hash3(math.floor(u), math.floor(v), seed)
-    line = 1.0 if v - math.floor(v) < 0.12 else 0.0
-    return 1.0 + fade * (0.35 * ((h & 0xFFFF) / 65535.0 - 0.5) - 0.45 * line)
-
-
-@kernel
-def _albedo(
-    material: F64, amplitudes: F64, x: float, y: float, footprint: float, seed: int, out: F64
-) -> tuple[float, float]:
-    """Fill `out` (3,) with the colour at a place; return the slopes of its micro-relief."""
-    large, _, _ = gradient_noise(x / 9.0, y / 9.0, seed + 1)
-    value, slope_x, slope_y = _detail(x, y, footprint, amplitudes, seed + 3)
-    mix = _smooth(0.0, 1.0, 0.5 + 0.28 * large + 0.16 * value)
-    gain = 1.0 + material[CONTRAST] * value
-    if material[FLECKS] > 0.0:
-        spot = _flecks(x, y, footprint, material[FLECK_SIZE], material[FLECKS], seed + 5)
-        gain *= 1.0 + material[FLECK_GAIN] * spot
-    for k in range(3):
-        out[k] = max(0.01, (material[k] * (1.0 - mix) + material[3 + k] * mix) * max(gain, 0.1))
-    return material[BUMP] * slope_x, material[BUMP] * slope_y
-
-
-@kernel
-def _waves(x: float, y: float, time: float, footprint: float, seed: int) -> tuple[float, float]:
-    """Slopes of small gravity waves: four trains, each at its own direction and phase speed sqrt(g L / 2 pi)."""
-    slope_x, slope_y, wavelength, c, s = 0.0, 0.0, 1.3, 0.8, 0.6
-    for k in range(4):
-        w = 0.035 * _smooth(1.6, 3.2, wavelength / footprint)
-        shift = 1.25 * math.sqrt(wavelength) * time
-        n, du, dv = gradient_noise((x - c * shift) / wavelength, (y - s * shift) / wavelength, seed + 11 * k)
-        _, ev, _ = gradient_noise((x + s * shift) / wavelength, (y - c * shift) / wavelength, seed + 5 + 11 * k)
-        slope_x += w * (du + ev + 0.1 * n)
-        slope_y += w * dv
-        wavelength *= 0.43
-        c, s = 0.87 * c - 0.49 * s, 0.49 * c + 0.87 * s
-    return slope_x, slope_y
-
-
-@kernel
-def _label_near(label: U8, gx: float, gy: float) -> int:
+def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
     rows, cols = label.shape
-    return int(label[min(max(int(gy + 0.5), 0), rows - 1), min(max(int(gx + 0.5), 0), cols - 1)])
+    return min(max(int(gy + 0.5), 0), rows - 1), min(max(int(gx + 0.5), 0), cols - 1)
 
 
 @kernel
-def _label_at(label: U8, gx: float, gy: float, x: float, y: float, footprint: float) -> int:
-    """The class that colours a place: borders between two kinds of ground wander by a cell, as real ones do."""
-    here: int = _label_near(label, gx, gy)
-    if here in (TREE, ROCK, STRUCTURE):
-        return here
-    border = False
-    for k in range(4):
-        border |= _label_near(label, gx + (1.5 if k & 1 else -1.5), gy + (1.5 if k & 2 else -1.5)) != here
-    if not border:
-        return here
-    _, wx, wy = gradient_noise(x / 0.4, y / 0.4, 77)
-    _, vx, vy = gradient_noise(x / 0.1, y / 0.1, 78)
-    fine = 0.15 * _smooth(1.6, 3.2, 0.1 / footprint)
-    there: int = _label_near(label, gx + 0.25 * wx + fine * vx, gy + 0.25 * wy + fine * vy)
-    return here if there in (TREE, ROCK, STRUCTURE) else there
+def _hard(kind: int) -> bool:
+    return kind in (TREE, ROCK, STRUCTURE)
 
 
 @kernel
-def _light_at(light: F32, gx: float, gy: float, out: F64) -> None:
-    rows, cols = light.shape[:2]
+def _look_up(
+    buf: F32,
+    label: U8,
+    looks_layer: U8,
+    light: F32,
+    tint: F32,
+    by_class: I32,
+    place: F64,
+    base: F64,
+    wet: F32,
+    look: I32,
+) -> None:
+    """Fill look, light and tint. Borders between two kinds of ground wander by a cell, as real ones do.
+
+    N, DU, DV and BUMP_E, BUMP_N hold noise that says how far.
+    """
+    per = 1.0 / place[2]
+    for i in range(B):
+        gx = (base[0] - place[0] + buf[X + i]) * per
+        gy = (place[1] - base[1] - buf[Y + i]) * per
+        _light_at(buf, i, light, gx, gy)
+        steep = math.hypot(buf[SLOPE_E + i], buf[SLOPE_N + i])
+        if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
+            gx, gy = gx + buf[SLOPE_E + i] / steep, gy - buf[SLOPE_N + i] / steep
+        r, c = _class_near(label, gx, gy)
+        q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
+        if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
+            q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
+        if steep <= STEEP and not _hard(label[r, c]) and not _hard(label[q, p]):
+            r, c = q, p
+        look[i] = int(looks_layer[r, c]) if looks_layer.size > 0 else 0
+        if look[i] == 0:
+            look[i] = by_class[label[r, c]]
+        buf[WATER + i] = wet[look[i]]
+        if tint.size > 0:
+            _tint_at(buf, i, tint, gx, gy)
+        else:
+            buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
+
+
+@kernel
+def _light_at(buf: F32, i: int, light: F32, gx: float, gy: float) -> None:
+    rows, cols = light.shape[0], light.shape[1]
     gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
     ix, iy = int(gx), int(gy)
-    u, v = gx - ix, gy - iy
-    for k in range(out.size):
-        upper = light[iy, ix, k] * (1 - u) + light[iy, ix + 1, k] * u
-        lower = light[iy + 1, ix, k] * (1 - u) + light[iy + 1, ix + 1, k] * u
-        out[k] = upper * (1 - v) + lower * v
+    u, v = f32(gx - ix), f32(gy - iy)
+    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
+    for k in range(5):
+        upper = light[iy, ix, k] * a + light[iy, ix + 1, k] * b
+        buf[SLOPE_E + k * B + i] = upper + light[iy + 1, ix, k] * c + light[iy + 1, ix + 1, k] * d
 
 
 @kernel
-def _illuminate(albedo: F64, slope_e: float, slope_n: float, here: F64, sun: F64, out: F64) -> None:
-    """Lambert's law under sun and sky; `sun` (9,): direction to it, its colour, the sky's colour."""
-    scale = 1.0 / math.sqrt(1.0 + slope_e * slope_e + slope_n * slope_n)
-    cosine = max(0.0, (-slope_e * sun[0] - slope_n * sun[1] + sun[2]) * scale)
-    lit = _smooth(-0.03, 0.05, here[MARGIN]) * cosine
-    sky = here[SKY] * (0.5 + 0.5 * scale)
+def _tint_at(buf: F32, i: int, tint: F32, gx: float, gy: float) -> None:
+    rows, cols = tint.shape[0], tint.shape[1]
+    gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
+    ix, iy = int(gx), int(gy)
+    u, v = f32(gx - ix), f32(gy - iy)
+    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
     for k in range(3):
-        out[k] = albedo[k] * (sun[3 + k] * lit + sun[6 + k] * sky)
+        upper = tint[iy, ix, k] * a + tint[iy, ix + 1, k] * b
+        buf[TINT_R + k * B + i] = upper + tint[iy + 1, ix, k] * c + tint[iy + 1, ix + 1, k] * d
 
 
 @kernel
-def _water(
-    materials: F64,
-    amplitudes: F64,
-    point: F64,
-    ray: F64,
-    here: F64,
-    sun: F64,
-    time: float,
-    footprint: float,
-    seed: int,
-    out: F64,
-) -> None:
-    """Pond: the bed seen refracted and through the waves, dimmed with depth; body colour; the sky mirrored; glints."""
-    slope_e, slope_n = _waves(point[0], point[1], time, footprint, seed + 40)
-    depth = max(here[DEPTH], 0.0)
-    down = max(-ray[2], 1e-3)
-    bx = point[0] + depth * (ray[0] / down / 1.33 + 0.25 * slope_e)
-    by = point[1] + depth * (ray[1] / down / 1.33 + 0.25 * slope_n)
-    _albedo(materials[BARE], amplitudes[BARE], bx, by, footprint, seed + 50, out)
-    length = math.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
-    lit = 0.25 + 0.75 * _smooth(-0.03, 0.05, here[MARGIN])
-    mirror = 0.02 + 0.98 * (1.0 - down / length) ** 5
-    # the mirrored ray against the sun: water glints where a wave tilts far enough
-    ex, ey = ray[0] / length + 2 * slope_e * down / length, ray[1] / length + 2 * slope_n * down / length
-    glint = math.exp(-((ex - sun[0]) ** 2 + (ey - sun[1]) ** 2) / 0.002) * _smooth(0.0, 0.1, here[MARGIN])
-    for k in range(3):
-        through = math.exp(-depth * (2.2 - 0.5 * k if k < 2 else 1.6))
-        body = materials[WATER, k] * (1.0 + 0.5 * (slope_e * sun[0] + slope_n * sun[1]))
-        ground = 0.7 * out[k] * through + body * (1.0 - through)
-        sky = sun[6 + k] * (2.0 + 3.0 * (slope_e * sun[0] + slope_n * sun[1]))
-        out[k] = ground * lit * (sun[3 + k] * sun[2] + sun[6 + k]) + mirror * (max(sky, 0.0) + 60.0 * glint)
+def _wander(buf: F32, base: F64) -> None:
+    """Fill TX, TY with how far, in cells, the border of a class wanders: at 0.4 and 0.1 m."""
+    copy(buf, X, TX)
+    copy(buf, Y, TY)
+    noise_at(buf, base, 0.4, 0.8, 0.6, 77)
+    for i in range(B):
+        buf[BUMP_E + i], buf[BUMP_N + i] = f32(0.25) * buf[N + B + i], f32(0.25) * buf[N + 2 * B + i]
+    if smallest(buf, FOOT) < 0.08:
+        noise_at(buf, base, 0.1, 0.6, 0.8, 78)
+        for i in range(B):
+            fine = f32(0.22) * smooth(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
+            buf[BUMP_E + i] += fine * buf[N + B + i]
+            buf[BUMP_N + i] += fine * buf[N + 2 * B + i]
+    copy(buf, BUMP_E, TX)
+    copy(buf, BUMP_N, TY)
 
 
 @kernel
-def _surface_place(point: F64, slope_e: float, slope_n: float) -> Three:
-    """Where on its texture a point lies: seen from above on ground and roofs, from the side on walls and crowns.
-
-    The third number says how much more of a wall than of the ground a pixel of a camera above it covers.
-    """
-    if max(abs(slope_e), abs(slope_n)) < 1.3:
-        return point[0], point[1], 1.0
-    if abs(slope_e) > abs(slope_n):
-        return point[1] + 300.0, point[2] + 0.3 * point[0], 2.0
-    return point[0] - 300.0, point[2] + 0.3 * point[1], 2.0
+def _unfold(buf: F32, base: F64) -> None:
+    """Fill TX, TY: seen from above on ground and roofs, from the side on walls, of which a pixel covers more."""
+    x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
+    z0 = f32(base[2])
+    for i in range(B):
+        e, n = abs(buf[SLOPE_E + i]), abs(buf[SLOPE_N + i])
+        leafy = F1 if buf[PARAM + P_DEEP * B + i] > F0 else F0  # leaves have no face: askew through their volume
+        wall = F1 - leafy if max(e, n) > f32(1.3) else F0
+        east = wall if e > n else F0
+        north = wall - east
+        x, y, z = buf[X + i], buf[Y + i], buf[Z + i] + z0  # true height: blocks must agree
+        side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that looks east or west
+        front_x, front_y = x - f32(300), z - y0 + f32(0.3) * (y + y0)
+        buf[TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
+        buf[TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
+        buf[FOOT + i] *= F1 + wall
 
 
 @kernel
-def _radiance(
-    label: U8, light: F32, place: F64, materials: F64, amplitudes: F64, point: F64, ray: F64, sun: F64, time: float,
-    footprint: float, seed: int, here: F64, colour: F64, out: F64,
-) -> None:  # fmt: skip
-    """Fill `out` (3,) with the light from one world point along one ray. `place`: east, north of cell (0, 0), cell."""
-    gx, gy = (point[0] - place[0]) / place[2], (place[1] - point[1]) / place[2]
-    kind = _label_at(label, gx, gy, point[0], point[1], footprint)
-    _light_at(light, gx, gy, here)
-    if kind == WATER:
-        _water(materials, amplitudes, point, ray, here, sun, time, footprint, seed, out)
-        return
-    x, y, stretch = _surface_place(point, here[SLOPE_E], here[SLOPE_N])
-    footprint *= stretch
-    if materials[kind, SWAY] > 0.0:
-        phase, _, _ = gradient_noise(x / 2.0, y / 2.0, seed + 60)
-        x += materials[kind, SWAY] * math.sin(5.0 * time + 4.0 * phase)
-        y += materials[kind, SWAY] * math.sin(3.7 * time + 5.0 * phase)
-    bump_e, bump_n = _albedo(materials[kind], amplitudes[kind], x, y, footprint, seed + 1000 * kind, colour)
-    if kind == STRUCTURE:
-        tile = _tiles(x, y, footprint, seed + 9)
+def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
+    """Give pixels that see a car its look; False: none does. See `alight.kernels.boxes`."""
+    any_car, last = False, faces.shape[1] - 1
+    for i in range(B):
+        code = int(faces[r, min(first + i, last)])
+        buf[FACE + i] = f32(code)
+        if code == 0:
+            continue
+        any_car = True
+        box = boxes[code >> 3]
+        dx, dy, dz = base[0] + buf[X + i] - box[0], base[1] + buf[Y + i] - box[1], base[2] + buf[Z + i] - box[2]
+        u, v = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx
+        look[i] = GLASS if box[11] > 0.5 and (code & 7) != 1 else PAINT
+        buf[TX + i], buf[TY + i] = f32(u + 20.0 * (code >> 3) + v * 0.3), f32(v + dz)
+        buf[SLOPE_E + i], buf[SLOPE_N + i], buf[MARGIN + i], buf[WATER + i] = F0, F0, F1, F0
         for k in range(3):
-            colour[k] *= tile
-    _illuminate(colour, here[SLOPE_E] + bump_e, here[SLOPE_N] + bump_n, here, sun, out)
+            buf[TINT_R + k * B + i] = f32(box[8 + k])
+    return any_car
+
+
+@kernel
+def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
+    for i in range(min(B, out.shape[1] - first)):
+        out[r, first + i, 0] += weight * buf[RED + i]
+        out[r, first + i, 1] += weight * buf[GREEN + i]
+        out[r, first + i, 2] += weight * buf[BLUE + i]
+
+
+@kernel
+def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
+    """Fill reflectance and bumps."""
+    _unfold(buf, base)
+    sway(buf, base, lights[WIND : WIND + 2], time, seed + 60)
+    if wet:
+        refract(buf)
+    foliage(buf, base, seed + 400)
+    patches(buf, base, seed + 500)
+    detail(buf, base, seed + 3)
+    small_things(buf, base, lights, seed + 700)
+    colours(buf, base, seed + 800)
+    laid(buf, base, seed + 900)
 
 
 @parallel_kernel
 def shade(
-    label: U8, light: F32, place: F64, materials: F64, amplitudes: F64, centre: F64, directions: F32, turn: F64,
-    depth: F64, pixel: float, level: float, sun: F64, time: float, seed: int, weight: float, out: F32,
+    label: U8, looks_layer: U8, light: F32, tint: F32, place: F64, looks: F32, by_class: I32, wet: F32, centres: F64,
+    directions: F32, turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float, lights: F64,
+    times: F64, seed: int, weight: float, out: F32,
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `light` (R, C, 5): slope east, slope north, shadow margin, open sky, water depth. `centre` (3,), `turn` (3, 3):
-    world from camera; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `pixel`: angle of a pixel;
-    `level`: height of the plane that goes on where the world ends; `time` in seconds moves water and plants.
+    `label`, `looks_layer` (R, C; empty: by class), `tint` (R, C, 3; empty: none), `light` (R, C, 5): slope east, slope
+    north, shadow margin, open sky, water depth. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS),
+    `by_class` (9,) look of a class, `wet` (L,) 1 for water: `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3),
+    `times` (N,) seconds, `boxes` (N, M, 12): of the whole picture (N = 1) or of each row; `directions` (H, W, 3) with
+    z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W) from `cast_boxes`; `pixel`: angle of a pixel; `level`: height
+    of the plane that goes on where the patch ends; `lights` (LIGHTS,): see `illuminate`.
     """
+    lights32 = lights.astype(np.float32)
     for r in prange(out.shape[0]):
-        point, ray, here, colour, result = np.empty(3), np.empty(3), np.empty(5), np.empty(3), np.empty(3)
-        for c in range(out.shape[1]):
-            for k in range(3):
-                ray[k] = (
-                    turn[k, 0] * directions[r, c, 0]
-                    + turn[k, 1] * directions[r, c, 1]
-                    + turn[k, 2] * directions[r, c, 2]
-                )
-            t = depth[r, c]
-            if t < 0.0:
-                t = (level - centre[2]) / ray[2] if ray[2] < 0.0 else -1.0
-            if t <= 0.0:  # the sky
-                for k in range(3):
-                    out[r, c, k] += np.float32(weight * 2.0 * sun[6 + k])
+        row = np.int64(r)
+        n = row if centres.shape[0] > 1 else np.int64(0)
+        buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.empty(3)
+        fill(buf, WATER, 0.0)
+        loaded = -1
+        for first in range(0, out.shape[1], B):
+            if not _aim(buf, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
+                fill(buf, DIST, -1.0)
+                haze(buf, lights32)
+                _put(buf, f32(weight), row, first, out)
                 continue
-            for k in range(3):
-                point[k] = centre[k] + t * ray[k]
-            _radiance(
-                label, light, place, materials, amplitudes, point, ray, sun, time, max(t * pixel, 1e-4), seed,
-                here, colour, result,
-            )  # fmt: skip
-            for k in range(3):
-                out[r, c, k] += np.float32(weight * result[k])
+            _wander(buf, base)
+            _look_up(buf, label, looks_layer, light, tint, by_class, place, base, wet, look)
+            cars = boxes.shape[1] > 0 and _board(buf, faces, row, first, boxes[n], base, look)
+            under = dive(buf, looks, look)
+            if under:
+                waves(buf, base, lights[WIND : WIND + 2], times[n], seed + 40)
+            loaded = load_looks(buf, looks, look, P_BED, loaded)
+            _texture(buf, base, lights, times[n], seed, under)
+            if cars or tint.size > 0:
+                dye(buf)
+            sunshine(buf, base, lights, times[n], seed + 950)
+            if boxes.shape[1] > 0:
+                car_shadows(buf, boxes[n], base, lights)
+            slope_normals(buf)
+            if cars:
+                face_normals(buf, boxes[n])
+            if under:
+                water_light(buf, lights)
+                scum(buf, base, lights[WIND : WIND + 2], times[n], seed + 980)
+            illuminate(buf, lights32)
+            haze(buf, lights32)
+            _put(buf, f32(weight), row, first, out)

@@ -12,6 +12,9 @@ from alight.motion.state import ACC, ATT, CORE, GYRO, POS, VEL, State
 from alight.records import F64
 from alight.settings import Filter
 
+LONG = 1.0  # s without IMU after which an angular velocity says nothing more: photos
+ANY, RATE = 2.0, 0.5  # rad, rad/s: attitude and angular velocity are then open
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -33,7 +36,7 @@ def inertial_step(R: F64, p: F64, v: F64, m: Preintegral) -> Step:
 
 def constant_step(R: F64, p: F64, v: F64, rate: F64, dt: float) -> Step:
     """Carry a pose on at constant velocity and angular velocity (M9, the paper's model)."""
-    return Step(R @ so3_exp(rate * dt), p + v * dt, v)
+    return Step(R if dt > LONG else R @ so3_exp(rate * dt), p + v * dt, v)
 
 
 def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, F64]:
@@ -60,6 +63,10 @@ def constant_transition(R: F64, rate: F64, dt: float, noise: Filter) -> tuple[F6
     F[ATT, GYRO] = R @ so3_exp(rate * dt) @ right_jacobian(rate * dt) * dt
     Q = np.zeros((15, 15))
     _white(Q, POS, VEL, np.eye(3), noise.acceleration_sigma**2, dt)
+    if dt > LONG:
+        F[ATT, GYRO], F[GYRO, GYRO] = 0.0, 0.0
+        Q[ATT, ATT], Q[GYRO, GYRO] = np.eye(3) * ANY**2, np.eye(3) * RATE**2
+        return F, Q
     _white(Q, ATT, GYRO, R, noise.angular_acceleration_sigma**2, dt)
     return F, Q
 
@@ -82,20 +89,11 @@ def spread(state: State, F: F64, Q: F64, decay: F64, drift: F64) -> None:
     state.P[range(15, 24), range(15, 24)] += drift
 
 
-def nav_decay(dt: float, sigma: F64, noise: Filter, from_start: bool = False) -> tuple[F64, F64]:
-    """Return (9,) decay and (9,) variance added to the Gauss-Markov errors of GPS/INS over `dt` (M10).
-
-    Args:
-        from_start: the position's error is counted from what it was at the start (M14b): the difference of a
-            Gauss-Markov process to its own start spreads like one of twice the variance and twice the time.
-    """
+def nav_decay(dt: float, sigma: F64, noise: Filter) -> tuple[F64, F64]:
+    """Return (9,) decay and (9,) variance added to the Gauss-Markov errors of GPS/INS over `dt` (M10)."""
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
-    variance = sigma**2
-    if from_start:
-        tau[0:3] *= 2.0
-        variance[0:3] *= 2.0
     a = np.exp(-dt / tau)
-    return a, (1.0 - a**2) * variance
+    return a, (1.0 - a**2) * sigma**2
 
 
 def bias_walk(dt: float, noise: Filter) -> F64:

@@ -9,12 +9,14 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.geometry import Pose, so3_exp
+from alight.geometry import Pose, so3_exp, so3_log
+from alight.motion.course import SIGMA, WAY, attitude
 from alight.motion.dynamics import (
+    LONG,
     Step,
     bias_walk,
     constant_step,
@@ -24,23 +26,26 @@ from alight.motion.dynamics import (
     nav_decay,
     spread,
 )
+from alight.motion.features import Features
+from alight.motion.health import Health, Votes, vague
 from alight.motion.inertial import Preintegral, preintegrate, segments
 from alight.motion.navigation import initial_state, measurements, rate_measurement, sigmas
-from alight.motion.points import Gate, Sight, measure, take_up
+from alight.motion.points import Gate
+from alight.motion.ring import Refined
 from alight.motion.smoother import Recording, smooth
-from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_POS, POS, VEL, State
-from alight.motion.vision import sight_sigma
+from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, VEL, State
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
 from alight.settings import Filter
 
 log = logging.getLogger(__name__)
 
-Ints = NDArray[np.int64]
-
-_SUPPORT = 8  # points inside their gates below which the cameras do not hold the motion
-_JUMP = 5  # GPS/INS positions in a row outside the gate that are taken as a jump
-_MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
+_JUMP = (
+    5.0  # s of GPS positions outside their gate after which they are taken as a jump, and not as a fault that passes
+)
+_FRESH = 0.2  # s between a GPS position and the exposure that it is taken for
 _KEEP_NS = 1_000_000_000  # ns of IMU samples kept
+_DOUBT = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added to a state that the pictures contradict
+_HOPELESS = 3  # doubts in a row without a good exposure between, after which the state is made anew
 
 
 class MotionFilter:
@@ -51,15 +56,18 @@ class MotionFilter:
         self._settings = settings
         self._camera = rig.cameras[0].camera
         self._gate = Gate(settings.gate)
+        self._features = Features(self._camera, self._cams, settings)
+        self._health = Health(settings.coast)
         self._imu: deque[ImuSample] = deque()
         self._inertial = False
         self._state: State | None = None
         self._first: Step | None = None  # the state as last predicted: where Jacobians are taken
-        self._nav_sigma, self._start_sigma = np.ones(9), np.ones(3)
-        self._waiting: dict[int, list[Sight]] = {}  # the sub-filter: features not yet in the state
-        self._outside = 0  # GPS/INS positions in a row outside the gate
-        self._last_nav_ns = self._last_good_ns = self._last_exposure_ns = -(1 << 62)
-        self._settled = 0
+        self._nav_sigma = np.ones(9)
+        self._last_exposure_ns = -(1 << 62)
+        self._doubts = 0  # in a row
+        self._map, self._lost = 0, False
+        self._heard: NavSample | None = None  # the last row
+        self._before: tuple[Tracks, F64] | None = None  # the last exposure with a GPS position and no attitude
         self._recording = Recording(rig, settings) if settings.smooth else None
 
     def feed_imu(self, sample: ImuSample) -> None:
@@ -81,49 +89,81 @@ class MotionFilter:
     def feed_nav(self, sample: NavSample) -> None:
         """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
         sigma = sigmas(sample, self._settings)
+        self._heard = sample
         if self._state is None:
             self._start(sample, sigma)
             return
         if sample.t_ns < self._state.t_ns:
             return
         self._propagate(self._state, sample.t_ns)
+        if self._doubts >= _HOPELESS and self._start(sample, sigma):
+            return
         self._nav_sigma = sigma
         if self._recording:
             self._recording.nav.append(sample)
         self._measure_nav(self._state, sample, sigma)
+        if vague(self._state):
+            self._start(sample, sigma)
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
         """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
-        state = self._state
-        if state is None or tracks.t_ns < state.t_ns or tracks.t_ns <= self._last_exposure_ns:
+        if tracks.t_ns <= self._last_exposure_ns or (self._state is not None and tracks.t_ns < self._state.t_ns):
             return None
         self._last_exposure_ns = tracks.t_ns
+        self._orient(tracks)
+        state = self._state
+        if state is None:
+            return None
         self._propagate(state, tracks.t_ns)
-        passed, tried = self._see(state, tracks) if len(tracks.ids) else (0, 0)
-        motion = self._motion(state, self._judge(state, passed, tried), passed)
+        votes = self._features.see(state, tracks) if len(tracks.ids) else Votes()
+        if self._health.look(tracks.t_ns, votes):
+            self._doubt(state)
+        motion = self._motion(state, votes.inside)
         if self._recording:
             self._recording.exposures.append((motion, tracks, self._snapshot(state)))
         return motion
 
+    def _orient(self, tracks: Tracks) -> None:
+        """Where GPS comes without attitude, the pictures give it: at the start, and between photos (M26)."""
+        heard, before = self._heard, self._before
+        if heard is None or heard.position_world is None or heard.world_from_body is not None:
+            return
+        if (tracks.t_ns - heard.t_ns) * 1e-9 > _FRESH:
+            return
+        if before is not None and np.linalg.norm((heard.position_world - before[1])[:2]) < WAY:
+            return
+        self._before = (tracks, heard.position_world)
+        if before is None:
+            return
+        found = attitude(before[0], tracks, heard.position_world - before[1], self._cams[0])
+        if found is None:
+            return
+        if self._state is None:
+            row = replace(heard, t_ns=tracks.t_ns, world_from_body=found, sigma_attitude=np.abs(found.T) @ SIGMA)
+            self._start(row, sigmas(row, self._settings))
+        elif tracks.t_ns - before[0].t_ns > LONG * 1e9:
+            e = so3_log(found @ self._state.R.T)
+            self._state.correct(e / SIGMA, np.diag(1.0 / SIGMA), np.arange(ATT.start, ATT.stop))
+
     def ring(self) -> tuple[Motion, ...]:
-        """The keyframes held, as the present state sees them: consistent, unlike motions given out at different times.
+        """The keyframes held, refined together with all that was seen from them (M23): consistent with each other.
 
         Their covariances are marginals; GPS/INS corrections move all of them together.
         """
         s = self._state
-        if s is None:
+        if s is None or not s.clones:
             return ()
-        return tuple(self._held(s, i) for i in range(len(s.clones)))
+        found = self._features.ring(s)
+        return tuple(self._held(s, i, found) for i in range(len(s.clones)))
 
-    def _absolute(self, s: State, rows: Ints) -> F64:
-        """(6, 6) covariance of a pose in the world: that against the start, and the GPS/INS error at the start."""
-        return np.asarray(s.P[np.ix_(rows, rows)] + np.diag(np.append(self._start_sigma**2, np.zeros(3))))
-
-    def _held(self, s: State, i: int) -> Motion:
-        c, order = s.clones[i], np.arange(len(s.P))[s.clone_at(i)][[3, 4, 5, 0, 1, 2]]
-        rig = Pose(c.R, c.p)
-        body = Pose(c.R @ so3_exp(s.core[MOUNT]).T, c.p)
-        return Motion(c.t_ns, body, tuple(rig @ x for x in self._cams), self._absolute(s, order))
+    def _held(self, s: State, i: int, found: Refined) -> Motion:
+        rows = 6 * i + np.array([3, 4, 5, 0, 1, 2])
+        rig = Pose(found.R[i], found.p[i])
+        body = Pose(found.R[i] @ so3_exp(s.core[MOUNT]).T, found.p[i])
+        covariance = s.in_world(found.covariance[np.ix_(rows, rows)], found.offset_cross[rows])
+        offset = s.core[OFFSET].copy()
+        cams = tuple(rig @ x for x in self._cams)
+        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, map=self._map)
 
     def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
         """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
@@ -143,20 +183,29 @@ class MotionFilter:
 
     # -- time ------------------------------------------------------------------------------------------------------
 
-    def _start(self, sample: NavSample, sigma: F64) -> None:
-        self._state = initial_state(sample, sigma, self._settings)
-        if self._state is None:
-            return
-        self._nav_sigma, self._start_sigma, self._last_nav_ns = sigma, sigma[0:3], sample.t_ns
+    def _start(self, sample: NavSample, sigma: F64) -> bool:
+        """Begin with a row that has position and attitude: the first time, or in a new map after all was lost."""
+        state = initial_state(sample, sigma, self._settings)
+        if state is None:
+            return False
+        if self._state is not None:
+            self._map += 1
+            log.warning(
+                "motion: started anew from GPS/INS in map %d, which poses from before do not belong to", self._map
+            )
+        self._state, self._nav_sigma, self._doubts = state, sigma, 0
+        self._features.forget(state)
+        self._health.restart(sample.t_ns)
         if self._inertial:
-            self._start_biases(self._state)
+            self._start_biases(state)
         else:
-            self._state.P[GYRO, GYRO] = np.eye(3) * 0.5**2  # rad/s: any
+            state.P[GYRO, GYRO] = np.eye(3) * 0.5**2  # rad/s: any
             if sample.angular_velocity_body is not None:
-                self._state.core[GYRO] = sample.angular_velocity_body
+                state.core[GYRO] = sample.angular_velocity_body
         if self._recording:
             self._recording.nav.append(sample)
-        self._first = self._here(self._state)
+        self._first = self._here(state)
+        return True
 
     def _start_biases(self, state: State) -> None:
         for part, sigma in ((GYRO, self._settings.gyro_bias_sigma), (ACC, self._settings.accelerometer_bias_sigma)):
@@ -190,7 +239,7 @@ class MotionFilter:
             Q[range(15), range(15)] += bias_walk(dt, self._settings)
         else:
             F, Q = constant_transition(state.R, state.core[GYRO], dt, self._settings)
-        decay, drift = nav_decay(dt, self._nav_sigma, self._settings, from_start=True)
+        decay, drift = nav_decay(dt, self._nav_sigma, self._settings)
         spread(state, F, Q, decay, drift)
         state.R, state.core[POS], state.core[VEL] = after.R, after.position, after.velocity
         state.core[15:24] *= decay
@@ -203,98 +252,62 @@ class MotionFilter:
         rows = measurements(state, sample, sigma, self._settings)
         rate = None if self._inertial else rate_measurement(state, sample, self._settings)
         passed = [row for row in [*rows, *([rate] if rate else [])] if self._inside(state, *row)]
-        if sample.position_world is not None:
-            inside = bool(passed) and passed[0] is rows[0]
-            self._outside = 0 if inside else self._outside + 1
+        place = sample.position_world is not None
+        inside = place and bool(passed) and passed[0] is rows[0]
         if passed:
-            self._last_nav_ns = sample.t_ns
             state.update(*(np.concatenate([row[k] for row in passed]) for k in range(3)))
-        if self._outside >= _JUMP and sample.position_world is not None:
-            self._jump(state, sample.position_world, sigma)
+        outside = self._health.hear(sample.t_ns, inside if place else None, len(passed) > inside)
+        if outside > _JUMP and sample.position_world is not None:
+            self._jump(state, sample.position_world)
 
     def _inside(self, state: State, residual: F64, H: F64, variance: F64) -> bool:
         return self._gate.passes(residual, H @ state.P @ H.T + np.diag(variance))
 
-    def _jump(self, state: State, position: F64, sigma: F64) -> None:
+    def _jump(self, state: State, position: F64) -> None:
         """The solution jumped: what it is off by is set anew, so that the jump does not pull the vehicle along."""
-        log.warning(
-            "GPS/INS position jumped by %.1f m", float(np.linalg.norm(position - state.core[POS] - state.core[NAV_POS]))
-        )
-        state.core[NAV_POS] = position - state.core[POS]
-        state.P[NAV_POS, :], state.P[:, NAV_POS] = 0.0, 0.0
-        state.P[NAV_POS, NAV_POS] = np.diag(sigma[0:3] ** 2)
-        self._outside = 0
+        expected = state.core[POS] + state.core[OFFSET]
+        log.warning("GPS/INS position jumped by %.1f m", np.linalg.norm(position - expected - state.core[NAV_POS]))
+        state.core[NAV_POS] = position - expected
+        known = -state.P[POS] - state.P[OFFSET]  # (3, n): of the new error with everything
+        known[:, NAV_POS] = 0.0
+        own = -known[:, POS] - known[:, OFFSET] + np.eye(3) * self._settings.nav_position_white**2
+        state.P[NAV_POS], state.P[:, NAV_POS], state.P[NAV_POS, NAV_POS] = known, known.T, own
+        self._health.hear(state.t_ns, True, True)
 
-    # -- cameras ---------------------------------------------------------------------------------------------------
-
-    def _see(self, state: State, tracks: Tracks) -> tuple[int, int]:
-        """One exposure (M11-M17): forget lost points, measure those held, take up those that became well known."""
-        sigma = sight_sigma(tracks, self._camera, self._settings)
-        sights = {
-            int(i): Sight(tracks.t_ns, z, float(s))
-            for i, z, s in zip(tracks.ids, tracks.normalised, sigma, strict=True)
-        }
-        lost = [i for i, x in enumerate(state.points) if x.id not in sights or x.misses >= _MISSES]
-        state.drop(clones=self._superfluous(state), points=lost)
-        state.add_clone()
-        passed, tried = measure(state, len(state.clones) - 1, sights, self._cams, self._gate)
-        self._wait(state, sights)
-        return passed + self._take_up(state), tried
-
-    def _superfluous(self, state: State) -> list[int]:
-        """The last clone if it is no keyframe; else the oldest when there are too many."""
-        c = state.clones
-        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < self._settings.keyframe_baseline * self._distance(state):
-            return [len(c) - 1]
-        return [0] if len(c) >= self._settings.clones else []
-
-    @staticmethod
-    def _distance(state: State) -> float:
-        far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
-        return float(np.median(far)) if far else 0.0
-
-    def _wait(self, state: State, sights: dict[int, Sight]) -> None:
-        held = {x.id for x in state.points}
-        self._waiting = {
-            i: [*self._waiting.get(i, []), s][-2 * self._settings.clones :] for i, s in sights.items() if i not in held
-        }
-
-    def _take_up(self, state: State) -> int:
-        """Fill the free places, oldest features first."""
-        s, taken = self._settings, 0
-        for i in sorted(i for i, seen in self._waiting.items() if len(seen) >= 3)[: s.points]:
-            if len(state.points) >= s.points:
-                break
-            if take_up(state, i, self._waiting[i], self._cams, s.depth_share, self._gate):
-                taken += 1
-                del self._waiting[i]
-        return taken
+    def _doubt(self, state: State) -> None:
+        """The pictures agree with each other and not with the state: its attitude may be wrong, INS and all (M25)."""
+        self._doubts += 1
+        log.warning("motion: the pictures contradict the state; its attitude is taken as less sure")
+        self._features.forget(state)
+        spread = np.diag(_DOUBT**2)
+        state.P[ATT, ATT] += spread
+        state.P[NAV_ATT, NAV_ATT] += spread
+        state.P[ATT, NAV_ATT] -= spread
+        state.P[NAV_ATT, ATT] -= spread
 
     # -- what goes out ---------------------------------------------------------------------------------------------
 
-    def _judge(self, state: State, passed: int, tried: int) -> MotionState:
-        """How far to trust this exposure: cameras and GPS/INS both there and agreeing, one of them, none."""
-        seen = passed >= _SUPPORT and 2 * passed >= tried
-        if seen:
-            self._last_good_ns, self._settled = state.t_ns, self._settled + 1
-        coast = self._settings.coast * 1e9
-        nav = state.t_ns - self._last_nav_ns <= coast
-        if not nav and state.t_ns - self._last_good_ns > coast:
-            return MotionState.LOST
-        if seen and nav and self._outside == 0:
-            return MotionState.GOOD if self._settled >= 3 else MotionState.INITIALISING
-        return MotionState.INITIALISING if self._settled == 0 and nav else MotionState.DEGRADED
-
-    def _motion(self, state: State, judged: MotionState, support: int) -> Motion:
-        rig = Pose(state.rig, state.core[POS])
+    def _motion(self, state: State, support: int) -> Motion:
+        judged, why = self._health.judge(state)
+        self._doubts = 0 if judged is MotionState.GOOD else self._doubts
+        if self._lost and judged is not MotionState.LOST:
+            self._map += 1
+            log.warning(
+                "motion: found again, in map %d: the way from the poses before is known by GPS/INS only", self._map
+            )
+        self._lost = judged is MotionState.LOST
+        rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
         return Motion(
             state.t_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
-            self._absolute(state, np.r_[POS, ATT]),
+            state.in_world(state.P[np.ix_(order, order)], state.P[order, OFFSET]),
             state.core[VEL].copy(),
             judged,
             support,
+            state.core[OFFSET].copy(),
+            why,
+            self._map,
         )
 
     @staticmethod

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.geometry import skew, so3_exp
+from alight.motion.turns import exps, skews
 from alight.records import F64, ImuSample
 from alight.settings import Filter
 
@@ -71,30 +72,45 @@ def _at(samples: Sequence[ImuSample], times: list[int], t_ns: int) -> tuple[F64,
 
 def preintegrate(pieces: Sequence[Segment], gyro_bias: F64, accelerometer_bias: F64, noise: Filter) -> Preintegral:
     """Sum the pieces by the midpoint rule (M4) with bias Jacobian (M5) and covariance (M6)."""
-    R, v, p, t = np.eye(3), np.zeros(3), np.zeros(3), 0.0
-    J, C = np.zeros((9, 6)), np.zeros((9, 9))
-    for dt, rate, force in pieces:
-        w, a = rate - gyro_bias, force - accelerometer_bias
-        half = so3_exp(w * (dt / 2.0))
-        Rm = R @ half
-        A, B = np.eye(9), np.zeros((9, 6))
-        A[0:3, 0:3] = (half @ half).T
-        turned = -Rm @ skew(a) * dt  # of the force by a rotation at the midpoint
-        A[3:6, 0:3] = turned @ half.T
-        A[6:9, 0:3] = A[3:6, 0:3] * (dt / 2.0)
-        A[6:9, 3:6] = np.eye(3) * dt
-        B[0:3, 0:3] = right_jacobian(w * dt) * dt
-        B[3:6, 0:3] = turned * (dt / 2.0)
-        B[6:9, 0:3] = turned * (dt * dt / 4.0)
-        B[3:6, 3:6] = Rm * dt
-        B[6:9, 3:6] = Rm * (dt * dt / 2.0)
-        J = A @ J - B
-        C = A @ C @ A.T + (B * _variance(dt, noise)) @ B.T
-        p = p + v * dt + Rm @ a * (dt * dt / 2.0)
-        v = v + Rm @ a * dt
-        R = Rm @ half
-        t += dt
-    return Preintegral(t, R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
+    R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
+    if not pieces:
+        return Preintegral(0.0, R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
+    dt = np.array([piece[0] for piece in pieces])
+    w = np.array([piece[1] for piece in pieces]) - gyro_bias
+    a = np.array([piece[2] for piece in pieces]) - accelerometer_bias
+    half = exps(w * (dt[:, None] / 2.0))
+    middle = np.empty_like(half)  # attitude at the middle of each piece
+    for i, h in enumerate(half):
+        middle[i] = R @ h
+        R = middle[i] @ h
+    dv = np.einsum("nij,nj->ni", middle, a) * dt[:, None]
+    A, B = _errors(dt, w, a, half, middle)
+    Q = (B * _variance(dt, noise)[:, None, :]) @ B.transpose(0, 2, 1)
+    for i in range(len(dt)):
+        J = A[i] @ J - B[i]
+        C = A[i] @ C @ A[i].T + Q[i]
+    v = dv.sum(axis=0)
+    p = ((np.cumsum(dv, axis=0) - 0.5 * dv) * dt[:, None]).sum(axis=0)
+    return Preintegral(float(dt.sum()), R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
+
+
+def _errors(dt: F64, w: F64, a: F64, half: F64, middle: F64) -> tuple[F64, F64]:
+    """(N, 9, 9) derivative of the errors after each piece by those before it, (N, 9, 6) by its rate and force."""
+    n, t, eye = len(dt), dt[:, None, None], np.eye(3)
+    A, B = np.zeros((n, 9, 9)), np.zeros((n, 9, 6))
+    A[:] = np.eye(9)
+    A[:, 0:3, 0:3] = (half @ half).transpose(0, 2, 1)
+    turned = -(middle @ skews(a)) * t  # of the force by a rotation at the midpoint
+    A[:, 3:6, 0:3] = turned @ half.transpose(0, 2, 1)
+    A[:, 6:9, 0:3] = A[:, 3:6, 0:3] * (t / 2.0)
+    A[:, 6:9, 3:6] = eye * t
+    W = skews(w * dt[:, None])
+    B[:, 0:3, 0:3] = (eye - W / 2.0 + W @ W / 6.0) * t
+    B[:, 3:6, 0:3] = turned * (t / 2.0)
+    B[:, 6:9, 0:3] = turned * (t * t / 4.0)
+    B[:, 3:6, 3:6] = middle * t
+    B[:, 6:9, 3:6] = middle * (t * t / 2.0)
+    return A, B
 
 
 def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preintegral:
@@ -110,10 +126,10 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
     )
 
 
-def _variance(dt: float, noise: Filter) -> F64:
-    """(6,) variance of the mean rates over a piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
+def _variance(dt: F64, noise: Filter) -> F64:
+    """(N, 6) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
     gyro, accelerometer = noise.gyro_noise**2 / dt, noise.accelerometer_noise**2 / dt
-    if dt > _GAP:  # nobody measured: as uncertain as the constant-velocity model
-        gyro += noise.angular_acceleration_sigma**2 * dt
-        accelerometer += noise.acceleration_sigma**2 / dt
-    return np.repeat([gyro, accelerometer], 3)
+    hole = dt > _GAP  # nobody measured: as uncertain as the constant-velocity model
+    gyro = gyro + np.where(hole, noise.angular_acceleration_sigma**2 * dt, 0.0)
+    accelerometer = accelerometer + np.where(hole, noise.acceleration_sigma**2 / dt, 0.0)
+    return np.repeat(np.stack([gyro, accelerometer], axis=1), 3, axis=1)

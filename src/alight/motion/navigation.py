@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from alight.geometry import so3_exp, so3_log
-from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, POS, VEL, State
+from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, OFFSET, POS, VEL, State
 from alight.records import F64, NavSample
 from alight.settings import Filter
+
+GIMBAL = 0.03  # rad, 1-sigma of the camera's mounting against a gimbal's tag: photos, told by that no velocity is known
 
 
 def sigmas(sample: NavSample, noise: Filter) -> F64:
@@ -33,8 +35,8 @@ def whites(sigma: F64, noise: Filter) -> F64:
 def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
     """Make the first state of a row that has position and attitude; None: this row has not.
 
-    The position is taken as exact and the error of GPS/INS counted from here on (M14b): where the world's origin lies
-    to within that first error is nothing that cameras can tell, and estimating it would only shake the poses.
+    The position is exact in a map of its own (M14b), whose offset from the world is a state: where the world lies to
+    within the first error of GPS is nothing that cameras can tell, and learning it would only shake the poses.
     """
     if sample.position_world is None or sample.world_from_body is None:
         return None
@@ -46,13 +48,16 @@ def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
         bound, shake = np.diag(sigma[i : i + 3] ** 2), np.diag(white[i : i + 3] ** 2)
         P[value, value], P[drift, drift] = bound + shake, bound  # value = measured - drift - white
         P[value, drift] = P[drift, value] = -bound
+    P[OFFSET, OFFSET], P[OFFSET, NAV_POS], P[NAV_POS, OFFSET] = P[POS, POS], P[POS, NAV_POS], P[NAV_POS, POS]
     P[POS, POS], P[POS, NAV_POS], P[NAV_POS, POS] = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-    P[NAV_POS, NAV_POS] = np.diag(white[0:3] ** 2)
     if sample.velocity_world is None:
         P[VEL, VEL], P[VEL, NAV_VEL], P[NAV_VEL, VEL] = np.eye(3) * 10.0**2, np.zeros((3, 3)), np.zeros((3, 3))
     else:
         core[VEL] = sample.velocity_world
-    P[range(24, 27), range(24, 27)] = noise.mounting_sigma**2
+    mounting = noise.mounting_sigma
+    if mounting is None:
+        mounting = 0.0 if sample.velocity_world is not None else GIMBAL
+    P[range(24, 27), range(24, 27)] = mounting**2
     return State(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 
@@ -60,12 +65,11 @@ def measurements(state: State, sample: NavSample, sigma: F64, noise: Filter) -> 
     """Return (residual, H, variance), each of 3 rows: position (M14), attitude (M15), velocity (M16) where measured."""
     white, out = whites(sigma, noise) ** 2, []
     if sample.position_world is not None:
-        out.append(
-            (sample.position_world - state.core[POS] - state.core[NAV_POS], _selector(state, POS, NAV_POS), white[0:3])
-        )
+        expected = state.core[POS] + state.core[OFFSET] + state.core[NAV_POS]
+        out.append((sample.position_world - expected, _selector(state, POS, OFFSET, NAV_POS), white[0:3]))
     if sample.world_from_body is not None:
-        expected = so3_exp(state.core[NAV_ATT]) @ state.R
-        out.append((so3_log(sample.world_from_body @ expected.T), _selector(state, ATT, NAV_ATT), white[3:6]))
+        turned = so3_exp(state.core[NAV_ATT]) @ state.R
+        out.append((so3_log(sample.world_from_body @ turned.T), _selector(state, ATT, NAV_ATT), white[3:6]))
     if sample.velocity_world is not None:
         out.append(
             (sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _selector(state, VEL, NAV_VEL), white[6:9])

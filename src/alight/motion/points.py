@@ -1,7 +1,8 @@
-"""Points of the state: measured in every exposure, and taken up from the sub-filter once well known (M11-M13, M17)."""
+"""Points of the state: measured in every exposure, and taken up from the window once well known (M11-M13, M17)."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,18 +10,14 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from alight.geometry import Pose
+from alight.motion.health import Votes
 from alight.motion.state import Clone, Point, State
-from alight.motion.vision import Ray, depths, jacobians, project, triangulate
+from alight.motion.vision import depths, jacobians, project
+from alight.motion.window import Poses, Sights, linearise
 from alight.records import F64
 
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """What the cameras saw of one feature at the exposure of one clone."""
-
-    t_ns: int  # of the clone
-    normalised: F64  # (cameras, 2), NaN = not seen
-    sigma: float  # of a normalised coordinate
+Mask = NDArray[np.bool_]
+Ints = NDArray[np.int64]
 
 
 class Gate:
@@ -28,13 +25,18 @@ class Gate:
 
     def __init__(self, probability: float) -> None:
         self._probability = probability
-        self._limits: dict[int, float] = {0: 0.0}
+        self._limits = np.zeros(1)
+
+    def limits(self, rows: Ints) -> F64:
+        """The largest squared distances that pass (chi-square)."""
+        most = int(rows.max(initial=0))
+        if most >= len(self._limits):
+            self._limits = np.append(0.0, chi2.ppf(self._probability, np.arange(1, most + 16)))
+        return np.asarray(self._limits[rows])
 
     def limit(self, rows: int) -> float:
         """The largest squared distance that passes (chi-square)."""
-        if rows not in self._limits:
-            self._limits[rows] = float(chi2.ppf(self._probability, rows))
-        return self._limits[rows]
+        return float(self.limits(np.array([rows]))[0])
 
     def passes(self, residual: F64, S: F64) -> bool:
         """Whether a residual with covariance `S` is inside."""
@@ -42,16 +44,20 @@ class Gate:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class PointRows:
     """Linearised sights of N points from one clone, 2 rows a camera, in units of their sigma; unseen rows are zero."""
 
     residual: F64  # (N, m)
     by_clone: F64  # (N, m, 6)
     by_point: F64  # (N, m, 3)
-    seen: NDArray[np.bool_]  # (N, m)
+    seen: Mask  # (N, m)
+
+    def only(self, which: Mask) -> PointRows:
+        """Those of some points."""
+        return PointRows(self.residual[which], self.by_clone[which], self.by_point[which], self.seen[which])
 
 
-def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: tuple[Pose, ...], sigma: F64) -> Rows:
+def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: Sequence[Pose], sigma: F64) -> PointRows:
     """Residuals at the estimates, Jacobians at the first ones (M11), of (N, 3) points seen at (N, cameras, 2).
 
     Args:
@@ -68,101 +74,98 @@ def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: tuple[Pose
         by_clone[ok, rows], by_point[ok, rows] = jacobians(clone.first_R, clone.first_p, cam, first_x[ok])
         seen[ok, rows] = True
     unit = 1.0 / sigma[:, None]
-    return Rows(residual * unit, by_clone * unit[..., None], by_point * unit[..., None], seen)
+    return PointRows(residual * unit, by_clone * unit[..., None], by_point * unit[..., None], seen)
 
 
-def measure(state: State, clone: int, sights: dict[int, Sight], cams: tuple[Pose, ...], gate: Gate) -> tuple[int, int]:
-    """Correct the state by the points seen at one clone; return how many passed the gate, and how many were tried."""
-    index = np.array([i for i, x in enumerate(state.points) if x.id in sights], dtype=int)
+def measure(state: State, ids: Ints, sights: F64, sigma: F64, cams: Sequence[Pose], gate: Gate) -> Votes:
+    """Correct the state by the points seen at its last clone.
+
+    Args:
+        ids, sights, sigma: (N,) sorted, (N, cameras, 2), (N,) what was seen.
+    """
+    held = np.array([x.id for x in state.points], dtype=np.int64)
+    index, at = _common(held, ids)
     if not len(index):
-        return 0, 0
-    points = [state.points[i] for i in index]
+        return Votes()
+    points, clone = [state.points[i] for i in index], len(state.clones) - 1
     x, first = np.array([q.x for q in points]), np.array([q.first_x for q in points])
-    now = [sights[q.id] for q in points]
-    seen, sigma = np.array([s.normalised for s in now]), np.array([s.sigma for s in now])
-    rows = point_rows(state.clones[clone], x, first, seen, cams, sigma)
-    tried = rows.seen.any(axis=1)
-    passed = tried & _inside(state, clone, index, rows, gate)
+    rows = point_rows(state.clones[clone], x, first, sights[at], cams, sigma[at])
+    tried, distance = rows.seen.any(axis=1), _distances(state, clone, index, rows)
+    count = rows.seen.sum(axis=1)
+    passed = tried & (distance <= gate.limits(count))
     for q, bad in zip(points, tried & ~passed, strict=True):
         q.misses = q.misses + 1 if bad else 0
     if passed.any():
-        _correct(state, clone, index[passed], _only(rows, passed))
-    return int(passed.sum()), int(tried.sum())
+        _correct(state, clone, index[passed], rows.only(passed))
+    mean = float(distance[passed].sum() / max(count[passed].sum(), 1))
+    return Votes(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
 
-def _only(rows: Rows, which: NDArray[np.bool_]) -> Rows:
-    return Rows(rows.residual[which], rows.by_clone[which], rows.by_point[which], rows.seen[which])
+def _common(held: Ints, ids: Ints) -> tuple[Ints, Ints]:
+    """Where the points held are among sorted ids: (index of the point, index in ids)."""
+    at = np.searchsorted(ids, held)
+    there = (at < len(ids)) & (ids[np.minimum(at, len(ids) - 1)] == held) if len(ids) else np.zeros(len(held), bool)
+    return np.flatnonzero(there), at[there]
 
 
-def _inside(state: State, clone: int, index: NDArray[np.int64], rows: Rows, gate: Gate) -> NDArray[np.bool_]:
-    """Gate every point by the covariance of its own rows."""
+def _distances(state: State, clone: int, index: Ints, rows: PointRows) -> F64:
+    """Squared Mahalanobis distance of every point by the covariance of its own rows."""
     at = np.arange(len(state.P))[state.clone_at(clone)]
-    own = np.array([np.arange(len(state.P))[state.point_at(i)] for i in index])  # (N, 3)
+    own = state.point_start + 3 * index[:, None] + np.arange(3)  # (N, 3)
     where = np.hstack([np.broadcast_to(at, (len(index), len(at))), own])  # (N, 9)
     H = np.concatenate([rows.by_clone, rows.by_point], axis=2)
     S = H @ state.P[where[:, :, None], where[:, None, :]] @ H.transpose(0, 2, 1)
     S += np.eye(S.shape[1])
-    distance = np.einsum("nm,nm->n", rows.residual, np.linalg.solve(S, rows.residual[..., None])[..., 0])
-    return np.asarray(distance <= np.array([gate.limit(int(k)) for k in rows.seen.sum(axis=1)]))
+    return np.asarray((rows.residual * np.linalg.solve(S, rows.residual[..., None])[..., 0]).sum(axis=1))
 
 
-def _correct(state: State, clone: int, index: NDArray[np.int64], rows: Rows) -> None:
+def _correct(state: State, clone: int, index: Ints, rows: PointRows) -> None:
     n, m = rows.residual.shape
-    H = np.zeros((n, m, len(state.P)))
-    H[:, :, state.clone_at(clone)] = rows.by_clone
-    for k, i in enumerate(index):
-        H[k, :, state.point_at(i)] = rows.by_point[k]
+    columns = np.concatenate(
+        [
+            np.arange(len(state.P))[state.clone_at(clone)],
+            (state.point_start + 3 * index[:, None] + np.arange(3)).ravel(),
+        ]
+    )
+    H = np.zeros((n, m, len(columns)))
+    H[:, :, :6] = rows.by_clone
+    k = np.arange(n)
+    for j in range(3):
+        H[k, :, 6 + 3 * k + j] = rows.by_point[:, :, j]
     seen = rows.seen.ravel()
-    state.update(rows.residual.ravel()[seen], H.reshape(n * m, -1)[seen], np.ones(int(seen.sum())))
+    state.correct(rows.residual.ravel()[seen], H.reshape(n * m, -1)[seen], columns)
 
 
-def take_up(state: State, id_: int, history: list[Sight], cams: tuple[Pose, ...], share: float, gate: Gate) -> bool:
-    """Move a feature from the sub-filter into the state if its depth is known to `share` and its sights agree (M17).
+def take_up(state: State, feature: Sights, x: F64, cams: Sequence[Pose], gate: Gate) -> bool:
+    """Move one feature (N = 1) from the window into the state if its sights agree (M17).
 
     Delayed initialisation: the rows of the sights are rotated so that three determine the point and the others only
     the clones. The others are a measurement of the poses, used and gated; the three give the point with its exact
-    covariance with everything else. No sight is used twice.
+    covariance with everything. No sight is used twice.
     """
-    sights = _at_clones(state, history)
-    rays = [Ray(c.R, c.p, cams[cam], s.normalised[cam]) for _, c, cam, s in sights]
-    found = triangulate(rays, history[-1].sigma) if len(rays) > 2 else None
-    if found is None:
+    rows = linearise(feature, Poses.of(state.clones), cams, x)
+    used = np.abs(rows.by_point[0]).sum(axis=3) > 0  # (K, C, 2)
+    if used.sum() < 5:
         return False
-    x, covariance = found
-    if np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > share * np.linalg.norm(x - rays[-1].p):
-        return False
-    Hc, Hx = np.zeros((2 * len(sights), len(state.P))), np.zeros((2 * len(sights), 3))
-    r = np.empty(2 * len(sights))
-    for k, (i, c, cam, s) in enumerate(sights):
-        rows = slice(2 * k, 2 * k + 2)
-        by_clone, by_point = jacobians(c.first_R, c.first_p, cams[cam], x)
-        r[rows] = (s.normalised[cam] - project(c.R, c.p, cams[cam], x)) / s.sigma
-        Hc[rows, state.clone_at(i)], Hx[rows] = by_clone / s.sigma, by_point / s.sigma
-    return _initialise(state, id_, x, (r, Hc, Hx), gate)
+    k = np.nonzero(used)[0]
+    columns = state.clone_columns()
+    Hx, r = rows.by_point[0][used], rows.residual[0][used]
+    Hc = np.zeros((len(r), len(state.clones), 6))
+    Hc[np.arange(len(r)), k] = rows.by_pose[0][used]
+    return _initialise(state, int(feature.ids[0]), x[0], (r, Hc.reshape(len(r), -1), Hx), columns, gate)
 
 
-def _at_clones(state: State, history: list[Sight]) -> list[tuple[int, Clone, int, Sight]]:
-    """The sights whose clone is still there: its index, the clone, the camera."""
-    index = {c.t_ns: i for i, c in enumerate(state.clones)}
-    return [
-        (index[s.t_ns], state.clones[index[s.t_ns]], cam, s)
-        for s in history
-        if s.t_ns in index
-        for cam, z in enumerate(s.normalised)
-        if np.isfinite(z[0])
-    ]
-
-
-def _initialise(state: State, id_: int, x: F64, rows: tuple[F64, F64, F64], gate: Gate) -> bool:
+def _initialise(state: State, id_: int, x: F64, rows: tuple[F64, F64, F64], columns: Ints, gate: Gate) -> bool:
     r, Hc, Hx = rows
     Q, R = np.linalg.qr(Hx, mode="complete")
-    r, Hc, T = Q.T @ r, Q.T @ Hc, np.linalg.inv(R[:3])
-    S = Hc[3:] @ state.P @ Hc[3:].T + np.eye(len(r) - 3)
-    if not gate.passes(r[3:], S):
+    if np.abs(np.diag(R)).min() < 1e-6:
         return False
-    cross = -T @ Hc[:3] @ state.P
-    own = T @ (Hc[:3] @ state.P @ Hc[:3].T + np.eye(3)) @ T.T
-    x = x + T @ r[:3]
-    state.add_point(Point(id_, x, x), cross, own)
-    state.update(r[3:], np.hstack([Hc[3:], np.zeros((len(r) - 3, 3))]), np.ones(len(r) - 3))
+    r, Hc, T = Q.T @ r, Q.T @ Hc, np.linalg.inv(R[:3])
+    P = state.P[np.ix_(columns, columns)]
+    if not gate.passes(r[3:], Hc[3:] @ P @ Hc[3:].T + np.eye(len(r) - 3)):
+        return False
+    cross = -T @ Hc[:3] @ state.P[columns]
+    own = T @ (Hc[:3] @ P @ Hc[:3].T + np.eye(3)) @ T.T
+    state.add_point(Point(id_, x + T @ r[:3], x), cross, own)  # x is where the Jacobians were taken
+    state.correct(r[3:], Hc[3:], columns)
     return True

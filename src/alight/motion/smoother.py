@@ -26,7 +26,7 @@ from alight.motion.dynamics import (
 from alight.motion.inertial import Preintegral, corrected, preintegrate, segments
 from alight.motion.navigation import sigmas, whites
 from alight.motion.sights import Sights
-from alight.motion.state import ACC, ATT, GYRO, MOUNT, NAV_ATT, NAV_POS, NAV_VEL, POS, VEL
+from alight.motion.state import ACC, ATT, GYRO, MOUNT, NAV_ATT, NAV_POS, NAV_VEL, OFFSET, POS, VEL
 from alight.motion.vision import sight_sigma
 from alight.records import F64, ImuSample, Motion, NavSample, Rig, Tracks
 from alight.settings import Filter
@@ -82,6 +82,7 @@ class _Batch:
         self._t = [m.t_ns for m in self._motions]
         self._R = np.array([m.world_from_body.rotation for m in self._motions])
         self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
+        self._x[:, POS] += r.exposures[-1][2][OFFSET]
         self._mount = so3_exp(r.exposures[-1][2][MOUNT])
         self._cams = tuple(c.body_from_cam for c in r.rig.cameras)
         self._span = max(_SHORTEST, min(r.settings.track_span, r.settings.track_span * _LONG // len(self._t)))
@@ -227,6 +228,7 @@ class _Batch:
             world_from_body=body,
             world_from_cams=tuple(rig @ c for c in self._cams),
             covariance=covariance[np.ix_(order, order)],
+            offset_world=None,
             velocity_world=self._x[k, VEL].copy(),
         )
 

@@ -9,9 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dsyrk
 
 from alight.geometry import so3_exp
+from alight.motion.turns import exps
 from alight.records import F64
 
 ATT = slice(0, 3)  # rad, body attitude
@@ -23,7 +26,8 @@ NAV_POS = slice(15, 18)  # m, slowly varying error of the GPS/INS position
 NAV_ATT = slice(18, 21)  # rad, of its attitude, in the world
 NAV_VEL = slice(21, 24)  # m/s, of its velocity
 MOUNT = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
-CORE = 27
+OFFSET = slice(27, 30)  # m, from the map, where the start is exact, to the world: what GPS/INS was off by then, negated
+CORE = 30
 CLONE = 6  # (rotation, position)
 POINT = 3
 
@@ -55,7 +59,7 @@ class State:
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
-    core: F64  # (27,) values of the slices; ATT stays zero, R holds the attitude
+    core: F64  # (30,) values of the slices; ATT stays zero, R holds the attitude
     P: F64  # (n, n)
     clones: list[Clone] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
@@ -64,6 +68,19 @@ class State:
     def rig(self) -> F64:
         """(3, 3) world_from_rig: the attitude with the mounting correction."""
         return self.R @ so3_exp(self.core[MOUNT])
+
+    def in_world(self, covariance: F64, by_offset: F64) -> F64:
+        """The (6, 6) second moment of what a pose (position, rotation) of the map is off by in the world.
+
+        Args:
+            covariance: (6, 6) of the pose in the map.
+            by_offset: (6, 3) its covariance with the map's offset.
+        """
+        out = covariance.copy()
+        out[:, :3] += by_offset
+        out[:3, :] += by_offset.T
+        out[:3, :3] += self.P[OFFSET, OFFSET] + np.outer(self.core[OFFSET], self.core[OFFSET])
+        return out
 
     def clone_at(self, index: int) -> slice:
         """Rows of a clone."""
@@ -74,6 +91,22 @@ class State:
         """Rows of a point."""
         start = CORE + CLONE * len(self.clones) + POINT * index
         return slice(start, start + POINT)
+
+    @property
+    def point_start(self) -> int:
+        """Row of the first point."""
+        return CORE + CLONE * len(self.clones)
+
+    def clone_columns(self) -> NDArray[np.int64]:
+        """Rows of all clones."""
+        return np.arange(CORE, self.point_start)
+
+    def relinearise(self) -> None:
+        """Take Jacobians at the present estimates from here on."""
+        for c in self.clones:
+            c.first_R, c.first_p = c.R, c.p
+        for x in self.points:
+            x.first_x = x.x
 
     def add_clone(self) -> None:
         """Copy the present rig pose into the state behind the other clones."""
@@ -100,26 +133,41 @@ class State:
         self.clones = [c for i, c in enumerate(self.clones) if i not in set(clones)]
         self.points = [x for i, x in enumerate(self.points) if i not in set(points)]
 
-    def update(self, residual: F64, H: F64, noise: F64) -> None:
-        """Correct by a measurement `residual = H error + noise`; `noise` (m,) variances."""
-        used = np.flatnonzero(H.any(axis=0))  # a row touches few of the unknowns
-        PHt = self.P[:, used] @ H[:, used].T
-        S = H[:, used] @ PHt[used] + np.diag(noise)
-        both = solve_triangular(
-            np.linalg.cholesky(S), np.column_stack([PHt.T, residual]), lower=True, check_finite=False
-        )
+    def correct(self, residual: F64, H: F64, columns: NDArray[np.int64]) -> None:
+        """Correct by a measurement of unit noise, `residual = H error[columns] + noise`, H (m, len(columns))."""
+        if not len(residual):
+            return
+        HP = H @ self.P[columns]
+        S = HP[:, columns] @ H.T
+        S[np.diag_indices(len(S))] += 1.0
+        L = np.linalg.cholesky(S)
+        both = solve_triangular(L, np.column_stack([HP, residual]), lower=True, check_finite=False)
         half, whitened = both[:, :-1], both[:, -1]  # S^-1/2 H P, S^-1/2 r
-        self.P -= half.T @ half  # symmetric by construction
+        lower = dsyrk(-1.0, half, beta=1.0, c=self.P.T, trans=1, lower=0)  # one half of P - half' half
+        self.P = _mirrored(lower)
         self._correct(half.T @ whitened)
+
+    def update(self, residual: F64, H: F64, noise: F64) -> None:
+        """Correct by a measurement `residual = H error + noise` over all unknowns; `noise` (m,) variances."""
+        used, unit = np.flatnonzero(H.any(axis=0)), 1.0 / np.sqrt(noise)  # a row touches few of the unknowns
+        self.correct(residual * unit, H[:, used] * unit[:, None], used)
 
     def _correct(self, error: F64) -> None:
         self.R = so3_exp(error[ATT]) @ self.R
         self.core[3:] += error[3:CORE]
-        for i, c in enumerate(self.clones):
-            e = error[self.clone_at(i)]
-            c.R, c.p = so3_exp(e[:3]) @ c.R, c.p + e[3:]
-        for i, x in enumerate(self.points):
-            x.x = x.x + error[self.point_at(i)]
+        e = error[CORE : self.point_start].reshape(-1, CLONE)
+        for c, turn, way in zip(self.clones, exps(e[:, :3]), e[:, 3:], strict=True):
+            c.R, c.p = turn @ c.R, c.p + way
+        for q, d in zip(self.points, error[self.point_start :].reshape(-1, POINT), strict=True):
+            q.x = q.x + d
+
+
+def _mirrored(upper: F64) -> F64:
+    """The symmetric matrix of which only the upper half was filled in."""
+    out = np.triu(upper)
+    out += out.T
+    out[np.diag_indices(len(out))] *= 0.5
+    return out
 
 
 def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:

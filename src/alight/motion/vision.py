@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.geometry import Camera, Pose
+from alight.motion.turns import skews
 from alight.records import F64, Tracks
 from alight.settings import Filter
 
@@ -54,14 +55,6 @@ def sight_sigma(tracks: Tracks, camera: Camera, noise: Filter) -> F64:
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
     return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
-
-
-def skews(v: F64) -> F64:
-    """Return the (..., 3, 3) cross-product matrices of (..., 3) vectors."""
-    out = np.zeros((*v.shape[:-1], 3, 3))
-    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return out
 
 
 def depths(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:

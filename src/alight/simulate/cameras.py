@@ -1,35 +1,44 @@
-"""Cameras of the simulator: one ray a pixel through the distorted lens, and what lens and sensor do to the light."""
+"""Cameras of the simulator: rays through the distorted lens, cast at the moment that each row is exposed."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose
+from alight.kernels.boxes import cast_boxes
 from alight.kernels.raycast import cast_rays
 from alight.kernels.shade import shade
-from alight.records import F32, F64, U8, InputError, Rig, RigCamera
+from alight.records import F32, F64, InputError
 from alight.simulate.materials import tables
-from alight.simulate.world import World
+from alight.simulate.movers import boxes_at
+
+if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
+    from alight.simulate.world import Patch, World
+
+Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
+REACH = 12.0  # heights above the ground to which the ground is made; beyond it goes on level
+FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 
 
 @dataclass(frozen=True)
-class Imaging:
-    """What happens between the lens and the file."""
+class Shutter:
+    """When light falls on the rows. Row r is open about `time + (r - (H - 1) / 2) * line_time`."""
 
-    samples: int = 1  # rays a pixel: 1 or 4
-    gain: float = 1.25  # exposure: linear radiance times this is full scale at 1
-    blur_px: float = 0.45  # standard deviation of lens and pixel together
-    vignetting: float = 0.12  # light lost in the corners
-    noise: float = 1.3  # grey levels, standard deviation
-    gamma: float = 2.2
+    exposure: float = 0.0  # s
+    line_time: float = 0.0  # s from one row to the next: rolling shutter
+    moments: int = 1  # instants that the exposure is summed of
 
-    def __post_init__(self) -> None:
-        if self.samples not in (1, 4):
-            raise ValueError(f"samples must be 1 or 4, not {self.samples}")
+    def opened(self, rows: int, moment: int) -> F64:
+        """(rows,) seconds of one moment of each row, from the picture's time; (1,) where all rows are one."""
+        part = (moment + 0.5) / self.moments - 0.5
+        lines = np.arange(rows) - 0.5 * (rows - 1) if self.line_time else np.zeros(1)
+        return np.asarray(part * self.exposure + self.line_time * lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,76 +46,113 @@ class Eye:
     """A camera ready to look: the rays of all its pixels, undistorted once."""
 
     camera: Camera
-    imaging: Imaging
+    samples: int = 1  # rays a pixel
     rays: tuple[F32, ...] = field(init=False)  # one (H, W, 3) a sample, z = 1
-    vignette: F32 = field(init=False)  # (H, W, 1)
 
     def __post_init__(self) -> None:
-        offsets = (
-            [(0.0, 0.0)] if self.imaging.samples == 1 else [(-0.12, -0.38), (0.38, -0.12), (-0.38, 0.12), (0.12, 0.38)]
-        )
         u, v = np.meshgrid(np.arange(self.camera.width, dtype=float), np.arange(self.camera.height, dtype=float))
-        rays = tuple(self.camera.rays(np.stack([u + a, v + b], -1)).astype(np.float32) for a, b in offsets)
-        object.__setattr__(self, "rays", rays)
-        r2 = (u - self.camera.cu) ** 2 + (v - self.camera.cv) ** 2
-        vignette = 1.0 - self.imaging.vignetting * (r2 / r2.max())[..., None]
-        object.__setattr__(self, "vignette", vignette.astype(np.float32))
+        rays = (self.camera.rays(np.stack([u + a, v + b], -1)).astype(np.float32) for a, b in spread(self.samples))
+        object.__setattr__(self, "rays", tuple(rays))
 
     def depth(self, world: World, world_from_cam: Pose, sample: int = 0) -> F64:
-        """(H, W) depth of what each pixel sees, metres along the optical axis; -1 where it sees none of the world.
+        """(H, W) depth of what each pixel sees, metres along the optical axis; -1 where it sees none of the ground.
 
         Raises:
             InputError: the camera is below the ground.
         """
-        centre = world_from_cam.translation
-        if centre[2] <= world.height_at(centre[0], centre[1]):
-            raise InputError(
-                f"the camera is below the ground at east {centre[0]:.1f}, north {centre[1]:.1f}; fly higher"
-            )
-        grid = world.grid
-        row, col = grid.index(centre[0], centre[1])
-        to_grid = np.diag([1.0 / grid.cell, -1.0 / grid.cell, 1.0])
-        out = np.empty((self.camera.height, self.camera.width))
-        origins = np.array([[float(col), float(row), centre[2]]])
-        turns, low = (to_grid @ world_from_cam.rotation)[None], float(world.height.min())
-        cast_rays(world.height, *world.pyramid, origins, self.rays[sample], turns, low, out)
-        return out
+        turns, places = world_from_cam.rotation[None], world_from_cam.translation[None]
+        patch = world.patch(self.footprint(world, turns, places))
+        return self._cast(world, patch, turns, places, sample)
 
-    def radiance(self, world: World, world_from_cam: Pose, time: float) -> F32:
-        """(H, W, 3) linear light at a time in seconds."""
-        materials, amplitudes = tables()
+    def radiance(self, world: World, poses: Poses | Pose, time: float, shutter: Shutter | None = None) -> F32:
+        """(H, W, 3) linear light of an exposure whose middle is at `time`, seconds.
+
+        `poses` gives the camera's place at any number of times; a Pose is a camera that stands still.
+
+        Raises:
+            InputError: the camera is below the ground.
+        """
+        shutter = shutter or Shutter()
         out = np.zeros((self.camera.height, self.camera.width, 3), np.float32)
-        pixel = 1.0 / math.sqrt(self.camera.fu * self.camera.fv)
-        for k, rays in enumerate(self.rays):
-            shade(
-                world.label, world.light, world.place, materials, amplitudes,
-                world_from_cam.translation, rays, world_from_cam.rotation, self.depth(world, world_from_cam, k),
-                pixel, world.level, world.sun.numbers, time, world.seed & 0xFFFF, 1.0 / len(self.rays), out,
-            )  # fmt: skip
+        moments = shutter.moments if shutter.exposure > 0 else 1
+        count = self.samples * math.ceil(moments / self.samples)
+        spans = Shutter(shutter.exposure, shutter.line_time, count)
+        for k in range(count):
+            seconds = time + spans.opened(self.camera.height, k)
+            turns, places = still(poses, len(seconds)) if isinstance(poses, Pose) else poses(seconds)
+            self._add(world, turns, places, seconds, k % self.samples, 1.0 / count, out)
         return out
 
-    def expose(self, radiance: F32, rng: np.random.Generator) -> U8:
-        """(H, W, 3) RGB: lens blur, vignetting, exposure, gamma, sensor noise."""
-        light = cv2.GaussianBlur(radiance, (0, 0), self.imaging.blur_px) if self.imaging.blur_px > 0 else radiance
-        light = np.clip(light * (self.vignette * self.imaging.gain), 1e-6, 1.0)
-        grey = cv2.pow(light, 1.0 / self.imaging.gamma) * 255.0
-        noise = rng.standard_normal(grey.shape, dtype=np.float32)
-        return np.asarray(np.clip(grey + self.imaging.noise * noise + 0.5, 0.0, 255.0).astype(np.uint8))
+    def footprint(self, world: World, turns: F64, places: F64) -> tuple[float, float, float, float]:
+        """West, south, east, north of the ground that the picture can show: a function of the poses and the lens."""
+        edge = _border(self.rays[0])
+        ends = [_reach(world, turns[k] @ edge.T, places[k]) for k in {0, len(turns) - 1}]
+        spots = np.concatenate([*ends, places[:, :2]])
+        west, south = spots.min(axis=0) - 1.0
+        east, north = spots.max(axis=0) + 1.0
+        return float(west), float(south), float(east), float(north)
+
+    def _cast(self, world: World, patch: Patch, turns: F64, places: F64, sample: int) -> F64:
+        for east, north, up in places[:: max(1, len(places) - 1)]:
+            if up <= world.height_at(float(east), float(north)):
+                raise InputError(f"the camera is below the ground at east {east:.1f}, north {north:.1f}; fly higher")
+        cell = patch.grid.cell
+        x, y = (places[:, 0] - patch.place[0]) / cell, (patch.place[1] - places[:, 1]) / cell
+        to_grid = np.diag([1.0 / cell, -1.0 / cell, 1.0])
+        out = np.empty((self.camera.height, self.camera.width))
+        origins = np.ascontiguousarray(np.stack([x, y, places[:, 2]], axis=-1))
+        cast_rays(patch.height, *patch.pyramid, origins, self.rays[sample], to_grid @ turns, patch.low, out)
+        return out
+
+    def _add(self, world: World, turns: F64, places: F64, seconds: F64, sample: int, weight: float, out: F32) -> None:
+        middle = float(seconds[len(seconds) // 2])
+        patch = world.patch(self.footprint(world, turns, places), middle)
+        depth, faces = self._cast(world, patch, turns, places, sample), np.zeros(out.shape[:2], np.int16)
+        boxes = _near(boxes_at(world.movers, seconds), patch)
+        turns, places = np.ascontiguousarray(turns), np.ascontiguousarray(places)
+        if boxes.shape[1]:
+            cast_boxes(boxes, places, self.rays[sample], turns, depth, faces)
+        none = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.float32)
+        look, tint = none[0] if patch.look is None else patch.look, none[1] if patch.tint is None else patch.tint
+        pixel = 1.0 / math.sqrt(self.camera.fu * self.camera.fv)
+        level = float(np.concatenate([patch.height[[0, -1]].ravel(), patch.height[:, [0, -1]].ravel()]).mean())
+        shade(
+            patch.label, look, patch.light, tint, patch.place, *tables(), places, self.rays[sample], turns, depth,
+            faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
+        )  # fmt: skip
 
 
-def default_rig() -> Rig:
-    """A pair of 640x480 cameras looking down, 0.5 m apart across the body, mounted as exactly as people do."""
-    left = Camera(640, 480, 481.2, 480.3, 323.0, 242.9, "radial-tangential", (-0.0899, 0.0195, -0.00077, 0.00065))
-    right = Camera(640, 480, 480.2, 479.8, 322.6, 239.1, "radial-tangential", (-0.0895, 0.0187, -0.00063, 0.0005))
-    return Rig(
-        (
-            RigCamera("cam0", left, Pose(_looking_down(0.0026, -0.0007, 0.0038), np.array([0.12, 0.25, -0.06]))),
-            RigCamera("cam1", right, Pose(_looking_down(-0.0006, 0.0091, 0.0028), np.array([0.12, -0.25, -0.06]))),
-        )
-    )
+def spread(samples: int) -> NDArray[np.float64]:
+    """(samples, 2) where in a pixel its rays go, evenly, about its centre (R2 sequence; a turned square for four)."""
+    if samples == 4:
+        return np.array(FOUR)
+    k = np.arange(samples)[:, None]
+    offsets = np.mod(0.5 + k * [0.7548776662, 0.5698402910], 1.0) - 0.5
+    return np.asarray(offsets - offsets.mean(axis=0))
 
 
-def _looking_down(*small: float) -> F64:
-    """Body from camera: image top is forward, image right is right, turned by a small rotation vector."""
-    down = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-    return np.asarray(cv2.Rodrigues(np.array(small))[0] @ down)
+def still(pose: Pose, count: int) -> tuple[F64, F64]:
+    """A pose as the rotations and places of `count` moments."""
+    return np.repeat(pose.rotation[None], count, axis=0), np.repeat(pose.translation[None], count, axis=0)
+
+
+def _border(rays: F32) -> F64:
+    """(N, 3) rays of every 16th pixel of the picture's border."""
+    sides = (rays[0, ::16], rays[-1, ::16], rays[::16, 0], rays[::16, -1], rays[-1:, -1])
+    return np.concatenate(sides).astype(np.float64)
+
+
+def _reach(world: World, rays: F64, place: F64) -> F64:
+    """(N, 2) east and north where rays (3, N) meet the lowest ground, or REACH heights away."""
+    height = max(float(place[2]) - world.low, 1.0)
+    flat = np.maximum(np.hypot(rays[0], rays[1]), 1e-9)
+    away = np.minimum(np.where(rays[2] < 0, height * flat / np.maximum(-rays[2], 1e-9), np.inf), REACH * height)
+    return np.asarray(place[:2] + (rays[:2] / flat * away).T)
+
+
+def _near(boxes: F64, patch: Patch) -> F64:
+    """The boxes that are on the patch at some time, or whose shadow may fall on it."""
+    x, y = patch.grid.xy()
+    over = (boxes[..., 0] > x[0] - 30) & (boxes[..., 0] < x[-1] + 30) & (boxes[..., 1] > y[-1] - 30)
+    over &= boxes[..., 1] < y[0] + 30
+    return np.ascontiguousarray(boxes[:, over.any(axis=0)])

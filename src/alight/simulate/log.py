@@ -14,14 +14,16 @@ import cv2
 import numpy as np
 import rasterio
 import yaml
+from numpy.typing import NDArray
+from rasterio.windows import Window
 
 from alight.geometry import Pose, quaternion_from_matrix
 from alight.records import U8, Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
-from alight.simulate.flight import START_NS, SimulatedFlight
-from alight.simulate.truth import Footprint
+from alight.simulate.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean
-JPEG_QUALITY = 95
+BAND = 512  # rows of a raster at a time: a multiple of its tiles
+JPEG_QUALITY = 90  # what small cameras write
 NAV_COLUMNS = (
     "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
     "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,sigma_ve,sigma_vn,sigma_vu"
@@ -35,6 +37,9 @@ TRUTH_COLUMNS = (
     " v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1],"
     " b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
 )
+SCENE_USED = "scene-used.yaml"  # `alight simulate` of it with the same seed makes the same flight
+SECTIONS = ("origin", "light", "traffic", "flight", "imaging", "sensors", "faults")
+EXPOSURE_COLUMNS = "true time [ns],stamp [ns],arrival [ns]"
 
 Progress = Callable[[int, int], None]  # exposures done, exposures in all
 
@@ -133,11 +138,14 @@ def _join(t_ns: int, fields: Iterable[str]) -> str:
 
 
 def _nav_row(flight: SimulatedFlight, s: NavSample) -> str:
-    lat, lon, height = flight.local.to_geodetic(np.asarray(s.position_world))
-    fields = [f"{float(lat):.10f}", f"{float(lon):.10f}", f"{float(height):.4f}"]
-    fields += [f"{v:.9f}" for v in quaternion_from_matrix(np.asarray(s.world_from_body))]
+    place = ["", "", ""]
+    if s.position_world is not None:
+        lat, lon, height = flight.local.to_geodetic(np.asarray(s.position_world))
+        place = [f"{float(lat):.10f}", f"{float(lon):.10f}", f"{float(height):.4f}"]
+    turn = [f"{v:.9f}" for v in quaternion_from_matrix(np.asarray(s.world_from_body))]
+    fields = [*place, *turn]
     for values in (s.velocity_world, s.angular_velocity_body, s.sigma_position, s.sigma_attitude, s.sigma_velocity):
-        fields += [f"{v:.6f}" for v in np.asarray(values)]
+        fields += ["", "", ""] if values is None else [f"{v:.6f}" for v in values]
     return _join(s.t_ns, fields)
 
 
@@ -147,9 +155,10 @@ def _imu_row(s: ImuSample) -> str:
 
 def _truth_rows(flight: SimulatedFlight) -> Iterable[str]:
     gyro, accel = flight.biases
-    for t, pose in zip(*flight.truth_trajectory, strict=True):
-        k = min(int(np.searchsorted(flight.imu_times, t)), len(gyro) - 1)
-        velocity = flight.trajectory.velocity_world((int(t) - START_NS) * 1e-9)
+    times, poses = flight.truth_trajectory
+    latest = np.clip(np.searchsorted(flight.imu_times, times), 0, len(gyro) - 1)
+    velocities = flight.trajectory.velocity_world(flight.since(times))
+    for t, k, pose, velocity in zip(times, latest, poses, velocities, strict=True):
         numbers = [*pose.translation, *pose.quaternion, *velocity, *gyro[k], *accel[k]]
         yield _join(int(t), [f"{v:.10f}" for v in numbers])
 
@@ -160,28 +169,37 @@ def _encode(image: U8, kind: str) -> bytes:
 
 
 def _write_streams(flight: SimulatedFlight, root: Path, image: str, progress: Progress | None) -> None:
-    nav, imu, frames = [], [], []
+    nav, imu, done = [], [], 0
+    names = file_names(flight)
     for event in flight.events():
         if isinstance(event, NavSample):
             nav.append(_nav_row(flight, event))
         elif isinstance(event, ImuSample):
             imu.append(_imu_row(event))
         else:
-            frames.append(_join(event.t_ns, [f"{event.t_ns}.{image}"]))
-            _write_frame(flight, root, event, image)
+            _write_frame(flight, root, event, f"{names[flight.exposures.order[done]]}.{image}")
+            done += 1
             if progress is not None:
-                progress(len(frames), flight.length)
+                progress(done, flight.length)
     _table(root / "nav0" / "data.csv", NAV_COLUMNS, nav)
     _table(root / "imu0" / "data.csv", IMU_COLUMNS, imu)
-    for cam in flight.rig.cameras:
-        _table(root / cam.name / "data.csv", "timestamp [ns],filename", frames)
+    rows = [_join(int(t), [f"{name}.{image}"]) for t, name in zip(flight.exposures.stamp_ns, names, strict=True)]
+    for cam in flight.rig.cameras:  # a lost picture has its row and no file
+        _table(root / cam.name / "data.csv", "timestamp [ns],filename", rows)
     _table(root / "state_groundtruth_estimate0" / "data.csv", TRUTH_COLUMNS, _truth_rows(flight))
 
 
-def _write_frame(flight: SimulatedFlight, root: Path, frame: Frame, kind: str) -> None:
+def file_names(flight: SimulatedFlight) -> list[str]:
+    """One a exposure: its stamp, and a number where that is repeated."""
+    stamps = flight.exposures.stamp_ns.tolist()
+    first = {t: k for k, t in reversed(list(enumerate(stamps)))}
+    return [str(t) if first[t] == k else f"{t}-{k - first[t]}" for k, t in enumerate(stamps)]
+
+
+def _write_frame(flight: SimulatedFlight, root: Path, frame: Frame, name: str) -> None:
     for cam, picture in zip(flight.rig.cameras, frame.images, strict=True):
         if picture is not None:
-            (root / cam.name / "data" / f"{frame.t_ns}.{kind}").write_bytes(_encode(picture, kind))
+            (root / cam.name / "data" / name).write_bytes(_encode(picture, Path(name).suffix[1:]))
 
 
 # -- truth
@@ -191,49 +209,79 @@ def _write_truth(flight: SimulatedFlight, root: Path) -> None:
     root.mkdir()
     truth, local = flight.truth, flight.local
     east, north = truth.grid.xy()
-    fall = (east[None] ** 2 + north[:, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
-    _raster(flight, root / "dem.tif", (local.height + truth.height + fall).astype(np.float32), math.nan)
-    _raster(flight, root / "class.tif", truth.label, 0)
+
+    def height(rows: slice) -> NDArray[Any]:
+        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
+        return np.asarray((local.height + truth.height[rows] + fall).astype(np.float32))
+
+    _raster(flight, root / "dem.tif", height, "float32", math.nan)
+    _raster(flight, root / "class.tif", lambda rows: truth.label[rows], "uint8", 0)
+    columns = EXPOSURE_COLUMNS + "".join(f",{c.name}" for c in flight.rig.cameras)
+    _table(root / "exposures.csv", columns, _exposure_rows(flight))
+    if flight.repeatable:
+        _dump(root / SCENE_USED, flight.scene.model_dump(mode="json"))
     _dump(root / "scene.yaml", scene_yaml(flight))
 
 
-def _raster(flight: SimulatedFlight, path: Path, values: np.ndarray[Any, Any], nodata: float) -> None:
+def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
+    """Write a raster band by band, so that a large world does not need its copies in memory."""
     grid = flight.truth.grid
     profile = {
-        "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": values.dtype.name,
-        "crs": flight.local.crs, "transform": rasterio.Affine(*grid.transform), "nodata": nodata,
-        "compress": "deflate", "tiled": True,
+        "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,
+        "crs": flight.local.crs, "transform": rasterio.Affine(*grid.transform),
+        "compress": "deflate", "tiled": True, "blockxsize": 256, "blockysize": 256,
     }  # fmt: skip
     with rasterio.open(path, "w", **profile) as dataset:
-        dataset.write(values, 1)
+        for start in range(0, grid.rows, BAND):
+            count = min(BAND, grid.rows - start)
+            dataset.write(rows(slice(start, start + count)), 1, window=Window(0, start, grid.cols, count))
+
+
+def _exposure_rows(flight: SimulatedFlight) -> Iterable[str]:
+    x = flight.exposures
+    for k in range(len(x.true_ns)):
+        yield _join(int(x.true_ns[k]), [str(x.stamp_ns[k]), str(x.arrival_ns[k]), *(str(int(s)) for s in x.seen[k])])
 
 
 def scene_yaml(flight: SimulatedFlight) -> dict[str, Any]:
-    """What truth/scene.yaml says: the scene, the flight, and how much of the ground is safe for the default lander."""
-    world, lander = flight.world, Footprint()
-    safe = flight.truth.safe(lander)
-    share = np.bincount(world.label.ravel(), minlength=len(Terrain)) / world.label.size
+    """What truth/scene.yaml says: the scene, the flight, what went wrong, and how much of the ground is safe."""
+    world, truth = flight.world, flight.truth
+    share = np.bincount(truth.label.ravel(), minlength=len(Terrain)) / truth.label.size
     return {
         "name": world.name,
         "seed": flight.seed,
         "description": world.description,
-        "sun": {
-            "azimuth_deg": round(math.degrees(world.sun.azimuth), 3),
-            "elevation_deg": round(math.degrees(world.sun.elevation), 3),
-        },
+        "sun": _sun(flight),
         "duration_s": round(flight.seconds, 3),
         "frames": flight.length,
-        "dem_cell_m": world.grid.cell,
+        "lost": {k: n for k, n in flight.counts.items() if k != "exposures"},
+        "seen_m": dict(zip(("west", "south", "east", "north"), (round(v, 3) for v in flight.seen), strict=True)),
+        "dem_cell_m": truth.grid.cell,
         "class_fraction": {kind.name.lower(): round(float(share[kind]), 4) for kind in Terrain},
-        "safety": {
-            "lander": {
-                "footprint_radius_m": lander.radius,
-                "max_slope_deg": round(math.degrees(lander.max_slope), 6),
-                "max_roughness_m": lander.max_roughness,
-                "classes": [int(k) for k in lander.classes],
-                "rule": "every cell centre within the radius: allowed class; least-squares plane of the disc: slope "
-                "and largest deviation within the limits",
-            },
-            "safe_fraction": round(float(safe.mean()), 6),
+        "safety": _safety(flight),
+        **{k: v for k, v in flight.scene.model_dump(mode="json").items() if k in SECTIONS},
+        "true_rig": {c.name: _camera_yaml(c, flight.rate_hz) for c in flight.true_rig.cameras},
+    }
+
+
+def _sun(flight: SimulatedFlight) -> dict[str, float]:
+    sun = flight.world.sun
+    return {
+        "azimuth_deg": round(math.degrees(sun.azimuth), 3),
+        "elevation_deg": round(math.degrees(sun.elevation), 3),
+    }
+
+
+def _safety(flight: SimulatedFlight) -> dict[str, Any]:
+    lander = flight.scene.lander.footprint
+    return {
+        "lander": {
+            "footprint_radius_m": lander.radius,
+            "max_slope_deg": round(math.degrees(lander.max_slope), 6),
+            "max_roughness_m": lander.max_roughness,
+            "classes": [int(k) for k in lander.classes],
+            "rule": "every cell centre within the radius: allowed class; least-squares plane of the disc: slope "
+            "and largest deviation within the limits",
         },
+        "safe_fraction": round(float(flight.truth.safe(lander).mean()), 6),
     }

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
-from scipy.signal import fftconvolve
+from pydantic import Field
 
 from alight.geometry import Grid
-from alight.records import F32, F64, U8, Terrain
+from alight.kernels.touchdown import running_sums, touchdown
+from alight.records import F32, U8, Terrain
+from alight.simulate.section import Section
 
 Mask = NDArray[np.bool_]
-CHUNK = 500  # discs judged at a time: their cells stay in the processor's cache
+BAND = 1024  # rows judged at a time: a large world's running sums need no more memory than this
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,23 @@ class Footprint:
     max_slope: float = math.radians(10.0)  # rad
     max_roughness: float = 0.15  # metres, largest deviation from the least-squares plane
     classes: tuple[Terrain, ...] = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
+
+
+class Lander(Section):
+    """The lander that a scene's truth is kept for."""
+
+    radius: float = Field(1.5, gt=0.0, le=50.0, description="metres, of the disc that it needs")
+    max_slope_deg: float = Field(10.0, gt=0.0, le=60.0, description="of the disc's plane")
+    max_roughness: float = Field(0.15, gt=0.0, le=10.0, description="metres, largest deviation from that plane")
+    upon: tuple[Literal["bare", "short_grass", "tall_vegetation", "rock", "paved", "structure"], ...] = Field(
+        ("bare", "short_grass", "paved"), description="classes that it may stand on"
+    )
+
+    @property
+    def footprint(self) -> Footprint:
+        """The same in radians and codes."""
+        classes = tuple(Terrain[name.upper()] for name in self.upon)
+        return Footprint(self.radius, math.radians(self.max_slope_deg), self.max_roughness, classes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,45 +63,36 @@ class Truth:
         return self._masks[key]
 
 
-def _disc(radius: float, cell: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    k = math.ceil(radius / cell)
-    r, c = np.mgrid[-k : k + 1, -k : k + 1]
-    inside = np.hypot(r, c) * cell <= radius + 1e-9
-    return r[inside], c[inside]
-
-
-def _kernel(r: NDArray[np.int64], c: NDArray[np.int64], values: F64) -> F64:
-    k = int(np.abs(r).max())
-    out = np.zeros((2 * k + 1, 2 * k + 1))
-    out[r + k, c + k] = values
-    return out
+def _half_widths(radius: float, cell: float) -> NDArray[np.int64]:
+    """(2 k + 1,) cells either side of the middle in each row of a disc: those whose centres lie within the radius."""
+    k = math.floor(radius / cell + 1e-9)
+    rise = np.arange(-k, k + 1) * cell
+    return np.asarray(np.floor(np.sqrt(np.maximum(radius**2 - rise**2, 0.0)) / cell + 1e-9).astype(np.int64))
 
 
 def safe_mask(height: F32, label: U8, cell: float, footprint: Footprint) -> Mask:
     """(R, C): least-squares plane of the disc about each cell; slope, largest deviation and classes within limits.
 
-    On a full disc the normal equations are diagonal: the plane's slopes are first moments over second moments.
+    A disc with an unknown height in it, or one that leaves the array, is not safe. Worked through in bands of rows.
     """
-    r, c = _disc(footprint.radius, cell)
-    k = int(np.abs(r).max(initial=0))
-    disc = _kernel(r, c, np.ones(len(r))) > 0
-    safe = binary_erosion(np.isin(label, footprint.classes), structure=disc, border_value=0)
-    safe[:k], safe[-k:], safe[:, :k], safe[:, -k:] = False, False, False, False
-    if not safe.any():
-        return np.asarray(safe)
-    h = np.where(np.isfinite(height), height, 1e6).astype(np.float64)
-    h -= np.median(h)
-    x, y = c * cell, -r * cell
-    # fftconvolve flips its kernel: mirrored offsets make it a correlation
-    mean = fftconvolve(h, _kernel(-r, -c, np.full(len(r), 1.0 / len(r))), "same")
-    slope_e = fftconvolve(h, _kernel(-r, -c, x / (x * x).sum()), "same")
-    slope_n = fftconvolve(h, _kernel(-r, -c, y / (y * y).sum()), "same")
-    safe &= np.hypot(slope_e, slope_n) <= math.tan(footprint.max_slope)
-    rows, cols = np.nonzero(safe)
-    arms, flat, offsets = np.stack([x, y]), h.ravel(), r * h.shape[1] + c
-    for start in range(0, len(rows), CHUNK):
-        i, j = rows[start : start + CHUNK], cols[start : start + CHUNK]
-        plane = mean[i, j, None] + np.column_stack([slope_e[i, j], slope_n[i, j]]) @ arms
-        deviation = np.abs(flat.take((i * h.shape[1] + j)[:, None] + offsets) - plane).max(axis=1)
-        safe[i, j] = deviation <= footprint.max_roughness
-    return np.asarray(safe)
+    half = _half_widths(footprint.radius, cell)
+    k, rows = len(half) // 2, height.shape[0]
+    steep = math.tan(footprint.max_slope) * cell
+    safe = np.zeros(height.shape, bool)
+    for start in range(0, rows, BAND):
+        first, last = max(0, start - k), min(rows, start + BAND + k)
+        out = _band(height[first:last], label[first:last], half, steep, footprint)
+        safe[start : start + BAND] = out[start - first : start - first + BAND]
+    return safe
+
+
+def _band(height: F32, label: U8, half: NDArray[np.int64], steep: float, footprint: Footprint) -> Mask:
+    height = np.ascontiguousarray(height, np.float32)
+    barred = ~(np.isin(label, footprint.classes) & np.isfinite(height))
+    base = float(np.median(height[~barred])) if not barred.all() else 0.0
+    rows, cols = height.shape
+    sums, count = np.empty((rows, cols + 1, 2)), np.empty((rows, cols + 1), np.int64)
+    running_sums(height, barred, base, sums, count)
+    out = np.empty(height.shape, bool)
+    touchdown(height, base, sums, count, half, steep, footprint.max_roughness, out)
+    return out

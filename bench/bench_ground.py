@@ -1,0 +1,102 @@
+"""Judging the ground: hazard terrains with truth, speed, reliability of P(safe).
+
+Run: python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest] | speed | reliability RUN FLIGHT
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid
+from alight.hazards import assess
+from alight.hazards.sharpen import sharpen
+from alight.records import ElevationMap, HazardMap
+from alight.settings import Hazards, Lander
+
+CELL = 0.2  # metres, dem.raw
+RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21
+BEYOND = 8  # pixels by which the ground is continued, so that feet at the rim stand on something
+
+# The rule in the data's README, read against the truth: the plate's rim and the feet are a pixel further out than half
+# of 3.4 m (terrain 1: single rocks), a foot stands on the mean of the ground 0.4 m about it, and five headings of each
+# quarter are tried (terrain 3: slopes). The same program made every terrain of the contest.
+RING = 1.8
+CONTEST = Lander(
+    radius=1.83,
+    feet=((RING, 0.0), (0.0, RING), (-RING, 0.0), (0.0, -RING)),
+    foot_radius=0.4,
+    foot_contact="mean",
+    headings=20,
+    belly_clearance=0.39,
+    max_slope=math.radians(10.0),
+)
+SURVEY = Hazards(tilt_sigma=0.001, noise_length=0.2, bridge=0.0)  # one survey: no tilt but what its pixels leave open
+
+Pixels = NDArray[np.uint8]
+
+
+def read_terrain(folder: Path) -> tuple[ElevationMap, Pixels, NDArray[np.bool_]]:
+    """The coarse heights as a map, the image, and where a touchdown is safe in truth."""
+    dem = np.fromfile(folder / "dem.raw", ">f4").reshape(500, 500).astype(np.float32)
+    image, safe = (np.asarray(cv2.imread(str(folder / n), cv2.IMREAD_GRAYSCALE)) for n in ("image.pgm", "safe.pgm"))
+    return as_map(dem, CELL, np.full(dem.shape, 0.001, np.float32)), image, safe > 0
+
+
+def as_map(height: NDArray[np.float32], cell: float, sigma: NDArray[np.float32]) -> ElevationMap:
+    """A map of these heights, all of them seen."""
+    none = np.zeros(height.shape, np.float32)
+    grey = np.full((*height.shape, 3), 128, np.uint8)
+    grid = Grid(0.0, cell * (height.shape[0] - 1), cell, *height.shape)
+    return ElevationMap(grid, height, sigma, none.astype(np.uint16), none.astype(np.uint8) + 9, grey, none)
+
+
+def judge(fine: ElevationMap, settings: Hazards = SURVEY) -> tuple[HazardMap, slice]:
+    """The verdict on a map continued beyond its rim, and where the map itself is in it."""
+    height, sigma = (np.pad(a, BEYOND, mode="edge") for a in (fine.height, fine.sigma))
+    return assess(as_map(height, fine.grid.cell, sigma), None, CONTEST, settings), slice(BEYOND, -BEYOND)
+
+
+def scores(p: NDArray[np.float32], least: float, truth: NDArray[np.bool_]) -> str:
+    """Accuracy, false share of what is declared safe, missed share of what is safe, in percent."""
+    said = p >= least
+    said[:RIM] = said[-RIM:] = said[:, :RIM] = said[:, -RIM:] = False
+    wrong, missed = (said & ~truth).sum() / max(said.sum(), 1), (truth & ~said).sum() / truth.sum()
+    return f"accuracy {100 * (said == truth).mean():6.2f}  false {100 * wrong:5.2f}  missed {100 * missed:5.2f}"
+
+
+def hazards(data: Path) -> None:
+    """The contest terrains from dem.raw and image.pgm alone."""
+    for folder in sorted(p for p in data.iterdir() if (p / "dem.raw").exists()):
+        coarse, image, truth = read_terrain(folder)
+        start = time.perf_counter()
+        fine = sharpen(coarse, image)
+        seconds = time.perf_counter() - start
+        assert fine is not None
+        found, inner = judge(fine)
+        p = np.nan_to_num(found.p_safe[inner, inner])
+        print(f"{folder.name}: sharpened in {seconds:.1f} s, {100 * truth.mean():.1f} % safe in truth")
+        for least in (0.5, 0.9, 0.99):
+            print(f"  P >= {least:<5} {scores(p, least, truth)}")
+        plain = cv2.resize(coarse.height, image.shape[::-1], interpolation=cv2.INTER_CUBIC)
+        smooth, inner = judge(as_map(plain, CELL / 2, np.full(plain.shape, 0.003, np.float32)))
+        print(f"  without the image {scores(np.nan_to_num(smooth.p_safe[inner, inner]), 0.99, truth)}")
+
+
+def main() -> None:
+    """One part of the benchmark."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", choices=["hazards"])
+    parser.add_argument("--data", type=Path, default=Path("../shared/data/hazard-contest"))
+    arguments = parser.parse_args()
+    hazards(arguments.data)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,449 @@
+"""Ego-motion against what it must show: one table, each number with its `must` and `aim` beside it.
+
+    python bench/bench_motion.py                        all of it
+    python bench/bench_motion.py nees damage speed      some parts: nees batch damage sample ladder photos speed evo
+    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50
+
+`nees`, `batch` and `damage` fly without images; `sample` and `photos` need the recordings in ../shared/data (or
+$ALIGHT_DATA) and say so when they are absent.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other cost eight times the work here
+
+import argparse
+import logging
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from motion_scenarios import ALL, DEGRADED, GOOD, OUTAGE, Outcome
+from point_flight import NOISE, PointFlight, best, error, nees, run
+
+from alight.geometry import Pose, so3_log
+from alight.motion import MotionFilter
+from alight.records import F64, Frame, ImuSample, InputError, Motion, MotionState, NavSample, Rig, Tracks
+from alight.settings import Filter, Settings, load
+from alight.simulate import ladder
+from alight.simulate.flight import SimulatedFlight
+from alight.sources import Source, open_source
+from alight.tracks import Tracker
+
+SECOND = 1_000_000_000
+DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity: what was measured, what was asked for. Smaller is better unless `least`."""
+
+    name: str
+    value: float
+    must: float | None = None
+    aim: float | None = None
+    unit: str = ""
+    least: bool = False
+
+    def line(self) -> str:
+        """One line of the table."""
+        sign = ">=" if self.least else "<="
+
+        def meets(limit: float | None) -> bool:
+            return limit is None or (self.value >= limit if self.least else self.value <= limit)
+
+        def wanted(limit: float | None) -> str:
+            return "" if limit is None else f"{sign} {limit:g}"
+
+        verdict = (
+            "" if self.must is None else "MISS" if not meets(self.must) else "must" if not meets(self.aim) else "aim"
+        )
+        limits = f"{wanted(self.must):>10s}{wanted(self.aim):>10s}"
+        return f"{self.name:66s}{self.value:10.3f} {self.unit:6s}{limits}  {verdict}"
+
+
+def say(*rows: Row) -> None:
+    for row in rows:
+        print(row.line(), flush=True)
+
+
+# -- flights without images ----------------------------------------------------------------------------------------
+
+
+def part_nees(_: argparse.Namespace) -> None:
+    """NEES of the pose over 50 seeded flights, one in five without IMU."""
+    flights = [PointFlight(seed=s, seconds=8.0, count=80, imu=s % 5 != 0) for s in range(50)]
+    found = np.array([[nees(m, f.truth(m.t_ns)) for m in run(f.events)[1]] for f in flights])
+    low, high = chi2.ppf([0.025, 0.975], 6 * len(flights)) / len(flights)
+    mean = found.mean(axis=0)
+    share = 100 * float(np.mean((mean > low) & (mean < high)))
+    say(
+        Row("NEES of pose in the 95 % band, 50 flights of 8 s", share, 90, 95, "%", least=True),
+        Row("... its mean over flights and time (6 expected)", float(found.mean())),
+    )
+
+
+def part_batch(_: argparse.Namespace) -> None:
+    """The filter against the batch smoother (ours, motion/smoother.py) on the same measurements."""
+    online, batch = [], []
+    for seed in range(16):
+        f = PointFlight(seed=seed, seconds=8.0)
+        estimator, motions = run(f.events, NOISE.model_copy(update={"smooth": True}))
+        truth = [f.truth(m.t_ns) for m in motions]
+        online.append([error(m, t)[0] for m, t in zip(motions, truth, strict=True)])
+        batch.append([error(m, t)[0] for m, t in zip(estimator.smoothed(), truth, strict=True)])
+
+    def ratio(part: slice, when: slice) -> float:
+        a, b = (np.sqrt(np.mean(np.array(x)[:, when, part] ** 2)) for x in (online, batch))
+        return float(a / b)
+
+    last, whole = slice(-10, None), slice(20, None)
+    say(
+        Row("position RMSE over the batch's, last second of 16 flights", ratio(slice(0, 3), last), 1.5, 1.2),
+        Row("attitude RMSE over the batch's, last second", ratio(slice(3, 6), last), 1.5, 1.2),
+        Row("position, from the second second on (the batch knows the future)", ratio(slice(0, 3), whole)),
+        Row("attitude, from the second second on (the batch knows the future)", ratio(slice(3, 6), whole)),
+    )
+
+
+def _healthy(o: Outcome) -> bool:
+    """The states that each damage calls for: what the docstrings of tests/test_motion_damage.py say."""
+    s = o.scenario
+    if s.name.startswith(("GPS", "lens")):
+        late = 2.5 if s is OUTAGE else 0.6
+        during = o.states(s.begin + late, s.end) == {DEGRADED}
+        return during and o.states(s.end + 1.0, s.length) <= {GOOD} and o.share(GOOD, 1.0, s.begin) > 0.95
+    return o.share(GOOD, 1.0, s.length) > 0.95
+
+
+def part_damage(_: argparse.Namespace) -> None:
+    """Named damage, three flights each: health states, error after it in its own sigma, drift of the outage."""
+    for scenario in ALL:
+        found = [scenario.fly(seed) for seed in range(3)]
+        after = min(scenario.end + 5.0, scenario.length - 1.0)
+        say(
+            Row(f"{scenario.name}: states right, of 3 flights", sum(map(_healthy, found)), 3, 3, least=True),
+            Row("... largest error 5 s after, in its sigma", max(o.normalised(after) for o in found), 4.5),
+        )
+        if scenario is OUTAGE:
+            drift = 100 * float(np.sqrt(np.mean([o.drift() ** 2 for o in found])))
+            say(Row("... drift over 30 s at 5 m/s, RMS", drift, 1.5, 0.5, "%"))
+    say(*_point_ladder())
+
+
+def _point_ladder() -> list[Row]:
+    """The ladder without images: drifting GPS (1 m) and INS (0.5 degrees); beside it GPS/INS off after 2 s."""
+    out = []
+    for height in (20, 50, 100, 150):
+        kept, alone = [], []
+        for seed in range(3):
+            f = PointFlight(seed=seed, seconds=12.0, height=height, speed=0.1 * height)
+            kept.append(run(f.events)[1])
+            cut = [e for e in f.events if not isinstance(e, NavSample) or f.seconds_of(e) < 2.0]
+            motions = run(cut)[1]
+            off = (
+                error(motions[-1], f.truth(motions[-1].t_ns))[0][:3]
+                - error(motions[20], f.truth(motions[20].t_ns))[0][:3]
+            )
+            alone.append(100 * float(np.linalg.norm(off)) / (f.speed * 10.0))
+        complete = 100 * float(np.mean([all(m.state is not MotionState.LOST for m in ms) for ms in kept]))
+        out.append(Row(f"ladder {height} m, points: flights without `lost`", complete, 100, 100, "%", least=True))
+        out.append(
+            Row("... GPS/INS off after 2 s: drift of the way", float(np.sqrt(np.mean(np.square(alone)))), unit="%")
+        )
+    return out
+
+
+# -- flights with images -------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Flown:
+    """What one pass over a flight gave."""
+
+    rig: Rig
+    online: list[Motion] = field(default_factory=list)
+    rings: list[tuple[Motion, Motion]] = field(default_factory=list)  # oldest and newest keyframe, same posterior
+    smoothed: list[Motion] = field(default_factory=list)
+    events: list[object] = field(default_factory=list)  # tracks in place of frames: to fly again without pictures
+
+
+def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
+    """Run tracks, filter and batch over a recording."""
+    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
+    out = Flown(source.rig)
+    for event in source.events():
+        if isinstance(event, ImuSample):
+            estimator.feed_imu(event)
+        elif isinstance(event, NavSample):
+            estimator.feed_nav(event)
+        elif isinstance(event, Frame):
+            tracks = tracker.feed(event, estimator.predict(event.t_ns))
+            motion, ring = estimator.feed_tracks(tracks), estimator.ring()
+            out.online += [motion] if motion else []
+            out.rings += [(ring[0], ring[-1])] if len(ring) >= settings.motion.filter.clones else []
+        out.events.append(tracks if isinstance(event, Frame) else event)
+    out.smoothed = estimator.smoothed()
+    return out
+
+
+def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, depth: float) -> float:
+    """Mean squared pixels by which points at `depth`, carried from one view to the other, miss."""
+    camera, body_from_cam = rig.cameras[0].camera, rig.cameras[0].body_from_cam
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 4))
+    points = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)) * depth
+    said = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
+    true = ((truth(b.t_ns) @ body_from_cam).inverse @ (truth(a.t_ns) @ body_from_cam)).apply(points)
+    miss = camera.fu * (said[:, :2] / said[:, 2:] - true[:, :2] / true[:, 2:])
+    return float((miss**2).sum(axis=1).mean())
+
+
+def ring_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
+    """RMS px from the oldest to the newest keyframe of every ring, and their mean length in s."""
+    px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.rings]
+    return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.rings])) / SECOND
+
+
+def interpolated(source: Source) -> Callable[[int], Pose]:
+    """True body poses by time."""
+    assert source.truth_trajectory is not None
+    t, poses = np.asarray(source.truth_trajectory[0], dtype=np.float64), source.truth_trajectory[1]
+
+    def at(t_ns: int) -> Pose:
+        k = int(np.clip(np.searchsorted(t, t_ns), 1, len(t) - 1))
+        return poses[k - 1].interpolate(poses[k], (t_ns - t[k - 1]) / (t[k] - t[k - 1]))
+
+    return at
+
+
+def errors(motions: Sequence[Motion], truth: Callable[[int], Pose]) -> tuple[F64, F64, float]:
+    """Position errors (N, 3) metres, rotation errors (N, 3) rad, in the world, and the mean NEES."""
+    found = [error(m, truth(m.t_ns)) for m in motions]
+    e = np.array([x for x, _ in found])
+    return e[:, :3], e[:, 3:], float(np.mean([x @ np.linalg.solve(c, x) for x, c in found]))
+
+
+def part_sample(_: argparse.Namespace) -> None:
+    """The rendered sample flight, 30 m."""
+    source = recording(DATA / "sample", Settings())
+    if source is None:
+        return
+    truth, flown = interpolated(source), fly(source, Settings())
+    px, length = ring_px(flown, truth, 30.0)
+    say(Row(f"sample flight: consistency of the ring over {length:.2f} s", px, 0.35, 0.15, "px"))
+    for name, motions in (("filter", flown.online), ("batch", flown.smoothed)):
+        p, r, n = errors(motions, truth)
+        pairs = [(a, b) for a in motions for b in motions if 0 <= b.t_ns - a.t_ns - SECOND < SECOND // 100]
+        each = np.sqrt(np.mean([relative_px(a, b, truth, flown.rig, 30.0) for a, b in pairs]))
+        say(
+            Row(f"... {name}: poses given out one by one, over 1 s", float(each), unit="px"),
+            Row("... position RMSE, its mean removed", float(np.linalg.norm(p.std(axis=0))), unit="m"),
+            Row("... tilt, mean", 1e3 * float(np.linalg.norm(r.mean(axis=0)[:2])), unit="mrad"),
+            Row("... NEES (6 expected)", n),
+        )
+
+
+def part_ladder(options: argparse.Namespace) -> None:
+    """The standard ladder with pictures: ring, states, and vision alone beside it. A minute or more a rung."""
+    scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
+    live = load("", ["motion.filter.smooth=false"])
+    for r in ladder.ladder("test", scenes=scenes, heights=heights, seeds=1):
+        flight = r.fly()
+        flown = fly(flight, live)
+        px, length = ring_px(flown, flight.pose, float(r.height))
+        lost = sum(m.state is MotionState.LOST for m in flown.online)
+        say(
+            Row(f"{r.name}: consistency of the ring over {length:.2f} s", px, 0.35, 0.15, "px"),
+            Row("... exposures `lost`", lost, 0, 0),
+            Row("... NEES (6 expected)", errors(flown.online, flight.pose)[2]),
+            Row("... GPS/INS off after 1 s: drift of the way", _alone(flown, flight), unit="%"),
+        )
+
+
+def _alone(flown: Flown, flight: SimulatedFlight) -> float:
+    """Percent of the way by which vision and IMU drift when GPS/INS falls silent after the first second."""
+    estimator, motions = MotionFilter(flown.rig, Filter(smooth=False)), []
+    begin = int(flight.frame_times[0]) + SECOND
+    for e in flown.events:
+        if isinstance(e, Tracks):
+            motions += [m] if (m := estimator.feed_tracks(e)) else []
+        elif isinstance(e, NavSample) and e.t_ns < begin:
+            estimator.feed_nav(e)
+        elif isinstance(e, ImuSample):
+            estimator.feed_imu(e)
+    first = next(m for m in motions if m.t_ns >= begin)
+    off = [m.world_from_body.translation - flight.pose(m.t_ns).translation for m in (first, motions[-1])]
+    way = flight.pose(motions[-1].t_ns).translation - flight.pose(first.t_ns).translation
+    return 100 * float(np.linalg.norm(off[1] - off[0]) / np.linalg.norm(way))
+
+
+def recording(folder: Path, settings: Settings) -> Source | None:
+    """A recording, or a line that it is absent."""
+    if not folder.is_dir():
+        print(f"{folder}: absent, left out; set ALIGHT_DATA to the folder of recordings")
+        return None
+    return open_source(folder, settings)
+
+
+def part_photos(_: argparse.Namespace) -> None:
+    """Photos 3 m apart through the filter, with the lens that the reference's poses belong to."""
+    from mirafiori_reference import body_poses, camchain
+
+    folder = DATA / "mirafiori"
+    with tempfile.TemporaryDirectory() as scratch:
+        if not folder.is_dir():
+            recording(folder, Settings())
+            return
+        z, lens = np.load(folder / "sfm_reference.npz"), Path(scratch) / "lens.yaml"
+        lens.write_text(camchain(z["image_wh"], z["camera_params"]))
+        for name, sensors in (("with gimbal", True), ("without any attitude", False)):
+            source = open_source(folder / "images", load("", [f"sources.calibration={lens}"]))
+            reference = body_poses(source, folder)
+            motions = _photos(source, sensors)
+            if not motions:
+                print(f"photos {name}: no motion")
+                continue
+            body_from_cam = source.rig.cameras[0].body_from_cam
+            cams = [(m.world_from_cams[0], reference[m.t_ns] @ body_from_cam) for m in motions]
+            centre = np.array([a.translation - b.translation for a, b in cams])
+            turn = np.array([so3_log(a.rotation @ b.rotation.T) for a, b in cams])
+            say(
+                Row(f"photos {name}: placed, of 32", len(motions), 32 if sensors else None, least=True),
+                Row("... camera centres, RMS", float(np.sqrt((centre**2).sum(axis=1).mean())), 0.10, 0.05, "m"),
+                Row("... attitude, RMS", float(np.degrees(np.sqrt((turn**2).sum(axis=1).mean()))), 0.15, 0.05, "deg"),
+            )
+    print("    the map: `alight run` over them with --set motion.method=filter, then `alight evaluate`")
+
+
+def _photos(source: Source, attitude: bool) -> list[Motion]:
+    settings = Settings()
+    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
+    for e in source.events():
+        if isinstance(e, NavSample):
+            estimator.feed_nav(e if attitude else replace(e, world_from_body=None, sigma_attitude=None))
+        elif isinstance(e, Frame):
+            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns)))
+    return estimator.smoothed()
+
+
+# -- speed, outside tools ------------------------------------------------------------------------------------------
+
+
+def part_speed(_: argparse.Namespace) -> None:
+    """Tracking and filter of the sample flight, 640x480 stereo; wall time at 200 tracks, pictures decoded before."""
+    settings = load("", ["tracks.count=200", "motion.filter.smooth=false"])
+    source = recording(DATA / "sample", settings)
+    if source is None:
+        return
+    events = list(source.events())
+    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
+    spent, counts = {"tracks": [], "filter": []}, []
+    for e in events:
+        t = time.perf_counter()
+        if isinstance(e, Frame):
+            tracks = tracker.feed(e, estimator.predict(e.t_ns))
+            u = time.perf_counter()
+            estimator.feed_tracks(tracks)
+            spent["tracks"].append(u - t)
+            counts.append(len(tracks.ids))
+            t = u
+        elif isinstance(e, NavSample):
+            estimator.feed_nav(e)
+        elif isinstance(e, ImuSample):
+            estimator.feed_imu(e)
+        spent["filter"].append(time.perf_counter() - t)
+    frames = len(spent["tracks"])
+    a, b = 1e3 * float(np.median(spent["tracks"])), 1e3 * sum(spent["filter"]) / frames
+    say(
+        Row(
+            f"frames a second, {np.mean(counts):.0f} tracks: tracking and filter in turn",
+            1e3 / (a + b),
+            50,
+            100,
+            least=True,
+        ),
+        Row("... tracking a frame, median", a, unit="ms"),
+        Row("... filter a frame, with its IMU and GPS/INS rows (10 Hz: 20 and 2)", b, unit="ms"),
+    )
+
+
+def part_evo(_: argparse.Namespace) -> None:
+    """APE and RPE of the sample flight by evo, called as a program."""
+    ape = shutil.which("evo_ape") or str(Path(sys.executable).parent / "evo_ape")
+    if not Path(ape).exists():
+        print("evo is not installed: pip install evo")
+        return
+    source = recording(DATA / "sample", Settings())
+    if source is None:
+        return
+    truth, flown = interpolated(source), fly(source, Settings())
+    with tempfile.TemporaryDirectory() as scratch:
+        for name, motions in (("filter", flown.online), ("batch", flown.smoothed)):
+            files = [Path(scratch) / "truth.tum", Path(scratch) / f"{name}.tum"]
+            _tum(files[0], [(m.t_ns, truth(m.t_ns)) for m in motions])
+            _tum(files[1], [(m.t_ns, Pose(m.world_from_body.rotation, best(m)[0])) for m in motions])
+            for tool, options in (("ape", []), ("rpe", ["--delta", "10", "--delta_unit", "f", "--all_pairs"])):
+                program = ape.replace("evo_ape", f"evo_{tool}")
+                done = subprocess.run(
+                    [program, "tum", *map(str, files), *options], capture_output=True, text=True, check=True
+                )
+                rmse = next(line.split()[1] for line in done.stdout.splitlines() if line.split()[:1] == ["rmse"])
+                say(
+                    Row(
+                        f"evo_{tool} of the {name}, RMSE" + (" over 1 s" if tool == "rpe" else ""),
+                        float(rmse),
+                        unit="m",
+                    )
+                )
+
+
+def _tum(path: Path, poses: Sequence[tuple[int, Pose]]) -> None:
+    lines = []
+    for t, pose in poses:
+        w, x, y, z = pose.quaternion
+        lines.append(f"{t // SECOND}.{t % SECOND:09d} " + " ".join(f"{v:.9f}" for v in (*pose.translation, x, y, z, w)))
+    path.write_text("\n".join(lines) + "\n")
+
+
+PARTS = {
+    "nees": part_nees,
+    "batch": part_batch,
+    "damage": part_damage,
+    "sample": part_sample,
+    "photos": part_photos,
+    "speed": part_speed,
+    "evo": part_evo,
+    "ladder": part_ladder,
+}
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("--scenes", default="meadow", help="of the ladder, with commas between")
+    parser.add_argument("--heights", default="20,50,100,150", help="of the ladder, metres")
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.ERROR)
+    print(f"{'':66s}{'measured':>10s} {'':6s}{'must':>10s}{'aim':>10s}")
+    for part in options.parts:
+        try:
+            PARTS[part](options)
+        except InputError as e:
+            print(f"{part}: {e}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""Pictures of the built-in scenes, for the documentation (docs/scenes) and for `alight simulate --list`; and the
+table of all keys of a scene file (docs/scene-keys.md).
+
+python bench/scene_pictures.py          # all; or the names of some
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from alight import simulate
+from alight.records import U8
+from alight.simulate.keys import reference
+from alight.simulate.scene import FOLDER, built_in
+
+DOCS = Path(__file__).parents[1] / "docs" / "scenes"
+HEIGHTS = (20, 100)  # metres
+SMALL, SMALL_QUALITY = (120, 90), 72  # px
+MOST_BYTES = 60_000
+SEED = 1
+
+
+def picture(name: str, height: float) -> U8:
+    """What the left camera sees from above the middle of a scene, (480, 640, 3) RGB."""
+    return simulate.fly(name, SEED, 1.0, height=height, speed=1.0).image(4, 0)
+
+
+def save(image: U8, path: Path, quality: int = 88) -> None:
+    """Write a JPEG, coarser until it is small enough."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+    while True:
+        data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        if len(data) <= MOST_BYTES or quality < 30:
+            break
+        quality -= 5
+    path.write_bytes(np.asarray(data).tobytes())
+    print(f"{path}: {len(data) / 1000:.0f} kB, quality {quality}", flush=True)
+
+
+def main() -> None:
+    """Draw every scene at every height, and write down the keys."""
+    head = "# Keys of a scene file\n\nMade by `make pictures`, as `alight simulate --keys` prints them.\n\n"
+    (DOCS.parent / "scene-keys.md").write_text(head + reference(), encoding="utf-8")
+    for name in sys.argv[1:] or built_in():
+        for height in HEIGHTS:
+            image = picture(name, height)
+            save(image, DOCS / f"{name}-{height}m.jpg")
+        small = cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA)
+        save(np.asarray(small), FOLDER / "pictures" / f"{name}.jpg", SMALL_QUALITY)
+
+
+if __name__ == "__main__":
+    main()

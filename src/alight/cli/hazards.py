@@ -1,0 +1,133 @@
+"""Judging heights that somebody else made: hazards."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+
+from alight.cli.app import (
+    ForceOption,
+    OutOption,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    complain,
+    progress_bar,
+    read_settings,
+    say,
+)
+from alight.records import RunResult, SettingsError
+from alight.settings import Settings
+
+if TYPE_CHECKING:
+    from alight.sources.raster import Ground
+
+
+def _lander(file: Path | None) -> list[str]:
+    """The keys of a lander's file as assignments; they may stand alone or under `lander:`.
+
+    Raises:
+        SettingsError: the file cannot be read or holds no keys.
+    """
+    if file is None:
+        return []
+    try:
+        tree: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as e:
+        raise SettingsError(f"{file}: cannot be read ({getattr(e, 'strerror', None) or 'not text'})") from e
+    except yaml.YAMLError as e:
+        raise SettingsError(f"{file}: not valid YAML: {' '.join(str(e).split())}") from e
+    tree = tree.get("lander", tree) if isinstance(tree, dict) else tree
+    if not isinstance(tree, dict) or not tree:
+        raise SettingsError(f"{file}: needs keys of the lander such as 'radius: 1.5'; 'alight settings' lists them")
+    return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
+
+
+def _judge(ground: Ground, name: str, settings: Settings) -> tuple[RunResult, bool]:
+    """Sharpen, judge and choose; and whether the image made the heights finer."""
+    from alight import hazards, sites
+    from alight.geometry import LocalFrame
+    from alight.hazards.sharpen import sharpen
+
+    warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
+    if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
+        finer = sharpen(elevation, ground.image)
+        if finer is None:
+            warnings.append(
+                "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
+            )
+        elevation = finer or elevation
+    clock.append(time.perf_counter())
+    verdict = hazards.assess(elevation, None, settings.lander, settings.hazards)
+    clock.append(time.perf_counter())
+    chosen = sites.choose(verdict, None, elevation, settings.sites, settings.lander)
+    result = RunResult(
+        source_name=name,
+        source_kind="heights",
+        local=LocalFrame(0.0, 0.0, 0.0),
+        georeferenced=False,  # the page shows the raster's own coordinates
+        settings=settings,
+        sites=chosen,
+        elevation=elevation,
+        hazards=verdict,
+        warnings=warnings,
+        timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
+    )
+    return result, elevation is not ground.elevation
+
+
+def _answer(result: RunResult) -> None:
+    for w in result.warnings:
+        complain(f"warning: {w}", "yellow")
+    assert result.hazards is not None
+    share = 100 * float((result.hazards.reasons == 0).mean())
+    if not result.sites.sites:
+        say(f"NO SITE  {result.sites.reason}")
+        return
+    s = result.sites.sites[0]
+    say(
+        f"SITE  east {s.east:.2f} north {s.north:.2f}  slope {s.slope * 57.29578:.1f} deg  rough {s.roughness:.2f} m  "
+        f"clear {s.clearance:.1f} m  P(safe) {s.p_safe:.3f}  ({len(result.sites.sites)} found, {share:.1f} % is safe)"
+    )
+
+
+@app.command("hazards")
+def judge(
+    dem: Annotated[Path, typer.Argument(metavar="DEM.tif", help="Heights in metres, square cells, north up.")],
+    out: OutOption,
+    sigma: Annotated[
+        str | None, typer.Option(metavar="S.tif|METRES", help="1-sigma of the heights; default: their second band.")
+    ] = None,
+    image: Annotated[
+        Path | None,
+        typer.Option(metavar="I.tif", help="The same ground seen from above, 1, 2, 4, ... pixels a cell, 8 bit."),
+    ] = None,
+    lander: Annotated[
+        Path | None, typer.Option(metavar="lander.yaml", help="Keys of the lander, as under 'lander' in the settings.")
+    ] = None,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    force: ForceOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Judge any height raster: where this lander may touch down, how surely, and why not elsewhere."""
+    chosen = read_settings(settings, [*_lander(lander), *(assign or ())])
+    from alight.outputs.folder import prepare
+    from alight.outputs.ground import write_verdict
+    from alight.sources.raster import read_ground
+
+    ground = read_ground(dem, sigma, image, chosen.hazards.usual_sigma)
+    prepare(out, force)
+    with progress_bar() as tell:
+        tell("judging", 0.0)
+        result, sharpened = _judge(ground, dem.name, chosen)
+        tell("judging", 1.0)
+    _answer(result)
+    write_verdict(result, ground.crs, sharpened, out, force)
+    say(f"report: {out / 'report.html'}")

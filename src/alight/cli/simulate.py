@@ -1,0 +1,153 @@
+"""Simulated flights: simulate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import yaml
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from alight.cli.app import VerboseOption, app, progress_bar, say
+from alight.records import InputError, SettingsError
+
+if TYPE_CHECKING:  # the simulator is slow to import, and most commands do without
+    from alight.simulate.scene import Scene
+
+PICTURE = 32, 12  # characters, columns and rows: two pixels a character, one above the other
+SHORTCUTS = {"height": "flight.height", "duration": "flight.duration", "speed": "flight.speed"}
+
+
+@app.command()
+def simulate(
+    scene: Annotated[
+        str | None, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FLIGHT", help="Folder for the flight log.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
+    show: Annotated[bool, typer.Option("--list", help="Show the built-in scenes.")] = False,
+    keys: Annotated[bool, typer.Option("--keys", help="Print every key of a scene file, as Markdown.")] = False,
+    height: Annotated[float | None, typer.Option(help="Metres above the ground, instead of the scene's.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds of a transect or a hover.")] = None,
+    speed: Annotated[float | None, typer.Option(help="Metres a second.")] = None,
+    assign: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One key of the scene: light.clouds.share=0.4."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a simulated flight of that name.")] = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Make a flight over simulated ground, with exact truth."""
+    if show or keys:
+        _list() if show else _keys()
+        return
+    if scene is None or out is None:
+        raise typer.BadParameter("needs SCENE and --out FLIGHT; --list shows the built-in scenes")
+    given = {"height": height, "duration": duration, "speed": speed}
+    chosen = read(scene, [*(f"{SHORTCUTS[k]}={v}" for k, v in given.items() if v is not None), *(assign or ())])
+    _make(chosen, seed, out, force)
+
+
+def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
+    from alight import simulate as simulator
+
+    with progress_bar() as tell:
+        tell("world", 0.0)
+        flight = simulator.fly(scene, seed)
+        tell("world", 1.0)
+        simulator.write(flight, out, lambda done, total: tell("flying", done / total), overwrite=force)
+    cameras = len(flight.rig.cameras)
+    say(
+        f"flight: {out}  ({scene.name}, seed {seed}: {flight.seconds:.1f} s, {flight.length} exposures of "
+        f"{cameras} camera{'s' if cameras > 1 else ''}, truth beside them)"
+    )
+    results = out.with_name(f"{out.name}-run") if out.name not in ("", "..") else Path("run")
+    say(f"go on:  alight run {out} --out {results} && alight evaluate {results} --truth {out}")
+
+
+def read(scene: str, assignments: list[str]) -> Scene:
+    """A built-in scene by its name or a scene file, with `key=value` assignments that win over it.
+
+    Raises:
+        InputError: there is no such scene, or it cannot be read.
+        SettingsError: an assignment names no key, or its value is out of range.
+    """
+    from alight.simulate.scene import built_in, parse_scene, read_scene
+
+    path = built_in().get(scene, Path(scene))
+    if not path.exists():
+        raise InputError(f"{scene}: no such file and no built-in scene; 'alight simulate --list' shows those")
+    found = read_scene(path)
+    if not assignments:
+        return found
+    tree = {"name": path.stem} | (yaml.safe_load(path.read_text(encoding="utf-8")) or {})
+    for a in assignments:
+        _assign(tree, a)
+    try:
+        return parse_scene(tree, f"{scene} with {' '.join(assignments)}", path.parent)
+    except InputError as e:
+        raise SettingsError(str(e)) from e
+
+
+def _assign(tree: dict[str, Any], assignment: str) -> None:
+    """Put one value into the tree of a scene; items of a list are counted from 1."""
+    key, sep, value = assignment.partition("=")
+    if not sep or not key.strip():
+        raise SettingsError(f"--set takes key=value, got {assignment!r}")
+    *path, last = key.strip().split(".")
+    at: Any = tree
+    try:
+        for part in path:
+            at = at[int(part) - 1] if isinstance(at, list) else at.setdefault(part, {})
+        at[int(last) - 1 if isinstance(at, list) else last] = yaml.safe_load(value)
+    except (yaml.YAMLError, ValueError, IndexError, TypeError, AttributeError) as e:
+        raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
+
+
+def _keys() -> None:
+    from alight.simulate.keys import reference
+
+    say(reference().rstrip("\n"))
+
+
+def _list() -> None:
+    from alight.simulate.scene import FOLDER, built_in, read_scene
+
+    console = Console()
+    colour = console.is_terminal and console.color_system is not None
+    for name, path in built_in().items():
+        scene, picture = read_scene(path), FOLDER / "pictures" / f"{name}.jpg"
+        if colour and picture.exists():
+            console.print(_card(name, scene.description, picture))
+        else:
+            say(f"{name:<12} {scene.description}")
+            say(f"{'':<12} {picture if picture.exists() else path}")
+
+
+def _card(name: str, description: str, picture: Path) -> Table:
+    """A scene for a terminal: its picture in half blocks, its name and its description beside it."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(min_width=PICTURE[0], no_wrap=True)
+    table.add_column()
+    table.add_row(blocks(picture), Text.assemble((f"\n{name}\n\n", "bold"), description))
+    return table
+
+
+def blocks(picture: Path) -> Text:
+    """A picture as coloured half-block characters: the upper pixel is the letter's colour, the lower its ground's."""
+    import cv2
+
+    cols, rows = PICTURE
+    image = cv2.imread(str(picture), cv2.IMREAD_COLOR_RGB)
+    if image is None:
+        return Text()
+    small = cv2.resize(image, (cols, 2 * rows), interpolation=cv2.INTER_AREA).tolist()
+    out = Text(no_wrap=True)
+    for upper, lower in zip(small[::2], small[1::2], strict=True):
+        for a, b in zip(upper, lower, strict=True):
+            out.append("▀", style=f"rgb({a[0]},{a[1]},{a[2]}) on rgb({b[0]},{b[1]},{b[2]})")
+        out.append("\n")
+    return out

@@ -1,0 +1,224 @@
+"""Heights on an image's finer pixels: the height field that both the coarse heights and the shading agree with.
+
+Rocks below the cell size betray themselves by their lit and their shadowed side (docs/method-hazards.md, section 4).
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid
+from alight.hazards.light import DIFFERENCE, SMOOTHING, Light, find_light, gradients, in_shadow, shadow_level
+from alight.records import F32, U8, ElevationMap
+
+log = logging.getLogger(__name__)
+
+Bool = NDArray[np.bool_]
+
+LEAST_EXPLAINED = 0.5  # of the image's variance by shading: below, its pattern is paint, not shape
+HEIGHT_FLOOR = 0.001  # metres; no cell is trusted further
+SHADE_FLOOR = 0.0075  # of the sun's brightness: what a perfect image still leaves to the model
+BEND = 0.4  # metres, 1-sigma of the Laplacian: rocks bend sharply
+ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
+UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes what alternates pixel by pixel
+_LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
+
+Operator = Callable[[F32], F32]
+T = TypeVar("T", bound=np.generic)
+
+
+def cell_weights(factor: int) -> F32:
+    """Weights (2 factor,) of the pixels in a cell that was made by linear resampling: a tent two cells wide (S2)."""
+    at = (np.arange(2 * factor) + 0.5) / factor - 1.0
+    tent = 1 - np.abs(at)
+    weights: F32 = (tent / tent.sum()).astype(np.float32)
+    return weights
+
+
+def _spans(factor: int) -> tuple[int, int]:
+    return factor // 2, factor - factor // 2  # pixels of the tent before the cell's own; even factors only are centred
+
+
+def coarsen(fine: F32, factor: int) -> F32:
+    """Heights of the cells (S2) from those of the pixels; the rim continues as it ends."""
+    weights, before = cell_weights(factor), _spans(factor)[0]
+    padded = cv2.copyMakeBorder(fine, before, factor, before, factor, cv2.BORDER_REPLICATE)
+    rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
+    tall = sum(w * padded[i : i + rows * factor : factor] for i, w in enumerate(weights))
+    wide = sum(w * tall[:, i : i + cols * factor : factor] for i, w in enumerate(weights))
+    return np.ascontiguousarray(wide, dtype=np.float32)
+
+
+def _spread(cells: F32, factor: int) -> F32:
+    """Transpose of `coarsen`, but for the rim, where it leaves out what was continued."""
+    weights, before = cell_weights(factor), _spans(factor)[0]
+    rows, cols = cells.shape[0] * factor, cells.shape[1] * factor
+    wide = np.zeros((cells.shape[0], cols + before + factor), np.float32)
+    for i, w in enumerate(weights):
+        wide[:, i : i + cols : factor] += w * cells
+    tall = np.zeros((rows + before + factor, wide.shape[1]), np.float32)
+    for i, w in enumerate(weights):
+        tall[i : i + rows : factor] += w * wide
+    return np.ascontiguousarray(tall[before : before + rows, before : before + cols])
+
+
+def _laplacian(z: F32) -> F32:
+    out = np.asarray(cv2.filter2D(z, cv2.CV_32F, _LAPLACE, borderType=cv2.BORDER_CONSTANT))
+    out[0] = out[-1] = out[:, 0] = out[:, -1] = 0
+    return out
+
+
+def _conjugate_gradients(matrix: Operator, right: F32, diagonal: F32, steps: int) -> F32:
+    """Solve matrix(x) = right, matrix symmetric and positive."""
+    x, left = np.zeros_like(right), right.copy()
+    scaled = left / diagonal
+    direction, size = scaled.copy(), float(np.vdot(left, scaled))
+    for _ in range(steps):
+        if size <= 1e-12:
+            break
+        across = matrix(direction)
+        length = np.float32(size / float(np.vdot(direction, across)))
+        x += length * direction
+        left -= length * across
+        scaled = left / diagonal
+        was, size = size, float(np.vdot(left, scaled))
+        direction = scaled + np.float32(size / was) * direction
+    return x
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What the height field has to agree with."""
+
+    cells: F32  # (R, C) metres, no NaN
+    cell_weight: F32  # (R, C) 1 / sigma^2, 0 where unknown
+    image: F32  # (f R, f C) grey levels
+    factor: int
+    pixel: float  # metres
+
+
+def _step(scene: _Scene, z: F32, light: Light, lit: Bool, cg: int) -> F32:
+    """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
+    p, q = gradients(z, scene.pixel)
+    shade, dp, dq = light.brightness(p, q)
+    noise = np.float32(max(light.spread, SHADE_FLOOR * float(np.linalg.norm(light.sun))))
+    off = scene.image - shade
+    weight = lit / noise**2 / (1 + (off / (3 * noise)) ** 2)
+    bend = _laplacian(z)
+    stiff = 1 / np.float32(BEND**2) / (1 + (bend / np.float32(3 * BEND)) ** 2)
+    scale = np.float32(1 / (8 * scene.pixel))
+
+    def transposed(u: F32, v: F32) -> F32:
+        along = cv2.sepFilter2D(u, cv2.CV_32F, DIFFERENCE * scale, SMOOTHING, borderType=cv2.BORDER_CONSTANT)
+        across = cv2.sepFilter2D(v, cv2.CV_32F, SMOOTHING, DIFFERENCE * scale, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(-along - across)
+
+    def normal(x: F32) -> F32:
+        gx, gy = gradients(x, scene.pixel)
+        seen = weight * (dp * gx + dq * gy)
+        cells = _spread(scene.cell_weight * coarsen(x, scene.factor), scene.factor)
+        return np.asarray(cells + transposed(dp * seen, dq * seen) + _laplacian(stiff * _laplacian(x)))
+
+    right = _spread(scene.cell_weight * (scene.cells - coarsen(z, scene.factor)), scene.factor)
+    right += transposed(weight * dp * off, weight * dq * off) - _laplacian(stiff * bend)
+    share = (float((cell_weights(scene.factor) ** 2).sum()) / scene.factor) ** 2
+    each = cv2.resize(scene.cell_weight, z.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    diagonal = share * each + weight * (dp**2 + dq**2) * 12 * scale**2 + 20 * stiff
+    return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), cg)
+
+
+def _solve(scene: _Scene) -> tuple[F32, Bool, Light] | None:
+    """The fine heights, the lit pixels and the light; None where shading does not explain the image."""
+    z = np.asarray(cv2.resize(scene.cells, scene.image.shape[::-1], interpolation=cv2.INTER_CUBIC))
+    small = np.asarray(cv2.resize(scene.image, scene.cells.shape[::-1], interpolation=cv2.INTER_AREA))
+    known = scene.cell_weight > 0
+    coarse = find_light(scene.cells, small, known & (small > np.quantile(small, 0.05)), scene.pixel * scene.factor)
+    log.info("shading explains %.0f %% of the image at the size of the cells", 100 * coarse.explained)
+    if coarse.explained < LEAST_EXPLAINED or coarse.sun[2] <= 0:
+        return None
+    light, lit, dark = coarse, np.ones(z.shape, dtype=np.bool_), -math.inf
+    for steps, cg in ROUNDS:
+        dark = max(dark, shadow_level(scene.image, in_shadow(z, light, scene.pixel)))
+        lit = scene.image > dark
+        light = find_light(z, scene.image, lit, scene.pixel)
+        use = lit.copy()
+        use[:2] = use[-2:] = use[:, :2] = use[:, -2:] = False
+        for _ in range(steps):
+            z = z + _step(scene, z, light, use, cg)
+        log.info(
+            "light %s, ambient %.1f, left %.2f, shadow below %.0f",
+            light.sun.round(1),
+            light.ambient,
+            light.spread,
+            dark,
+        )
+    return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
+
+
+def _larger(values: NDArray[T], factor: int) -> NDArray[T]:
+    return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
+
+
+def _sigma(z: F32, lit: Bool, elevation: ElevationMap, factor: int) -> F32:
+    """1-sigma of the fine heights (S4): the cell's own, and in shadow a share of the detail that is not seen there."""
+    detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
+    near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
+    unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
+    own = np.maximum(_larger(elevation.sigma, factor), np.float32(HEIGHT_FLOOR))
+    out: F32 = np.hypot(own, unseen).astype(np.float32)
+    return out
+
+
+def sharpen(elevation: ElevationMap, image: U8) -> ElevationMap | None:
+    """Refine heights to the pixels of an image of the same ground, lit by the sun and seen from above.
+
+    Args:
+        elevation: heights and sigma of the cells; what is not trusted stays unknown.
+        image: (f R, f C) or (f R, f C, 3), f = 2, 4, ... pixels a cell, the same north and extent.
+
+    Returns:
+        The map on the image's pixels, or None where shading explains too little of the image: paint, not shape.
+
+    Raises:
+        ValueError: the image is not a whole even number of times finer.
+    """
+    factor = image.shape[0] // elevation.grid.rows
+    if factor < 2 or factor % 2 or image.shape[:2] != (factor * elevation.grid.rows, factor * elevation.grid.cols):
+        raise ValueError("the image must be 2, 4, ... times finer than the heights, and of the same extent")
+    known = elevation.trusted
+    if known.mean() < 0.1:
+        return None
+    level = float(np.median(elevation.height[known]))
+    cells = np.where(known, elevation.height - np.float32(level), np.float32(0))
+    weight = np.where(known, 1 / np.maximum(elevation.sigma, np.float32(HEIGHT_FLOOR)) ** 2, np.float32(0))
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    pixel = elevation.grid.cell / factor
+    found = _solve(_Scene(cells, weight, np.asarray(grey, dtype=np.float32) + np.float32(0.5), factor, pixel))
+    return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
+
+
+def _refined(elevation: ElevationMap, z: F32, lit: Bool, image: U8, factor: int) -> ElevationMap:
+    g = elevation.grid
+    pixel = g.cell / factor
+    shift = 0.5 * (g.cell - pixel)
+    grid = Grid(g.east - shift, g.north + shift, pixel, *z.shape)
+    height = np.where(_larger(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
+    rgb = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return replace(
+        elevation,
+        grid=grid,
+        height=height,
+        sigma=_sigma(z, lit, elevation, factor),
+        flags=_larger(elevation.flags, factor),
+        views=_larger(elevation.views, factor),
+        rgb=rgb,
+        residual=_larger(elevation.residual, factor),
+    )

@@ -1,0 +1,138 @@
+"""What an exposure does to the state: points held are measured, the others wait until they are used up (M11-M17)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Camera, Pose, so3_log
+from alight.motion.dynamics import LONG
+from alight.motion.health import Votes
+from alight.motion.points import Gate, measure, take_up
+from alight.motion.ring import Refined, refine
+from alight.motion.state import POS, State
+from alight.motion.vision import sight_sigma
+from alight.motion.window import Poses, Sights, as_rows, eliminate, linearise, meet
+from alight.records import F64, Tracks
+from alight.settings import Filter
+
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
+_LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
+_STALE = 0.04  # rad between a pose held and its first estimate from which Jacobians are no longer good
+
+
+class Features:
+    """The sub-filter: sights that the state has not used yet, and how they come to be used."""
+
+    def __init__(self, camera: Camera, cams: Sequence[Pose], settings: Filter) -> None:
+        self._camera, self._cams, self._settings = camera, tuple(cams), settings
+        self._gate = Gate(settings.gate)
+        self._waiting = Sights.none(len(cams))
+
+    def forget(self, state: State) -> None:
+        """Start the pictures anew: no point, no pose is held; the motion stays as it is."""
+        state.drop(range(len(state.clones)), range(len(state.points)))
+        self._waiting = Sights.none(len(self._cams))
+
+    def ring(self, state: State) -> Refined:
+        """The poses held, refined with the sights that wait."""
+        return refine(state, self._waiting, self._cams, self._settings.vague_share)
+
+    def see(self, state: State, tracks: Tracks) -> Votes:
+        """One exposure: use up what ended, measure the points held, take up what became well known."""
+        order = np.argsort(tracks.ids)
+        ids, seen = tracks.ids[order], tracks.normalised[order]
+        sigma = sight_sigma(tracks, self._camera, self._settings)[order]
+        if _stale(state):
+            if (tracks.t_ns - state.clones[-1].t_ns) * 1e-9 > LONG:
+                state.relinearise()
+            else:
+                self.forget(state)
+        gone = self._superfluous(state)
+        votes = self._use_up(state, ids, gone)
+        lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
+        state.drop(clones=gone, points=lost)
+        state.add_clone()
+        votes += measure(state, ids, seen, sigma, self._cams, self._gate)
+        new = ~np.isin(ids, [x.id for x in state.points])
+        self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
+        return votes + self._take_up(state)
+
+    def _superfluous(self, state: State) -> list[int]:
+        """The last clone if it is no keyframe; else the oldest when there are too many."""
+        c = state.clones
+        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < self._settings.keyframe_baseline * self._distance(state):
+            return [len(c) - 1]
+        return [0] if len(c) >= self._settings.clones else []
+
+    @staticmethod
+    def _distance(state: State) -> float:
+        far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
+        return float(np.median(far)) if far else 0.0
+
+    def _use_up(self, state: State, ids: Ints, gone: list[int]) -> Votes:
+        """Measure the poses by the features that are seen no more, or whose first pose is about to be forgotten."""
+        w = self._waiting
+        if not len(w.ids):
+            return Votes()
+        ended = ~np.isin(w.ids, ids)
+        if gone == [0]:
+            ended |= w.where[:, 0]
+        self._waiting = w.rows(~ended)
+        return self._absorb(state, w.rows(ended & (w.where.sum(axis=1) >= _LEAST_POSES)))
+
+    def _absorb(self, state: State, sights: Sights) -> Votes:
+        if not len(sights.ids):
+            return Votes()
+        poses, columns = Poses.of(state.clones), state.clone_columns()
+        x = meet(sights, poses, self._cams)
+        found = eliminate(linearise(sights, poses, self._cams, x))
+        known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
+        distance, freedom = found.distances(state.P[np.ix_(columns, columns)]), np.maximum(found.freedom, 1)
+        inside = known & (distance <= self._gate.limits(freedom))
+        if inside.any():
+            state.correct(*as_rows(*found.information(inside.astype(float))), columns)
+        return Votes(
+            int(inside.sum()),
+            int((known & ~inside).sum()),
+            float(distance[inside].sum() / max(freedom[inside].sum(), 1)),
+        )
+
+    @staticmethod
+    def _known(covariance: F64, x: F64, state: State, share: float) -> Mask:
+        distance = np.linalg.norm(x - state.core[POS], axis=1)
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]) < share * distance)
+
+    def _take_up(self, state: State) -> Votes:
+        """Fill the free places, longest seen features first."""
+        s, w = self._settings, self._waiting
+        free, poses = s.points - len(state.points), w.where.sum(axis=1)
+        ready = np.flatnonzero((poses >= _LEAST_POSES) & w.where[:, -1])
+        if free <= 0 or not len(ready):
+            return Votes()
+        ready = ready[np.argsort(-poses[ready], kind="stable")][: 2 * free]
+        held = Poses.of(state.clones)
+        x = meet(w.rows(ready), held, self._cams)
+        found = eliminate(linearise(w.rows(ready), held, self._cams, x))
+        taken, tried = [], np.flatnonzero(self._known(found.point_covariance, x, state, s.depth_share))[:free]
+        for i in tried:
+            one = ready[i : i + 1]
+            if take_up(state, w.rows(one), x[i : i + 1], self._cams, self._gate):
+                taken.append(int(one[0]))
+        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), taken))
+        return Votes(len(taken), len(tried) - len(taken), 1.0)
+
+
+def _contains(ids: Ints, id_: int) -> bool:
+    at = int(np.searchsorted(ids, id_))
+    return at < len(ids) and int(ids[at]) == id_
+
+
+def _stale(state: State) -> bool:
+    """Whether a pose held has been turned far from where its Jacobians are taken: a start with a wrong heading."""
+    return any(float(np.linalg.norm(so3_log(c.R @ c.first_R.T))) > _STALE for c in state.clones[:1])

@@ -1,0 +1,59 @@
+"""The poses held, refined together with every sight that the state has not used yet (M23)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from alight.geometry import Pose, so3_exp
+from alight.motion.state import OFFSET, State
+from alight.motion.window import Poses, Reduced, Sights, eliminate, linearise, meet
+from alight.records import F64
+
+_ITERATIONS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """K rig poses from one posterior."""
+
+    R: F64  # (K, 3, 3) world_from_rig
+    p: F64  # (K, 3) m
+    covariance: F64  # (6K, 6K) joint, (rotation, position) a pose
+    offset_cross: F64  # (6K, 3) with the map's offset
+
+
+def refine(state: State, sights: Sights, cams: Sequence[Pose], share: float) -> Refined:
+    """Gauss-Newton over the poses held: the state's joint covariance as the prior, and the sights that wait (M23).
+
+    Args:
+        share: largest sigma of a point's depth over its depth that takes part.
+    """
+    held, P = Poses.of(state.clones), state.P[np.ix_(state.clone_columns(), state.clone_columns())]
+    error, poses, gain = np.zeros(len(P)), held, np.asarray(np.eye(len(P)))
+    sights = sights.rows(sights.where.sum(axis=1) >= 2)
+    for _ in range(_ITERATIONS if len(sights.ids) else 0):
+        x = meet(sights, poses, cams)
+        found = eliminate(linearise(sights, poses, cams, x))
+        A, b = found.information(weights(found, x, poses, share))
+        gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
+        error = P @ gain @ (b + A @ error)
+        poses = _moved(held, error)
+    return Refined(poses.R, poses.p, P @ gain, gain.T @ state.P[state.clone_columns(), OFFSET])
+
+
+def weights(found: Reduced, x: F64, poses: Poses, share: float) -> F64:
+    """Cauchy weights by feature, zero where the depth is too vague for its rows to be linear."""
+    distance = np.linalg.norm(x - poses.p[-1], axis=1)
+    clear = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
+    clear &= found.freedom > 0
+    typical = found.misfit / np.maximum(found.freedom, 1)
+    return np.where(clear, 1.0 / (1.0 + typical / 4.0), 0.0)
+
+
+def _moved(poses: Poses, error: F64) -> Poses:
+    e = error.reshape(-1, 6)
+    R = np.array([so3_exp(a[:3]) @ R for a, R in zip(e, poses.R, strict=True)])
+    return replace(poses, R=R, p=poses.p + e[:, 3:])

@@ -1,0 +1,44 @@
+"""Names of what a place looks like, beside its class: one class has many looks."""
+
+from enum import IntEnum
+
+
+class Look(IntEnum):
+    """Codes of the layer of looks; BY_CLASS: the usual look of the class."""
+
+    BY_CLASS = 0
+    MEADOW = 1
+    LAWN = 2
+    DRY_GRASS = 3
+    TALL_GRASS = 4
+    CROP = 5
+    STUBBLE = 6
+    REED = 7
+    HEATH = 8
+    SOIL = 9
+    MUD = 10
+    SAND = 11
+    GRAVEL = 12
+    LEAF_LITTER = 13
+    SNOW = 14
+    BROADLEAF = 15
+    CONIFER = 16
+    BUSH = 17
+    ROCK = 18
+    PALE_ROCK = 19
+    SCREE = 20
+    ASPHALT = 21
+    CONCRETE = 22
+    SLABS = 23
+    WHITE = 24
+    ROOF_TILES = 25
+    ROOF_SLATE = 26
+    ROOF_METAL = 27
+    FLAT_ROOF = 28
+    WALL = 29
+    PAINT = 30
+    CLEAR_WATER = 31
+    MURKY_WATER = 32
+    PLAIN = 33
+    GLASS = 34
+    TWIGS = 35

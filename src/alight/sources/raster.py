@@ -1,0 +1,168 @@
+"""Heights that somebody else made: a raster, its sigma and an image of the same ground."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+
+from alight.geometry import Grid
+from alight.records import F32, U8, ElevationMap, Flag, InputError
+
+MOST_CELLS = 100_000_000
+SEEN_BY = 9  # views that a height made elsewhere counts as: more than doubt asks for
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What was read. East and north of the grid are the raster's own coordinates."""
+
+    elevation: ElevationMap
+    crs: CRS | None  # None: the raster does not say, metres are assumed
+    image: U8 | None  # (f R, f C) or (f R, f C, 3), f = 1, 2, 4, ... pixels a cell
+    warnings: tuple[str, ...]
+
+
+def _open(path: Path) -> Any:
+    if not path.exists():
+        raise InputError(f"{path}: there is no such file; name a raster such as a GeoTIFF")
+    try:
+        with warnings.catch_warnings():  # what has no coordinates is said by us, once and in words
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            return rasterio.open(path)
+    except RasterioError as e:
+        raise InputError(f"{path}: not a raster that can be read ({' '.join(str(e).split())}); give a GeoTIFF") from e
+
+
+def _grid(path: Path, dataset: Any) -> Grid:
+    t, crs = dataset.transform, dataset.crs
+    if crs is not None and crs.is_geographic:
+        raise InputError(
+            f"{path}: its cells are degrees; mend it with: gdalwarp -t_srs EPSG:<a UTM zone> {path} OUT.tif"
+        )
+    if crs is not None and not math.isclose(_metres(crs), 1.0, rel_tol=1e-6):
+        raise InputError(f"{path}: its unit is not the metre; mend it with: gdalwarp -t_srs EPSG:<a UTM zone>")
+    if t.b or t.d or t.a <= 0 or not math.isclose(t.a, -t.e, rel_tol=1e-6):
+        raise InputError(f"{path}: cells are not square with north up; mend it with: gdalwarp -tr <size> <size>")
+    if dataset.width * dataset.height > MOST_CELLS:
+        raise InputError(
+            f"{path}: {dataset.width} x {dataset.height} cells are too many; cut it: gdal_translate -srcwin"
+        )
+    return Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, dataset.height, dataset.width)
+
+
+def _metres(crs: CRS) -> float:
+    try:
+        return float(crs.linear_units_factor[1])
+    except (RasterioError, ValueError):  # a local system without a unit that is known
+        return 1.0
+
+
+def _band(path: Path, dataset: Any, band: int) -> F32:
+    try:
+        values = dataset.read(band, masked=True)
+    except RasterioError as e:
+        raise InputError(f"{path}: cannot be read to its end ({' '.join(str(e).split())}); copy it again") from e
+    out: F32 = values.astype(np.float32).filled(np.nan)
+    return np.where(np.isfinite(out), out, np.float32(np.nan))
+
+
+def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None]:
+    """Sigma of every cell: a number, a raster, the heights' own second band, or what is usual, with a warning."""
+    if given is None and own is not None:
+        return own, None
+    if given is None:
+        say = f"no sigma given: {usual:g} m is taken for every height; P(safe) is no better than that (--sigma)"
+        return np.full(grid.shape, usual, np.float32), say
+    try:
+        value = float(given)
+    except ValueError:
+        return _sigma_raster(Path(given), grid), None
+    if not (math.isfinite(value) and value >= 0):
+        raise InputError(f"--sigma {given}: needs a raster, or metres not below 0")
+    return np.full(grid.shape, value, np.float32), None
+
+
+def _sigma_raster(path: Path, grid: Grid) -> F32:
+    with _open(path) as d:
+        sigma = _band(path, d, 1)
+    if sigma.shape != grid.shape:
+        raise InputError(
+            f"{path}: {sigma.shape[1]} x {sigma.shape[0]} cells, the heights have {grid.cols} x {grid.rows}"
+        )
+    if (sigma < 0).any():
+        raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
+    return sigma
+
+
+def _image(path: Path, grid: Grid) -> U8:
+    """Pixels of an image that covers the same ground, a whole number of them a cell."""
+    with _open(path) as d:
+        bands = (1, 2, 3) if d.count >= 3 else (1,)
+        if d.dtypes[0] != "uint8":
+            raise InputError(f"{path}: {d.dtypes[0]} pixels; give 8 bit: gdal_translate -ot Byte -scale")
+        pixels: NDArray[np.uint8] = np.stack([d.read(b) for b in bands], axis=-1)
+        placed, bounds = d.crs is not None, d.bounds
+    factor = pixels.shape[0] / grid.rows
+    if factor not in (1, *range(2, 17, 2)) or pixels.shape[:2] != (factor * grid.rows, factor * grid.cols):
+        raise InputError(
+            f"{path}: {pixels.shape[1]} x {pixels.shape[0]} pixels on {grid.cols} x {grid.rows} heights; "
+            "give 1, 2, 4, ... pixels a cell over the same extent: gdalwarp -te <extent> -ts <columns> <rows>"
+        )
+    west, top = grid.east - grid.cell / 2, grid.north + grid.cell / 2
+    if placed and math.hypot(bounds.left - west, bounds.top - top) > 0.5 * grid.cell / factor:
+        raise InputError(f"{path}: lies elsewhere than the heights; mend it with: gdalwarp -te <extent of the heights>")
+    return pixels if len(bands) == 3 else pixels[..., 0]
+
+
+def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: float) -> Ground:
+    """Read a height raster as a map that can be judged.
+
+    Args:
+        path: heights in metres, band 1; a second band named `sigma` is theirs.
+        sigma: raster of 1-sigma or one number, metres.
+        image: of the same ground, 8 bit.
+        usual_sigma: metres, where nobody says.
+
+    Raises:
+        InputError: it is no raster, its cells are no square metres with north up, nothing is known, or sigma or image
+            are on another grid.
+    """
+    with _open(path) as d:
+        grid, crs = _grid(path, d), d.crs
+        height = _band(path, d, 1)
+        own = _band(path, d, 2) if d.count > 1 and d.descriptions[1] == "sigma" else None
+    known = np.isfinite(height)
+    if not known.any():
+        raise InputError(f"{path}: no height is known; check its nodata value")
+    spread, doubt = _sigma(sigma, grid, own, usual_sigma)
+    known &= np.isfinite(spread)
+    doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
+    doubts += [doubt] if doubt else []
+    pixels = None if image is None else _image(image, grid)
+    return Ground(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts))
+
+
+def _as_map(grid: Grid, height: F32, sigma: F32, known: NDArray[np.bool_], image: U8 | None) -> ElevationMap:
+    flags = np.where(known, np.uint16(0), np.uint16(Flag.UNSEEN))
+    grey = np.full((*grid.shape, 3), 128, np.uint8)
+    if image is not None and image.shape[:2] == grid.shape:
+        grey = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    views = np.where(known, np.uint8(SEEN_BY), np.uint8(0))
+    return ElevationMap(
+        grid=grid,
+        height=np.where(known, height, np.float32(np.nan)),
+        sigma=sigma,
+        flags=flags,
+        views=views,
+        rgb=grey,
+        residual=np.zeros(grid.shape, np.float32),
+    )

@@ -1,0 +1,370 @@
+"""Light, looks, shutters and cars: against closed forms and plain NumPy twins; blocks and threads do not show."""
+
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+
+from alight.geometry import Camera, Grid, Pose
+from alight.kernels import block, texture
+from alight.kernels.boxes import hit_box
+from alight.kernels.noise import gradient_noise, noise32, seed32
+from alight.records import InputError, Terrain
+from alight.simulate.cameras import Eye, Shutter, spread
+from alight.simulate.exactness import LENSES, errors
+from alight.simulate.light import Clouds, Light, Wind
+from alight.simulate.looks import Look
+from alight.simulate.materials import MATERIALS, tables
+from alight.simulate.movers import Mover, Traffic, boxes_at
+from alight.simulate.world import world_of
+
+DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # image top is east, image right is south
+SMALL = Camera(160, 96, 120.0, 120.0, 79.5, 47.5)
+
+
+def ground(look=Look.MEADOW, side=40.0, cell=0.1, surface=lambda x, y: 0.0 * x * y, **more):
+    n = round(side / cell) + 1
+    grid = Grid(-0.5 * side, 0.5 * side, cell, n, n)
+    x, y = grid.xy()
+    height = np.asarray(surface(x[None], y[:, None]), np.float32)
+    label = np.full(grid.shape, Terrain.BARE, np.uint8)
+    looks = np.full(grid.shape, look, np.uint8)
+    return world_of(grid, height, label, look=looks, **more)
+
+
+def above(east=0.0, north=0.0, up=12.0):
+    return Pose(DOWN, np.array([east, north, up]))
+
+
+def along(start, velocity):
+    """A camera that looks down and flies straight on: what `radiance` takes."""
+    return lambda t: (np.repeat(DOWN[None], len(t), axis=0), np.array(start) + np.outer(t, velocity))
+
+
+# -- geometry
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_plane_sphere_and_step_land_where_projection_says(lens):
+    assert max(errors(LENSES[lens]).values()) < 0.001  # pixels; demanded: 0.02
+
+
+def test_rays_of_a_pixel_spread_about_its_centre():
+    for n in (1, 2, 4, 8, 16):
+        offsets = spread(n)
+        assert offsets.shape == (n, 2)
+        assert np.abs(offsets.mean(axis=0)).max() < 1e-12
+        assert np.abs(offsets).max() < 0.75
+    assert np.ptp(spread(16), axis=0).min() > 0.75
+
+
+def test_a_camera_below_the_ground_is_refused():
+    with pytest.raises(InputError, match=r"below the ground at east 1\.0, north 2\.0"):
+        Eye(SMALL).radiance(ground(), above(1.0, 2.0, -0.5), 0.0)
+
+
+# -- twins
+
+
+def test_noise_in_32_bits_agrees_with_the_one_in_64():
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        i, j, (x, y) = int(rng.integers(-9e5, 9e5)), int(rng.integers(-9e5, 9e5)), rng.uniform(-20, 20, 2)
+        got = noise32(np.float32(x), np.float32(y), np.int32(i), np.int32(j), np.uint32(seed32(9)))
+        expected = gradient_noise(i + float(np.float32(x)), j + float(np.float32(y)), 9)
+        assert np.abs(np.array(got) - expected).max() < 2e-4
+
+
+def test_small_functions_agree_with_numpy():
+    x = np.linspace(0, 9, 200, dtype=np.float32)
+    assert max(abs(block.fading(v) - np.exp(-v)) for v in x) < 0.004
+    t = np.clip((x - 2) / 3, 0, 1)
+    assert (
+        max(abs(block.smooth(np.float32(2), np.float32(5), a) - b) for a, b in zip(x, t * t * (3 - 2 * t), strict=True))
+        < 1e-6
+    )
+
+
+def scratch(x, y, look, foot=0.02):
+    """A block of pixels as the passes take it."""
+    buf = np.zeros(block.PARAM + texture.PARAMS * block.B, np.float32)
+    for slot, values in ((block.TX, x), (block.TY, y), (block.FOOT, foot)):
+        buf[slot : slot + block.B] = values
+    texture.load_looks(buf, tables()[0], np.full(block.B, look, np.int32), texture.P_BED)
+    return buf
+
+
+def test_detail_agrees_with_numpy():
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-30, 30, (2, block.B)).astype(np.float32)
+    buf, base, q = scratch(x, y, Look.SOIL), np.array([812.0, -377.0, 0.0]), 1.0
+    texture.detail(buf, base, 5)
+    value, wavelength, c, s = np.zeros(block.B), 3.0, 1.0, 0.0
+    for k in range(9):
+        t = np.clip((wavelength / 0.02 - 1.2) / 1.2, 0, 1)
+        for i in range(block.B):
+            e, n = base[0] + float(x[i]), base[1] + float(y[i])
+            noise, _, _ = gradient_noise((c * e - s * n) / wavelength, (s * e + c * n) / wavelength, 5 + 101 * k)
+            value[i] += q * t * t * (3 - 2 * t) * noise / 3.0
+        wavelength *= 0.5
+        c, s = 0.7986 * c - 0.6018 * s, 0.6018 * c + 0.7986 * s
+    assert MATERIALS[Look.SOIL].ridge == MATERIALS[Look.SOIL].roughening == 0
+    assert np.abs(buf[block.VALUE : block.VALUE + block.B] - value).max() < 2e-3
+
+
+def slabs(box, origin, ray):
+    """NumPy twin of `hit_box`: a dense march."""
+    t = np.linspace(0, 40, 400_001)[:, None]
+    p = origin + t * ray - box[:3]
+    u, v = box[3] * p[:, 0] + box[4] * p[:, 1], box[3] * p[:, 1] - box[4] * p[:, 0]
+    inside = (abs(u) <= box[5]) & (abs(v) <= box[6]) & (p[:, 2] >= 0) & (p[:, 2] <= box[7])
+    return t[np.argmax(inside), 0] if inside.any() else -1.0
+
+
+def test_boxes_agree_with_a_dense_march():
+    rng = np.random.default_rng(4)
+    hits = 0
+    for _ in range(60):
+        a = rng.uniform(0, 6)
+        box = np.array([*rng.uniform(-3, 3, 2), 0.2, np.cos(a), np.sin(a), 2.2, 0.9, 1.5, 0, 0, 0, 0])
+        origin = np.array([*rng.uniform(-8, 8, 2), rng.uniform(3, 9)])
+        ray = np.array([*rng.uniform(-4, 4, 2), 0.8]) - origin
+        t, face = hit_box(box, tuple(origin), tuple(ray / 10))
+        expected = slabs(box, origin, ray / 10)
+        assert abs(t - expected) < 2e-4 or min(t, expected) < 0  # a march may step over a corner
+        hits += t > 0 and expected > 0
+        if t > 0:
+            assert face in (1, 2, 3, 4, 5)
+    assert hits > 15
+    assert hit_box(np.array([0, 0, 0, 1, 0, 2, 1, 1.5, 0, 0, 0, 0.0]), (0.0, 0.0, 5.0), (0.0, 0.0, -1.0)) == (3.5, 1)
+
+
+# -- what must not show
+
+
+def test_texture_does_not_depend_on_blocks_threads_or_samples_before():
+    """Another principal point shifts the blocks of pixels over the ground; the ground stays."""
+    rough = ground(Look.MEADOW, side=60.0, surface=lambda x, y: 0.8 * np.sin(1.3 * x) + np.where(y > 4, 3.0, 0.0))
+    wide = Camera(300, 40, 120.0, 120.0, 150.0, 19.5)
+    moved = dataclasses.replace(wide, cu=wide.cu - 53.0)
+    one, other = (Eye(c).radiance(rough, above(3.0, 1.0), 0.0) for c in (wide, moved))
+    assert np.abs(one[:, 53:] - other[:, :-53]).max() < 0.02 * one.mean()
+
+
+def test_picture_of_everything_does_not_depend_on_threads():
+    world = busy_world()
+    pictures = []
+    for n in (1, 2):
+        numba.set_num_threads(min(n, numba.config.NUMBA_NUM_THREADS))
+        pictures.append(Eye(SMALL, 2).radiance(world, above(), 1.0, Shutter(0.01, 1e-4, 2)))
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    assert np.array_equal(*pictures)
+
+
+def busy_world():
+    light = Light(clouds=Clouds(share=0.4), visibility=500.0)
+    world = ground(Look.CLEAR_WATER, light=light)
+    return with_cars(world, Traffic(path=((-15.0, 0.0), (15.0, 0.0)), speed=5.0))
+
+
+def with_cars(world, *traffic):
+    flat = dataclasses.replace(world)
+    flat.__dict__["movers"] = tuple(Mover(t, lambda e, n: 0.0, 3) for t in traffic)
+    return flat
+
+
+# -- shutters
+
+
+def test_blur_is_the_mean_of_sharp_pictures():
+    world, eye, path = ground(), Eye(SMALL), along((0.0, 0.0, 12.0), (3.0, -6.0, 0.5))
+    blurred = eye.radiance(world, path, 2.0, Shutter(exposure=0.04, moments=4))
+    at = [Pose(*(a[0] for a in path(np.array([2.0 + s])))) for s in (-0.015, -0.005, 0.005, 0.015)]
+    sharp = [eye.radiance(world, pose, 2.0 + s) for pose, s in zip(at, (-0.015, -0.005, 0.005, 0.015), strict=True)]
+    assert np.abs(blurred - np.mean(sharp, axis=0)).max() < 1e-5
+    assert np.diff(blurred, axis=1).std() < 0.7 * np.diff(sharp[0], axis=1).std()  # it flies along the rows
+
+
+def test_each_row_of_a_rolling_shutter_is_a_row_of_a_sharp_picture_at_its_own_time():
+    world, eye, line = ground(), Eye(SMALL), 2e-4
+    path = along((0.0, 0.0, 12.0), (0.0, -8.0, 0.0))
+    rolled = eye.radiance(world, path, 1.0, Shutter(line_time=line))
+    for r in (0, 30, 47, 95):
+        t = np.array([1.0 + (r - 47.5) * line])
+        sharp = eye.radiance(world, Pose(*(a[0] for a in path(t))), float(t[0]))
+        assert np.abs(rolled[r] - sharp[r]).max() < 1e-5
+
+
+def test_a_rolling_shutter_skews_by_speed_times_line_time():
+    tint = np.ones((401, 401, 3), np.float32)
+    tint[200:] = 0.2  # the south is dark; image right is south
+    world, line, speed = ground(Look.PLAIN, tint=tint), 5e-4, 9.0
+    path = along((0.0, 0.0, 12.0), (0.0, -speed, 0.0))
+    rolled = Eye(SMALL, 4).radiance(world, path, 0.0, Shutter(line_time=line))[..., 1]
+    share = (rolled - rolled.min()) / (rolled.max() - rolled.min())
+    edge = np.array([np.interp(-0.5, -np.sort(row)[::-1], np.arange(160.0)) for row in share])
+    assert np.polyfit(np.arange(96), edge, 1)[0] == pytest.approx(-speed * line * 120.0 / 12.0, rel=0.03)
+
+
+# -- cars
+
+RED = Traffic(path=((-15.0, 1.0), (15.0, 1.0)), speed=6.0, gap=30.0, colour=(0.9, 0.02, 0.02))
+
+
+def reddish(picture):
+    return picture[..., 0] > 4.0 * picture[..., 2]
+
+
+def test_a_car_is_where_its_path_and_time_say():
+    mover = Mover(RED, lambda e, n: 0.5, 3)
+    first, later = mover.places_at(np.array([0.0, 1.5]))[0]
+    assert (later[0, 0] - first[0, 0]) % 30.0 == pytest.approx(9.0)  # who leaves at the end comes again at the start
+    assert later[0, 1:] == pytest.approx([1.0, 0.5])
+    boxes = boxes_at((mover,), np.array([0.0]))
+    assert boxes.shape == (1, 2, 12)
+    assert boxes[0, 1, 2] == pytest.approx(0.5 + boxes[0, 0, 7])  # the cabin stands on the body
+
+
+@pytest.mark.parametrize("seconds", [0.0, 1.0])
+def test_a_car_is_drawn_where_it_is(seconds):
+    world, camera = with_cars(ground(Look.ASPHALT), RED), Camera(160, 96, 120.0, 120.0, 79.5, 47.5)
+    place = world.movers[0].places_at(np.array([seconds]))[0][0, 0]
+    pose = above(place[0] + 0.4, place[1] - 0.3, 12.0)
+    picture = Eye(camera, 4).radiance(world, pose, seconds)
+    rows, cols = np.nonzero(reddish(picture))
+    top = [[a, b, 1.5 * 0.58] for a in (-2.2, 2.2) for b in (-0.9, 0.9)]
+    corners = camera.project(pose.inverse.apply(np.array(top) + np.array([place[0], place[1], 0.0])))
+    assert cols.min() == pytest.approx(corners[:, 0].min(), abs=1.5)
+    assert cols.max() == pytest.approx(corners[:, 0].max(), abs=1.5)
+    assert rows.min() == pytest.approx(corners[:, 1].min(), abs=1.5)
+    assert rows.max() == pytest.approx(corners[:, 1].max(), abs=1.5)
+
+
+def test_a_car_throws_its_shadow_away_from_the_sun():
+    light = Light(azimuth_deg=180.0, elevation_deg=30.0)  # from the south: shadows fall to the north
+    world = ground(Look.CONCRETE, light=light)
+    cars, pose = with_cars(world, RED), above(0.0, 1.0, 12.0)
+    place = cars.movers[0].places_at(np.array([0.0]))[0][0, 0]
+    pose = above(place[0], place[1], 12.0)
+    with_car, without = (Eye(SMALL).radiance(w, pose, 0.0)[..., 1] for w in (cars, world))
+    ratio = with_car / without
+    assert ratio[47, 79 - 22] < 0.4  # image left is north: 2.2 m that way lies in shadow, as long as 1.5 m / tan 30
+    assert ratio[47, 79 - 45] == pytest.approx(1.0)  # 4.5 m away it has ended
+    assert ratio[47, 79 + 22] == pytest.approx(1.0)
+
+
+def test_a_moving_car_is_askew_under_a_rolling_shutter():
+    fast = Traffic(path=((1.0, 15.0), (1.0, -15.0)), speed=12.0, gap=30.0, colour=(0.9, 0.02, 0.02))
+    world, line = with_cars(ground(Look.ASPHALT), fast), 1e-3
+    place = world.movers[0].places_at(np.array([0.0]))[0][0, 0]
+    picture = Eye(SMALL).radiance(world, above(1.0, place[1]), 0.0, Shutter(line_time=line))
+    rows = [r for r in range(96) if reddish(picture)[r].sum() > 10]
+    fronts = [np.nonzero(reddish(picture)[r])[0].max() for r in rows]
+    skew = np.polyfit(rows, fronts, 1)[0]
+    assert skew == pytest.approx(12.0 * line * 120.0 / (12.0 - 1.5 * 0.58), abs=0.03)  # pixels a row, to the south
+
+
+# -- light and air
+
+
+def test_in_thick_haze_everything_is_air_light():
+    thick, thin = (ground(Look.SOIL, light=Light(visibility=v)) for v in (30.0, 1e7))
+    none = Eye(SMALL).radiance(thin, above(up=100.0), 0.0)
+    hazy = Eye(SMALL).radiance(thick, above(up=100.0), 0.0)
+    air = thick.light.numbers(0.0)[10:13]
+    assert np.abs(hazy - air).max() < 0.01 * air.max()
+    assert hazy.std(axis=(0, 1)).max() < 0.01 * none.std(axis=(0, 1)).max()
+
+
+def test_haze_dims_contrast_as_its_visibility_says():
+    clear, hazy = (
+        Eye(SMALL).radiance(ground(Look.SOIL, light=Light(visibility=v)), above(up=60.0), 0.0) for v in (1e7, 200.0)
+    )
+    assert hazy[..., 1].std() / clear[..., 1].std() == pytest.approx(0.02 ** (60.0 / 200.0), rel=0.03)
+
+
+def test_shadows_of_clouds_drift_with_the_wind():
+    light = Light(clouds=Clouds(share=0.5, size=12.0, speed=5.0), wind=Wind(speed=0.0, from_deg=270.0), visibility=1e7)
+    world, clear = (ground(Look.CONCRETE, side=60.0, light=x) for x in (light, Light(visibility=1e7)))
+    eye = Eye(SMALL)
+    plain = eye.radiance(clear, above(up=20.0), 0.0)[..., 1]
+    now, later = (eye.radiance(world, above(up=20.0), t)[..., 1] / plain for t in (0.0, 1.0))
+    assert now.min() < 0.5
+    assert now.max() == pytest.approx(1.0, abs=0.01)
+    moved = round(5.0 * 120.0 / 20.0)  # pixels to the east, which is up in the picture
+    assert np.corrcoef(now[moved:].ravel(), later[:-moved].ravel())[0, 1] > 0.98
+    assert np.corrcoef(now.ravel(), later.ravel())[0, 1] < 0.9
+
+
+def test_the_sun_reddens_when_low_and_turns_in_steps():
+    high, low = (Light(elevation_deg=e).sun_at(0.0) for e in (60.0, 6.0))
+    assert low.colour[0] / low.colour[2] > 1.5 * high.colour[0] / high.colour[2]
+    assert low.colour[1] < 0.7 * high.colour[1]
+    turning = Light(turn_deg_per_s=0.5)
+    assert turning.sun_at(0.01) == turning.sun_at(0.02)
+    assert np.degrees(turning.sun_at(20.0).azimuth - turning.sun_at(0.0).azimuth) == pytest.approx(10.0, abs=0.06)
+
+
+def test_shadows_turn_with_the_sun():
+    wall = ground(
+        Look.CONCRETE, surface=lambda x, y: np.where((abs(x) < 0.3) & (abs(y) < 0.3), 4.0, 0.0),
+        light=Light(azimuth_deg=180.0, elevation_deg=45.0, turn_deg_per_s=9.0),
+    )  # fmt: skip
+    eye = Eye(SMALL)
+    south, west = (eye.radiance(wall, above(up=15.0), t)[..., 1] for t in (0.0, 10.0))
+    assert south[47, 79 - 16] < 0.4 * south[47 - 16, 79]  # 2 m to the north dark, 2 m to the east bright
+    assert west[47 - 16, 79] < 0.4 * west[47, 79 - 16]
+
+
+# -- looks
+
+
+def test_every_look_has_a_row_and_texture_from_5_to_150_m():
+    assert set(MATERIALS) == set(Look)
+    assert tables()[0].shape == (len(Look), texture.PARAMS)
+    for look in (Look.MEADOW, Look.SOIL, Look.ASPHALT, Look.SAND, Look.ROCK, Look.BROADLEAF):
+        for up in (5.0, 40.0, 150.0):
+            picture = Eye(SMALL).radiance(ground(look, side=30.0, cell=0.2), above(up=up), 0.0)[..., 1]
+            assert picture.std() > 0.01 * picture.mean(), (look, up)
+
+
+def test_plain_surfaces_are_plain_and_white_ones_bright():
+    def look_at(look):
+        picture = Eye(SMALL).radiance(ground(look), above(up=20.0), 0.0)[..., 1]
+        return picture.mean(), (np.diff(picture, axis=1).std() / picture.mean())
+
+    grass, sand, snow, white = (look_at(k) for k in (Look.MEADOW, Look.SAND, Look.SNOW, Look.WHITE))
+    assert sand[1] < 0.25 * grass[1]
+    assert snow[1] < 0.25 * grass[1]
+    assert min(snow[0], white[0]) > 0.8  # full scale of the usual gain of 1.25
+    assert grass[0] < 0.25
+
+
+def test_leaves_look_different_from_two_places_and_stones_do_not():
+    """Plants are seen into: several layers in depth, so that matching is as hard as on real ones."""
+
+    def likeness(look):
+        world = ground(look, side=40.0)
+        a, b = (Eye(SMALL).radiance(world, above(east, 0.0, 8.0), 0.0)[..., 1] for east in (0.0, 2.0))
+        fine = [np.diff(v) for v in (a[:-30], b[30:])]  # the camera moved up in the picture
+        return np.corrcoef(fine[0].ravel(), fine[1].ravel())[0, 1]
+
+    assert likeness(Look.GRAVEL) > 0.9
+    assert likeness(Look.CONIFER) < 0.7
+
+
+def test_wind_moves_grass_and_not_asphalt():
+    for look, moves in ((Look.TALL_GRASS, True), (Look.ASPHALT, False)):
+        a, b = (Eye(SMALL).radiance(ground(look), above(), t) for t in (0.0, 0.3))
+        assert np.array_equal(a, b) != moves
+
+
+def test_tint_multiplies_the_look():
+    n = 401
+    tint = np.ones((n, n, 3), np.float32)
+    tint[:, 200:] = (2.0, 0.5, 1.0)
+    plain, tinted = (Eye(SMALL).radiance(ground(Look.PLAIN, tint=x), above(), 0.0) for x in (None, tint))
+    ratio = tinted / plain
+    assert ratio[5:40, 20:140].mean(axis=(0, 1)) == pytest.approx([2.0, 0.5, 1.0], rel=3e-3)  # east is up
+    assert ratio[60:90, 20:140].mean(axis=(0, 1)) == pytest.approx([1.0, 1.0, 1.0], rel=3e-3)
