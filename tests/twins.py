@@ -119,11 +119,11 @@ def solve(lam: F32, eta: F32, s2: F32, h: F32, radius: int, spread: F32, limit: 
     return step, precision, noise
 
 
-def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, radius: int) -> F64:
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: NDArray[np.int64]) -> F64:
     """Eq. 12: weighted least squares of a plane through the neighbours; the pull to its value at the centre."""
     rows, cols = h.shape
     out = h.astype(np.float64)
-    offsets = [(y, x) for y in range(-radius, radius + 1) for x in range(-radius, radius + 1) if (y, x) != (0, 0)]
+    offsets = [(s * y, s * x) for x, y in pairs for s in (1, -1)]
 
     def at(r: int, c: int) -> float:
         return float(h[r, c]) if 0 <= r < rows and 0 <= c < cols else np.nan

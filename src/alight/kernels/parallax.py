@@ -36,17 +36,18 @@ def _weigh_row(s: F32, median: F32, seen: F32, tau: np.float32, w: F32, sw: F32,
 
 
 @kernel
-def _mean_row(sw: F32, sm: F32, count: F32, mean: F32, used: U8) -> None:
+def _mean_row(sw: F32, sm: F32, count: F32, seen: F32, mean: F32, used: U8, number: U8) -> None:
     for c in range(sw.size):
         mean[c] = sm[c] / sw[c] if sw[c] > ZERO else np.float32(np.nan)
         used[c] = np.uint8(count[c])
+        number[c] = np.uint8(seen[c])
 
 
 @parallel_kernel
-def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32, used: U8) -> None:
+def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32, used: U8, number: U8) -> None:
     """Fill `weights` (N, R, C) and the samples' robust mean m (eq. 8): Huber, nothing beyond 4 tau of the median.
 
-    `pairs`: the sorting network of N.
+    `pairs`: the sorting network of N. `used` gets the views that agree, `number` those that see.
     """
     n, rows, cols = samples.shape
     for r in prange(rows):
@@ -59,7 +60,7 @@ def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32, used
         median_row(views, seen, median)
         for i in range(n):
             _weigh_row(samples[i, r], median, seen, np.float32(tau), weights[i, r], sw, sm, count)
-        _mean_row(sw, sm, count, mean[r], used[r])
+        _mean_row(sw, sm, count, seen, mean[r], used[r], number[r])
 
 
 @kernel

@@ -39,6 +39,40 @@ def sigma(
 
 
 @kernel
+def _flag_row(
+    near: U16, h: F32, seen: U8, used: U8, precision: F32, texture: F32, noise: F32,
+    limits: tuple[float, float, float], bits: tuple[int, int, int, int, int], out: U16,
+) -> None:  # fmt: skip
+    low, high, least = np.float32(limits[0]), np.float32(limits[1]), np.float32(limits[2])
+    unseen, inconsistent, few, flat, ends = bits
+    none = 0
+    for c in range(out.size):
+        bad = (h[c] != h[c]) | (seen[c] < 2)
+        f = unseen if bad else none
+        f |= inconsistent if (used[c] < 2) | ~(precision[c] > ZERO) else none
+        f |= few if seen[c] < 3 else none
+        f |= flat if texture[c] + noise[c] < least else none
+        f |= ends if (h[c] < low) | (h[c] > high) else none
+        out[c] = np.uint16(near[c // 2] | f)
+
+
+@parallel_kernel
+def flag(
+    near: U16, h: F32, seen: U8, used: U8, precision: F32, texture: F32, noise: F32,
+    limits: tuple[float, float, float], bits: tuple[int, int, int, int, int], out: U16,
+) -> None:  # fmt: skip
+    """Fill the flags of every cell: those of its 2 x 2 cells (`near`) and its own.
+
+    `bits`: of unseen, inconsistent, seen by few, without texture (`texture` + `noise` below the third limit), and
+    beyond the first two limits.
+    """
+    for r in prange(out.shape[0]):
+        _flag_row(
+            near[r // 2], h[r], seen[r], used[r], precision[r], texture[r], noise[r], limits, bits, out[r]
+        )  # fmt: skip
+
+
+@kernel
 def _veil_row(visible: U8, count: U8, samples: F32) -> None:
     for k in range(visible.size):
         if (visible[k] == 0) & (count[k] >= 2):

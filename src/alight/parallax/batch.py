@@ -85,18 +85,26 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     fit = refine.gauss_newton(fine, grid, start, visible, ITERATIONS)
     ambiguity = enlarge(ratio, grid, COARSE, smooth=False)
     rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
-    return judged(fine, grid, fit, ambiguity, (low, high), rgb)
+    return judged(fine, fine, grid, fit, ambiguity, (low, high), rgb)
 
 
 def judged(
-    fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
+    fine: list[Prepared],
+    lit: list[Prepared],
+    grid: Grid,
+    fit: refine.Fit,
+    ratio: F32,
+    searched: tuple[float, float],
+    rgb: U8,
 ) -> Heights:
-    """Put sigma and flags to a fit."""
+    """Put sigma and flags to a fit; `lit` are the views asked for the brightness."""
     slide = np.float32(grid.cell) / fit.metres_per_px
-    seen = trust.Evidence(ratio, trust.brightness(fine, grid, fit.height), slide, *searched)
+    seen = trust.Evidence(ratio, trust.brightness(lit, grid, fit.height), slide, *searched)
     sigma = trust.sigma(fit, grid.cell)
     flags = trust.flags(fit, seen, sigma)
-    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit))
+    return Heights(
+        grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit, trust.variance_of(fit.mean))
+    )
 
 
 def colour(

@@ -152,7 +152,7 @@ def gauss_newton(
     lam, eta, s2, step = (held.get(name, shape) for name in ("lambda", "eta", "s2", "step"))
     weights = held.get("weights", (len(prepared), *shape))
     centres = centres_of(prepared)
-    wide, fit.seen = baselines(prepared, grid, height)
+    wide, _ = baselines(prepared, grid, height)
     drop = _drop(centres, height)
     spread = fit.metres_per_px = np.float32(grid.cell) * drop / np.maximum(wide, np.float32(0.01) * drop)
     limit = np.float32(STEP_PX) * spread
@@ -160,7 +160,7 @@ def gauss_newton(
         samples = stack(prepared, grid, fit.height, held)
         if visible is not None:
             trust.veil(visible, samples)
-        kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used)
+        kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used, fit.seen)
         kernels.normal_equations(
             samples, weights, fit.mean, fit.used, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2
         )  # fmt: skip

@@ -75,7 +75,7 @@ class Ring:
         visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
         fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
-        return fused(judged(fine, grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
+        return fused(judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, UNKNOWN_RATIO, np.float32)

@@ -45,14 +45,15 @@ class Evidence:
 
 def variance_of(mean: F32) -> F32:
     """Variance of the template over 5x5 cells: the texture that all views share."""
-    filled = np.nan_to_num(mean)
-    box = (5, 5)
-    return np.asarray(np.maximum(cv2.blur(filled * filled, box) - cv2.blur(filled, box) ** 2, 0), dtype=np.float32)
+    filled = np.where(np.isfinite(mean), mean, np.float32(0))
+    local = cv2.blur(filled, (5, 5))
+    np.multiply(local, local, out=local)
+    np.subtract(cv2.sqrBoxFilter(filled, cv2.CV_32F, (5, 5)), local, out=local)
+    return np.asarray(np.maximum(local, 0, out=local), dtype=np.float32)
 
 
-def residual_share(fit: Fit) -> F32:
+def residual_share(fit: Fit, texture: F32) -> F32:
     """The share of the samples' variance that the views do not have in common: 0 perfect, 1 nothing."""
-    texture = variance_of(fit.mean)
     return np.asarray(fit.noise / np.maximum(texture + fit.noise, 1e-6), dtype=np.float32)
 
 
@@ -81,12 +82,19 @@ def _halved(values: F32) -> F32:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
+def _pooled(values: F32, choose: np.ufunc) -> F32:
+    """Least or greatest of 2 x 2 cells."""
+    even = np.pad(values, [(0, n % 2) for n in values.shape], mode="edge")
+    rows = choose(even[::2], even[1::2])
+    return np.ascontiguousarray(choose(rows[:, ::2], rows[:, 1::2]))
+
+
 def _near(values: F32) -> F32:
     """Mean over 10 x 10 cells at half resolution: what is near needs no more."""
     return np.asarray(cv2.blur(_halved(values), (5, 5)), dtype=np.float32)
 
 
-def evidence(fit: Fit, seen: Evidence, sigma_: F32) -> dict[str, F32]:
+def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F32]:
     """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost nearby; residual: share of the variance that the views do not share, nearby;
@@ -94,15 +102,17 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32) -> dict[str, F32]:
     (the high side of a step is where windows smear); slide: baseline over height.
     """
     per_px = _halved(fit.metres_per_px)
-    height = _halved(_filled(fit.height))
+    ambiguity = _near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, np.float32(1)))
+    filled = _filled(fit.height)
+    low, high = _pooled(filled, np.minimum), _pooled(filled, np.maximum)
     near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
-    sigma_px = np.minimum(np.nan_to_num(sigma_ / fit.metres_per_px, nan=5.0), 5.0)
+    sigma_px = np.fmin(sigma_ / fit.metres_per_px, np.float32(5.0))  # 5 where there is none
     return {
-        "ambiguity": np.clip(_near(np.nan_to_num(seen.cost_ratio, nan=1.0)), 1e-2, 1.0),
-        "residual": np.clip(_near(residual_share(fit)), 1e-2, 1.0),
+        "ambiguity": np.clip(ambiguity, 1e-2, 1.0),
+        "residual": np.clip(_near(residual_share(fit, texture)), 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
-        "drop": np.clip((height - cv2.erode(height, near)) / per_px, 5e-2, 50.0),
-        "rise": np.clip((cv2.dilate(height, near) - height) / per_px, 5e-2, 50.0),
+        "drop": np.clip((high - cv2.erode(low, near)) / per_px, 5e-2, 50.0),
+        "rise": np.clip((cv2.dilate(high, near) - low) / per_px, 5e-2, 50.0),
         "slide": np.clip(_halved(seen.slide), 1e-2, 2.0),
     }
 
@@ -129,21 +139,20 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
 
 def flags(fit: Fit, seen: Evidence, sigma_: F32) -> U16:
     """The reasons, as bits of `Flag`, why each height is missing or doubtful."""
-    shape = fit.height.shape
-    near = np.zeros(_halved(fit.height).shape, np.uint16)
-    terms = evidence(fit, seen, sigma_)
-    near |= _bit(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
-    near |= _bit(_near(np.nan_to_num(seen.cost_ratio, nan=1.0)) > MAX_COST_RATIO, Flag.AMBIGUOUS)
+    texture = variance_of(fit.mean)
+    terms = evidence(fit, seen, sigma_, texture)
+    near = _bit(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
+    near |= _bit(_near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, 1)) > MAX_COST_RATIO, Flag.AMBIGUOUS)
     near |= _bit((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
     near |= _bit(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
-    out = np.repeat(np.repeat(near, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     edge = 0.01 * (seen.high - seen.low)
-    out |= _bit(~np.isfinite(fit.height) | (fit.seen < 2), Flag.UNSEEN)
-    out |= _bit((fit.used < 2) | (fit.precision <= 0), Flag.INCONSISTENT)
-    out |= _bit(fit.seen < 3, Flag.FEW)
-    out |= _bit(variance_of(fit.mean) + fit.noise < (MIN_CONTRAST / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    out |= _bit((fit.height < seen.low + edge) | (fit.height > seen.high - edge), Flag.RANGE)
+    limits = (seen.low + edge, seen.high - edge, (MIN_CONTRAST / NORM_FLOOR) ** 2)
+    bits = (Flag.UNSEEN, Flag.INCONSISTENT, Flag.FEW, Flag.TEXTURE, Flag.RANGE)
+    out = np.empty(fit.height.shape, np.uint16)
+    kernels.flag(
+        near, fit.height, fit.seen, fit.used, fit.precision, texture, fit.noise, limits, tuple(map(int, bits)), out
+    )
     return out
 
 

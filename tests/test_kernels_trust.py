@@ -1,0 +1,162 @@
+"""The kernels of sigma, flags and fusion against plain NumPy; one thread and two."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from alight.kernels import trust
+
+ROWS, COLS, N = 13, 17, 5
+BITS = (1, 2, 4, 8, 16)
+
+
+def numbers(seed: int, low: float, high: float, holes: float = 0.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = rng.uniform(low, high, (ROWS, COLS)).astype(np.float32)
+    out[rng.random(out.shape) < holes] = np.nan
+    return out
+
+
+def whole(seed: int, below: int, kind: type = np.uint8) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, below, (ROWS, COLS)).astype(kind)
+
+
+def sigma_input() -> tuple[np.ndarray, ...]:
+    precision = np.where(whole(3, 5) == 0, np.float32(0), numbers(4, 10, 200))
+    return numbers(1, -1, 1, 0.2), numbers(2, 0.01, 0.1), precision, numbers(5, 0.05, 0.2), numbers(6, 0, 0.01)
+
+
+def run_sigma() -> tuple[np.ndarray, ...]:
+    out = np.full((ROWS, COLS), -9, np.float32)
+    trust.sigma(*sigma_input(), 0.1, 0.03, out)
+    return (out,)
+
+
+def flag_input() -> tuple[np.ndarray, ...]:
+    near = whole(10, 2, np.uint16)[: -(-ROWS // 2), : -(-COLS // 2)] * np.uint16(64)
+    precision = np.where(whole(13, 5) == 0, np.float32(0), numbers(4, 10, 200))
+    return near, numbers(1, -2, 2, 0.2), whole(11, 5), whole(12, 5), precision, numbers(14, 0, 0.4), numbers(15, 0, 0.1)
+
+
+def run_flag() -> tuple[np.ndarray, ...]:
+    out = np.full((ROWS, COLS), 9999, np.uint16)
+    trust.flag(*flag_input(), (-1.5, 1.4, 0.16), BITS, out)
+    return (out,)
+
+
+def veil_input() -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(20)
+    visible = (rng.random((N, -(-ROWS // 2), -(-COLS // 2))) < 0.5).astype(np.uint8)
+    return visible, rng.normal(size=(N, ROWS, COLS)).astype(np.float32)
+
+
+def run_veil() -> tuple[np.ndarray, ...]:
+    visible, samples = veil_input()
+    trust.veil(visible, samples)
+    return (samples,)
+
+
+def fuse_input() -> tuple[list[np.ndarray], list[np.ndarray]]:
+    new = [
+        numbers(30, -0.2, 0.2, 0.2),
+        numbers(31, 0.02, 0.2, 0.1),
+        whole(32, 9, np.uint16),
+        whole(33, 9),
+        numbers(34, 0, 1),
+    ]
+    old = [
+        numbers(40, -0.2, 0.2, 0.3),
+        numbers(41, 0.02, 0.2),
+        whole(42, 9, np.uint16),
+        whole(43, 9),
+        numbers(44, 0, 1),
+    ]
+    return new, old
+
+
+def run_fuse() -> tuple[np.ndarray, ...]:
+    new, old = fuse_input()
+    trust.fuse(*new, *old, 7, 1.5)
+    return tuple(new)
+
+
+def test_sigma() -> None:
+    h, noise, precision, per_px, rough2 = (a.astype(np.float64) for a in sigma_input())
+    with np.errstate(divide="ignore"):
+        want = np.sqrt(2 * noise / precision + (0.1 * per_px) ** 2 + 0.03**2 + rough2)
+    want[np.isnan(h) | (precision == 0)] = np.nan
+    assert_allclose(run_sigma()[0], want, rtol=1e-5, equal_nan=True)
+
+
+def test_flag() -> None:
+    near, h, seen, used, precision, texture, noise = flag_input()
+    want = np.repeat(np.repeat(near, 2, axis=0), 2, axis=1)[:ROWS, :COLS].copy()
+    marks = (
+        np.isnan(h) | (seen < 2),
+        (used < 2) | (precision == 0),
+        seen < 3,
+        texture + noise < 0.16,
+        (h < -1.5) | (h > 1.4),
+    )
+    for where, bit in zip(marks, BITS, strict=True):
+        assert where.any()
+        want[where] |= np.uint16(bit)
+    assert_array_equal(run_flag()[0], want)
+
+
+def test_veil_hides_views_unless_only_one_would_be_left() -> None:
+    visible, samples = veil_input()
+    fine = np.repeat(np.repeat(visible, 2, axis=1), 2, axis=2)[:, :ROWS, :COLS]
+    hidden = (fine == 0) & (fine.sum(axis=0) >= 2)
+    assert hidden.any()
+    assert (~hidden & (fine == 0)).any()
+    assert_array_equal(run_veil()[0], np.where(hidden, np.float32(np.nan), samples))
+
+
+def test_fuse() -> None:
+    """Eq. 16, the four cases apart: new cell, worse look, agreement, contradiction."""
+    (h, s, f, v, e), (h0, s0, f0, v0, e0) = fuse_input()
+    got = run_fuse()
+    for i in np.ndindex(ROWS, COLS):
+        if not np.isnan(h0[i]) and (np.isnan(h[i]) or not s[i] < 1.5 * s0[i]):
+            want = (h0[i], s0[i], f0[i], v0[i], e0[i])
+        elif not np.isnan(h0[i]) and abs(h[i] - h0[i]) < 3 * np.hypot(s[i], s0[i]):
+            a, b = 1 / s0[i] ** 2, 1 / (7 * s[i] ** 2)
+            want = ((a * h0[i] + b * h[i]) / (a + b), max((a + b) ** -0.5, 0.6 * s[i]), f[i], v[i], e[i])
+        else:
+            want = (h[i], s[i], f[i], v[i], e[i])
+        assert_allclose([float(g[i]) for g in got], want, rtol=2e-5, atol=1e-6, equal_nan=True)
+
+
+# -- threads
+
+CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
+    "sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
+}  # fmt: skip
+
+
+@pytest.fixture
+def threads() -> Iterator[Any]:
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_the_number_of_threads_changes_no_bit(name: str, threads: Callable[[int], None]) -> None:
+    threads(1)
+    alone = CALLS[name]()
+    threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    for a, b in zip(alone, CALLS[name](), strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_every_kernel_is_tested_here() -> None:
+    public = {n for n, k in vars(trust).items() if hasattr(k, "py_func") and not n.startswith("_")}
+    assert public == set(CALLS)
