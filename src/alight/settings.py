@@ -84,7 +84,7 @@ class Filter(_Model):
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
     smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
-    track_span: int = Field(30, ge=4, description="longest piece of a track the batch uses as one, exposures")
+    track_span: int = Field(15, ge=4, description="longest piece of a track the batch uses as one, exposures")
 
 
 class Bundle(_Model):
