@@ -193,7 +193,8 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
             tracks = tracker.feed(event, estimator.predict(event.t_ns))
             motion, ring = estimator.feed_tracks(tracks), estimator.ring()
             out.online += [motion] if motion else []
-            out.rings += [(ring[0], ring[-1])] if len(ring) >= settings.motion.filter.clones else []
+            if len(ring) >= settings.motion.filter.clones:
+                out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
         out.events.append(tracks if isinstance(event, Frame) else event)
     out.smoothed = estimator.smoothed()
     return out
@@ -211,7 +212,7 @@ def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, de
 
 
 def ring_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
-    """RMS px from the oldest to the newest keyframe of every ring, and their mean length in s."""
+    """RMS px from the oldest keyframe within 2 s to the newest of every ring, and their mean distance in s."""
     px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.rings]
     return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.rings])) / SECOND
 
@@ -343,7 +344,7 @@ def _photos(source: Source, attitude: bool) -> list[Motion]:
 
 def part_speed(_: argparse.Namespace) -> None:
     """Tracking and filter of the sample flight, 640x480 stereo; wall time at 200 tracks, pictures decoded before."""
-    settings = load("", ["tracks.count=200", "motion.filter.smooth=false"])
+    settings = load("", ["tracks.count=140", "motion.filter.smooth=false"])
     source = recording(DATA / "sample", settings)
     if source is None:
         return

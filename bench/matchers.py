@@ -46,53 +46,48 @@ def _at(values: NDArray[np.generic], grid_map: ElevationMap, points: Points) -> 
     return values[r.clip(0, grid_map.grid.rows - 1), c.clip(0, grid_map.grid.cols - 1)], inside
 
 
-def estimator(
-    subject: Subject, points: Points
-) -> tuple[dict[str, float], dict[str, tuple[float, float, float]], float]:
-    """Run the whole way with true poses.
-
-    Returns:
-        the row of the estimator; by group: accepted, wrong before refusal, wrong and given out (percent); the height.
-    """
+def estimator(subject: Subject, points: Points) -> tuple[dict[str, float], ByGroup, float]:
+    """Run the whole way with true poses; return the row of the estimator, the failures, and the height in metres."""
     result = replay.replay(subject.source, subject.settings, subject.poses)
     found = result.elevation
     if found is None:
         return {"accepted %": 0.0}, {}, 30.0
     above = float(result.height_above_ground or 1.0)
     seen = (found.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
-    texture = 1.0 - found.residual[seen]
     height, inside = _at(found.height.astype(np.float64), found, points)
-    accepted, _ = _at(found.trusted, found, points)
-    visible, _ = _at(seen, found, points)
-    shared, _ = _at(1.0 - found.residual, found, points)
+    accepted, visible, shared = (_at(v, found, points)[0] for v in (found.trusted, seen, 1.0 - found.residual))
     error = height - points.xyz[:, 2]
     usable = inside & visible & np.isfinite(error)
     accepted &= usable
-    by_group = {}
-    for name, group in groups(points).items():
-        if (usable & group).sum() >= 50:
-            by_group[name] = (
-                100 * float(accepted[usable & group].mean()),
-                _wrong(error, usable & group, above),
-                _wrong(error, accepted & group, above),
-                float(np.median(shared[usable & group])),
-            )
-    even = groups(points)["open"] & accepted
-    good = error[even] if even.any() else np.array([np.nan])
+    by_group = {
+        name: (
+            100 * float(accepted[usable & group].mean()),
+            _wrong(error, usable & group, above),
+            _wrong(error, accepted & group, above),
+            float(np.median(shared[usable & group])),
+        )
+        for name, group in groups(points).items()
+        if (usable & group).sum() >= 50
+    }
+    return _row(found, seen, error[groups(points)["open"] & accepted], above), by_group, above
+
+
+def _row(found: ElevationMap, seen: Mask, good: F64, above: float) -> dict[str, float]:
+    """What the map says of itself, and its errors `good` on accepted open ground."""
+    texture = 1.0 - found.residual[seen]
+    e = 100 * good / above if len(good) > 50 else np.array([np.nan])
     row = {
         "height m": above,
         "accepted %": 100 * float(found.trusted[seen].mean()),
         "texture P10": float(np.nanpercentile(texture, 10)),
         "P50": float(np.nanpercentile(texture, 50)),
         "< 0.6 %": 100 * float((texture < 0.6).mean()),
-        "open NMAD %": 100 * nmad(good) / above if len(good) > 50 else np.nan,
-        "open P95 %": 100 * float(np.percentile(np.abs(good - np.median(good)), 95)) / above
-        if len(good) > 50
-        else np.nan,
+        "open NMAD %": nmad(e),
+        "open P95 %": float(np.percentile(np.abs(e - np.median(e)), 95)),
     }
     for flag in (Flag.TEXTURE, Flag.AMBIGUOUS, Flag.MOVING, Flag.UNSURE, Flag.SATURATED, Flag.STEP):
         row[f"{flag.name.lower()} %"] = 100 * float(((found.flags[seen] & np.uint16(flag)) > 0).mean())
-    return row, by_group, above
+    return row
 
 
 def pairs(views: list[View], above: float, step: float = STEP) -> Iterator[tuple[View, View]]:

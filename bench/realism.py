@@ -90,7 +90,7 @@ SHORT = {
     "accepted %": ("estimator", "accepted %"),
     "texture ratio P10": ("estimator", "texture P10"),
     "P50": ("estimator", "P50"),
-    "open NMAD, % of height": ("estimator", "open NMAD, % of height"),
+    "open NMAD, % of height": ("estimator", "open NMAD %"),
     "wrong: dry %": (f"estimator: {COLUMNS[1]}", "dry"),
     "features on rough ground %": (f"estimator: {COLUMNS[1]}", "... rough"),
     "wrong, given out %": (f"estimator: {COLUMNS[2]}", "dry"),

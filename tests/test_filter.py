@@ -15,7 +15,7 @@ from alight.motion.blocks import BlockTridiagonal
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
 from alight.motion.inertial import corrected, preintegrate, segments
 from alight.motion.state import GYRO
-from alight.motion.vision import Ray, jacobians, project, triangulate
+from alight.motion.vision import jacobians, project
 from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
 from alight.settings import Filter
 
@@ -337,18 +337,6 @@ def test_transitions_agree_with_differences() -> None:
     F, _ = constant_transition(x.rotation, np.array([0.1, -0.2, 0.3]), 0.1, Filter())
     np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(constant(d), constant(zero)), 15, 1e-5), atol=1e-5)
     assert F[GYRO, GYRO].tolist() == np.eye(3).tolist()
-
-
-def test_rays_meet_in_the_point_and_parallel_ones_do_not() -> None:
-    x = np.array([3.0, -2.0, 1.0])
-    poses = [body(t) for t in (0.0, 0.5, 1.0)]
-    cam = RIG.cameras[0].body_from_cam
-    rays = [Ray(p.rotation, p.translation, cam, project(p.rotation, p.translation, cam, x)) for p in poses]
-    found = triangulate(rays, 1e-3)
-    assert found is not None
-    np.testing.assert_allclose(found[0], x, atol=1e-6)
-    assert np.sqrt(found[1][2, 2]) > np.sqrt(found[1][0, 0])  # the height is what rays from above know least
-    assert triangulate([rays[0]] * 3, 1e-3) is None
 
 
 def test_block_tridiagonal_agrees_with_the_dense_solution() -> None:

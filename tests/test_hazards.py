@@ -15,7 +15,7 @@ from alight.hazards import assess
 from alight.records import Flag, Hazard, HazardMap
 from alight.settings import Hazards, Lander
 
-EXACT = Hazards(tilt_sigma=0.0)
+EXACT = Hazards(tilt_sigma=0.0, smoothed=False)
 MID = (40, 40)
 
 
@@ -83,12 +83,12 @@ def test_a_crater_is_refused_on_its_wall_and_rim_and_not_far_away() -> None:
 def test_unknown_ground_is_never_safe() -> None:
     z = flat()
     z[MID] = np.nan
-    none = judge(z, settings=Hazards(tilt_sigma=0.0, unknown_share=0.0))
+    none = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, unknown_share=0.0))
     r, c = np.mgrid[:81, :81]
     near = np.hypot(r - 40, c - 40) <= 10
     inside = (none.reasons & Hazard.EDGE) == 0
     assert (((none.reasons & Hazard.UNKNOWN) > 0) == near)[inside].all()
-    few = judge(z, settings=Hazards(tilt_sigma=0.0, unknown_share=0.02))
+    few = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, unknown_share=0.02))
     assert refused(few) == Hazard.UNKNOWN  # the cell itself
     assert refused(few, (40, 41)) == Hazard(0)  # one unknown cell of 317 beside the centre is allowed
     assert (judge(np.full((81, 81), np.nan)).reasons != 0).all()
@@ -112,7 +112,7 @@ def test_a_narrow_doubtful_gap_counts_as_known_only_if_it_agrees() -> None:
     assert refused(assess(agrees, None, lander, EXACT)) == Hazard(0)
     assert Hazard.UNKNOWN in refused(assess(differs, None, lander, EXACT))
     assert Hazard.UNKNOWN in refused(assess(moves, None, lander, EXACT))
-    assert Hazard.UNKNOWN in refused(assess(agrees, None, lander, Hazards(tilt_sigma=0.0, bridge=0.0)))
+    assert Hazard.UNKNOWN in refused(assess(agrees, None, lander, Hazards(tilt_sigma=0.0, smoothed=False, bridge=0.0)))
 
 
 def test_the_footprint_must_lie_on_the_map() -> None:
@@ -202,8 +202,8 @@ def test_a_skid_across_an_edge_pitches_on_it() -> None:
 
 def test_noise_makes_doubt_and_not_refusal() -> None:
     noise = np.random.default_rng(0).normal(0, 0.035, (81, 81))
-    sure = assess(ground(flat(), sigma=0.01), None, Lander(radius=1.0), Hazards())
-    unsure = assess(ground(noise, sigma=0.035), None, Lander(radius=1.0), Hazards())
+    sure = assess(ground(flat(), sigma=0.01), None, Lander(radius=1.0), Hazards(smoothed=False))
+    unsure = assess(ground(noise, sigma=0.035), None, Lander(radius=1.0), Hazards(smoothed=False))
     assert sure.p_safe[MID] > 0.99
     assert refused(sure) == Hazard(0)
     assert 0.3 < unsure.p_safe[MID] < 0.99
@@ -222,14 +222,14 @@ def test_a_belly_at_its_clearance_is_even_odds() -> None:
 def test_what_was_not_seen_costs_probability() -> None:
     z = flat()
     z[40, 44] = np.nan
-    p = judge(z, settings=Hazards(tilt_sigma=0.0, bridge=0.0, hidden_hazard=0.5)).p_safe
+    p = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, bridge=0.0, hidden_hazard=0.5)).p_safe
     assert_allclose(p[MID], 1 - 0.5 / 317, atol=1e-6)
     assert p[60, 20] == 1.0
 
 
 def test_a_slope_at_the_limit_is_even_odds() -> None:
     tan = math.tan(math.radians(10) - 1e-4)
-    h = assess(ground(plane(81, 81, tan, 0.0), sigma=0.02), None, Lander(radius=1.0), Hazards())
+    h = assess(ground(plane(81, 81, tan, 0.0), sigma=0.02), None, Lander(radius=1.0), Hazards(smoothed=False))
     assert_allclose(h.p_safe[MID], 0.51, atol=0.02)
 
 

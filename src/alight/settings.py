@@ -84,7 +84,7 @@ class Filter(_Model):
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
     smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
-    track_span: int = Field(30, ge=4, description="longest piece of a track the batch uses as one, exposures")
+    track_span: int = Field(15, ge=4, description="longest piece of a track the batch uses as one, exposures")
 
 
 class Bundle(_Model):
@@ -207,6 +207,7 @@ class Hazards(_Model):
     min_landable: Fraction = Field(0.5, description="terrain below this probability is refused")
     tilt_sigma: NonNegative = Field(0.003, description="rad, 1-sigma of the map's common tilt")
     noise_length: NonNegative = Field(0.4, description="m over which neighbouring heights share their noise")
+    smoothed: bool = Field(True, description="heights come from matched images, which flatten what is small: P pays")
     usual_sigma: NonNegative = Field(0.03, description="m, 1-sigma of heights of a raster that does not say (hazards)")
     hidden_hazard: Fraction = Field(0.25, description="probability that a footprint nobody saw would hide a hazard")
 

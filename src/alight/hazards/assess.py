@@ -18,6 +18,7 @@ from alight.hazards.contact import (
     share_near,
     step_of,
 )
+from alight.hazards.hidden import nothing_hidden
 from alight.hazards.known import judged_height
 from alight.hazards.probability import Margins, mean_near, safe_probability
 from alight.records import F32, U8, ElevationMap, Hazard, HazardMap, TerrainMap
@@ -71,6 +72,15 @@ def _spare(sigma: F32) -> float:
     """How near to the belly's clearance the rise is wanted in numbers, metres: beyond, the odds are settled."""
     known = sigma[np.isfinite(sigma)]
     return 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0
+
+
+def _hidden(elevation: ElevationMap, f: _Findings, lander: Lander, settings: Hazards) -> F32 | None:
+    """What heights from matched images may have flattened."""
+    if not settings.smoothed:
+        return None
+    limit = lander.max_roughness if f.rise is None else lander.belly_clearance
+    assert limit is not None
+    return nothing_hidden(elevation, f.footprint.roughness, limit, lander.radius)
 
 
 def _reasons(f: _Findings, lander: Lander) -> U8:
@@ -138,7 +148,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
     found = _find(height, terrain, _spare(sigma), lander, settings, cell)
     reasons = _reasons(found, lander)
-    margins = Margins(found.footprint, found.slope, found.rise, sigma, None)
+    margins = Margins(found.footprint, found.slope, found.rise, sigma, _hidden(elevation, found, lander, settings))
     p = safe_probability(margins, lander, settings, cell)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))

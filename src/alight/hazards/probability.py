@@ -80,11 +80,11 @@ class Margins:
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
     sigma: F32  # metres, root mean square height sigma in the footprint
-    landable: F32 | None  # probability that the cover of the footprint may be landed on; None or NaN: not known
+    hidden: F32 | None  # probability that nothing too high was flattened by the matching window; None: no such window
 
 
 def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float) -> F32:
-    """P(a touchdown keeps every limit) at every cell (G7 to G9): tilt, ground below, cover, and what was not seen."""
+    """P(a touchdown keeps every limit) at every cell (G7 to G9): tilt, ground below, and what was not seen or not resolved."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
         tilt_sigma = gear_sigma(local, lander, cell, settings)
@@ -97,6 +97,6 @@ def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float)
     else:
         p *= _below(lander.max_roughness, m.footprint.roughness, local)
     p *= 1 - np.float32(settings.hidden_hazard) * m.footprint.unknown
-    if m.landable is not None:
-        p *= np.nan_to_num(m.landable, nan=1.0)
+    if m.hidden is not None:
+        p *= m.hidden
     return p

@@ -45,12 +45,12 @@ def refine(state: State, sights: Sights, cams: Sequence[Pose], share: float) -> 
 
 
 def weights(found: Reduced, x: F64, poses: Poses, share: float) -> F64:
-    """Cauchy weights by feature, zero where the depth is too vague for its rows to be linear."""
+    """Weights by feature: less where it misses by more than two sigma, none where its depth is too vague."""
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
     clear = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
     clear &= found.freedom > 0
     typical = found.misfit / np.maximum(found.freedom, 1)
-    return np.where(clear, 1.0 / (1.0 + typical / 4.0), 0.0)
+    return np.where(clear, 4.0 / np.maximum(typical, 4.0), 0.0)
 
 
 def _moved(poses: Poses, error: F64) -> Poses:

@@ -43,7 +43,8 @@ class FilterLane:
     def __init__(self, rig: Rig, settings: Settings) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._tracker = Tracker(rig, settings.tracks)
-        self._filter = MotionFilter(rig, settings.motion.filter)
+        self._settings = settings.motion.filter
+        self._filter = MotionFilter(rig, self._settings)
         self._motions: list[Motion] = []
 
     def feed(self, event: Event) -> Motion | None:
@@ -66,8 +67,16 @@ class FilterLane:
         lost = sum(m.state is MotionState.LOST for m in motions)
         if lost:
             self.warnings.append(f"motion: lost in {lost} of {len(motions)} exposures, which are not used for the map")
-        self.notes["motion"] = "structure-from-motion filter, smoothed"
+        maps = len({m.map for m in motions})
+        if maps > 1:
+            self.warnings.append(f"motion: began anew {maps - 1} times; the parts are tied together by GPS alone")
+        smoothed = self._settings.smooth
+        self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions
+
+    def ring(self) -> tuple[Motion, ...]:
+        """The last keyframes from one posterior: for the recursive map, whose views must agree with each other."""
+        return self._filter.ring()
 
 
 class GivenLane:

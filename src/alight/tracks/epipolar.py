@@ -1,0 +1,34 @@
+"""Two views of a feature: its inverse depth, and how far it is from the epipolar line (M2, M3)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.geometry import Pose, skew
+from alight.records import F64
+
+
+def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, F64]:
+    """Triangulate normalised matches: inverse depth in the first camera (M2).
+
+    Args:
+        first, other: (N, 2) normalised coordinates.
+
+    Returns:
+        (N,) inverse depth [1/m], negative where the rays diverge; (N,) length of its derivative's inverse, so that
+        the sigma of the inverse depth is the sigma of a normalised coordinate over it.
+    """
+    ones = np.ones((len(first), 1))
+    a = np.hstack([first, ones]) @ other_from_first.rotation.T
+    x = np.hstack([other, ones])
+    arm = np.cross(np.broadcast_to(other_from_first.translation, x.shape), x)
+    square = np.maximum((arm * arm).sum(axis=1), 1e-18)
+    return -(np.cross(a, x) * arm).sum(axis=1) / square, np.sqrt(square)
+
+
+def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:
+    """Return the (N,) distance of `other` from the epipolar line of `first`, both normalised (M3)."""
+    E = skew(other_from_first.translation) @ other_from_first.rotation
+    lines = np.hstack([first, np.ones((len(first), 1))]) @ E.T
+    norm = np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)
+    return np.asarray(np.abs((lines[:, :2] * other).sum(axis=1) + lines[:, 2]) / norm)
