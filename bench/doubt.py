@@ -1,80 +1,115 @@
-"""Fit the doubt of `alight.parallax.trust` (docs/method.md, eq. 15) on simulated flights with true poses.
+"""Fit the doubt of `alight.parallax.trust` (docs/method.md, eq. 15) on tuning flights of the ladder, with true poses.
 
-    python bench/doubt.py                      # three tuning flights, prints the coefficients and what they are worth
+    python bench/doubt.py            # prints the coefficients and what they are worth on each flight
 
-A cell is wrong when it is off by more than four parallax pixels. The logarithms of the evidence are the terms of a
-logistic regression; each flight weighs the same. Real photos and the sample flight are not used: they check the result.
+A cell is wrong when it is off by more than a hundredth of the height above it. The logarithms of the evidence are the
+terms of a logistic regression; each flight weighs the same, and so do its batch and its ring. Real photos and the
+sample flight are not used: they check the result.
 """
 
 from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight import simulate
-from alight.parallax import Images, match, trust
-from alight.pipeline.terrain_lane import TerrainLane, footprint
-from alight.records import F64, Frame, Terrain, View
+from alight.parallax import trust
+from alight.pipeline.terrain_lane import TerrainLane
+from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
 from alight.settings import Settings
+from alight.simulate.ladder import rung
 
-FLIGHTS = ((1, 27.0), (2, 27.0), (3, 60.0))  # seed, metres above ground: the tuning seeds
-WRONG_PX = 4.0
-MARGIN = 24
+FLIGHTS = (
+    "meadow/20m/tuning-1", "yard/20m/tuning-1", "village/50m/tuning-1", "quarry/50m/tuning-1", "forest/50m/tuning-1",
+    "lakes/50m/tuning-1", "farmland/100m/tuning-1", "meadow/100m/tuning-2", "village/150m/tuning-2",
+)  # fmt: skip
+WRONG = 0.01  # of the height above the cell
+EVERY = 5  # cells: neighbours say the same
 
 
-def views_of(flight: simulate.SimulatedFlight, step: float) -> list[View]:
-    """Keyframes with true poses, `step` metres apart."""
-    t, poses = flight.truth_trajectory
-    at = {int(k): p for k, p in zip(t, poses, strict=True)}
-    out: list[View] = []
-    last = None
+def exposures(flight: simulate.SimulatedFlight) -> Iterator[list[View]]:
+    """The views of each exposure with their true poses."""
     for event in flight.events():
-        if isinstance(event, Frame) and (last is None or np.linalg.norm(at[event.t_ns].translation - last) > step):
-            last = at[event.t_ns].translation
-            for i, (cam, image) in enumerate(zip(flight.rig.cameras, event.images, strict=True)):
-                if image is not None:
-                    out.append(View(event.t_ns, i, image, cam.camera, at[event.t_ns] @ cam.body_from_cam))
-    return out
+        if isinstance(event, Frame):
+            body = flight.pose(event.t_ns)
+            yield [
+                View(event.t_ns, i, image, cam.camera, body @ cam.body_from_cam)
+                for i, (cam, image) in enumerate(zip(flight.true_rig.cameras, event.images, strict=True))
+                if image is not None
+            ]
 
 
-def collect(seed: int, height: float) -> tuple[F64, NDArray[np.bool_]]:
-    """Logarithms of the evidence (N, terms) and whether each cell is wrong (N,), without water."""
-    flight = simulate.fly("demo", seed, height=height)
-    views = views_of(flight, 0.02 * height)
-    lane = TerrainLane(Settings())
-    if not lane.learn(views) or lane.elevation is None or lane.ground is None:
-        raise SystemExit(lane.reason)
-    kept: list[tuple[dict[str, NDArray[np.float32]], NDArray[np.float32]]] = []
-    original = trust.evidence
+@contextmanager
+def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
+    """What the trust stage knew of every grid it judged while this lasts."""
+    import alight.parallax.batch as batch
+    import alight.parallax.ring as ring
 
-    def spy(fit, seen, sigma, per_px):  # type: ignore[no-untyped-def]
-        terms = original(fit, seen, sigma, per_px)
-        kept.append((terms, per_px))
-        return terms
+    kept: list[tuple[dict[str, F32], Heights]] = []
+    evidence, judged = trust.evidence, batch.judged
+    last: list[dict[str, F32]] = []
 
-    trust.evidence = spy
-    images = Images(views, lane.elevation.cell, lane.ground)
-    ground = np.concatenate([footprint(v, lane.ground) for v in views])
-    rows, wrong = [], []
-    for key in lane.elevation.cover((ground[:, 0].min(), ground[:, 0].max()), (ground[:, 1].min(), ground[:, 1].max())):
-        grid = lane.elevation.tile_grid(key, MARGIN)
-        found = match(images, grid, *lane._range(grid, float(views[0].centre[2])), lane.settings.parallax)
-        if found is None:
-            continue
-        terms, per_px = kept[-1]
-        e, n = np.meshgrid(*grid.xy())
-        truth = flight.truth
-        r, c = (np.rint(i).astype(int) for i in truth.grid.index(e, n))
-        inside = (r >= 0) & (r < truth.grid.rows) & (c >= 0) & (c < truth.grid.cols)
-        r, c = r.clip(0, truth.grid.rows - 1), c.clip(0, truth.grid.cols - 1)
-        use = inside & np.isfinite(found.height) & (found.views >= 2) & (truth.label[r, c] != Terrain.WATER)
-        inner = np.zeros_like(use)
-        inner[MARGIN:-MARGIN, MARGIN:-MARGIN] = True
-        use &= inner
-        rows.append(np.log(np.stack([terms[k] for k in trust.DOUBT if k != "one"], axis=-1)[use]))
-        wrong.append((np.abs(found.height - truth.height[r, c]) > WRONG_PX * per_px)[use])
-    trust.evidence = original
-    return np.concatenate(rows).astype(np.float64), np.concatenate(wrong)
+    def spy(*args: object) -> dict[str, F32]:
+        last.append(evidence(*args))  # type: ignore[arg-type]
+        return last[-1]
+
+    def listen(*args: object) -> Heights:
+        out = judged(*args)  # type: ignore[arg-type]
+        kept.append((last[-1], out))
+        return out
+
+    trust.evidence, batch.judged, ring.judged = spy, listen, listen  # type: ignore[assignment, attr-defined]
+    yield kept
+    trust.evidence, batch.judged, ring.judged = evidence, judged, judged  # type: ignore[attr-defined]
+
+
+def rows_of(
+    terms: dict[str, F32], found: Heights, truth: simulate.Truth, camera: float
+) -> tuple[F64, NDArray[np.bool_]]:
+    """Logarithms of the evidence (N, terms) and whether each cell is wrong (N,), without water and unseen cells."""
+    e, n = np.meshgrid(*found.grid.xy())
+    r, c = (np.rint(i).astype(int) for i in truth.grid.index(e, n))
+    inside = (r >= 0) & (r < truth.grid.rows) & (c >= 0) & (c < truth.grid.cols)
+    r, c = r.clip(0, truth.grid.rows - 1), c.clip(0, truth.grid.cols - 1)
+    use = inside & np.isfinite(found.height) & ((found.flags & np.uint16(Flag.UNSEEN)) == 0)
+    use &= truth.label[r, c] != Terrain.WATER
+    grid = np.zeros_like(use)
+    grid[24:-24:EVERY, 24:-24:EVERY] = True
+    use &= grid
+    at = [np.log(np.repeat(np.repeat(terms[k], 2, 0), 2, 1)[: e.shape[0], : e.shape[1]][use]) for k in names()]
+    wrong = np.abs(found.height - truth.height[r, c]) > WRONG * (camera - truth.height[r, c])
+    return np.stack(at, axis=-1).astype(np.float64), wrong[use]
+
+
+def names() -> list[str]:
+    """The terms that have a coefficient."""
+    return [k for k in trust.DOUBT if k != "one"]
+
+
+def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
+    """Rows of the batch, then of the ring."""
+    flight = rung(name).fly()
+    shots = list(exposures(flight))
+    views = [v for shot in shots for v in shot]
+    camera = float(np.median([v.centre[2] for v in views]))
+    for method in ("batch", "ring"):
+        lane = TerrainLane(Settings())
+        if not lane.learn(views[:: max(1, len(views) // 24)]):
+            print(f"{name}: {lane.reason}")
+            return
+        with overheard() as kept:
+            if method == "batch":
+                lane.build(views, lambda share: None)
+            else:
+                for shot in shots:
+                    lane.step(shot[:1])
+                kept = kept[4::4]
+        parts = [rows_of(terms, found, flight.truth, camera) for terms, found in kept]
+        yield np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts])
 
 
 def logistic(X: F64, y: NDArray[np.bool_], weight: F64) -> F64:
@@ -90,16 +125,20 @@ def logistic(X: F64, y: NDArray[np.bool_], weight: F64) -> F64:
 
 def main() -> None:
     """Fit and print."""
-    flights = [collect(*f) for f in FLIGHTS]
-    weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in flights])
-    b = logistic(np.concatenate([x for x, _ in flights]), np.concatenate([y for _, y in flights]), weight)
-    print("DOUBT =", {k: round(float(v), 2) for k, v in zip(trust.DOUBT, b, strict=True)})
-    for (seed, height), (X, y) in zip(FLIGHTS, flights, strict=True):
+    labels, parts = [], []
+    for name in sys.argv[1:] or FLIGHTS:
+        for method, part in zip(("batch", "ring"), collect(name), strict=False):
+            labels.append(f"{name} {method}")
+            parts.append(part)
+            print(f"{labels[-1]}: {len(part[1])} cells, {100 * part[1].mean():.2f} % wrong", flush=True)
+    weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in parts])
+    b = logistic(np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts]), weight)
+    print("DOUBT =", {k: round(float(v), 2) for k, v in zip([*names(), "one"], b, strict=True)})
+    for label, (X, y) in zip(labels, parts, strict=True):
         p = 1 / (1 + np.exp(-(np.c_[X, np.ones(len(X))] @ b)))
         kept = p < trust.MAX_DOUBT
-        print(f"seed {seed} at {height:.0f} m: {len(y)} cells, {100 * y.mean():.2f} % wrong")
         print(
-            f"  given out {100 * kept.mean():.1f} %; given out and wrong {100 * (y & kept).mean():.2f} % of all cells"
+            f"{label}: given out {100 * kept.mean():.1f} %, of these wrong {100 * (y & kept).sum() / kept.sum():.2f} %"
         )
 
 

@@ -11,6 +11,7 @@ from subjects import Points, Subject
 
 from alight import replay
 from alight.evaluate.report import nmad
+from alight.geometry import Grid
 from alight.records import F32, F64, ElevationMap, Flag, Terrain, View
 
 WRONG = 0.01  # of the height above ground
@@ -135,20 +136,29 @@ class Rectified:
         return self.f * p[:, :2] / p[:, 2:] + self.c, p[:, 2]
 
 
-def _disparity(pair: Rectified, near: float, far: float, strict: bool) -> F32:
-    """StereoSGBM over the true range of depths; `strict` with every check of its own that it has."""
-    low = int(pair.f * pair.baseline / far) - 4
-    count = -(-int(pair.f * pair.baseline / near + 4 - low) // 16) * 16
+def disparity(pair: Rectified, near: float, far: float, strict: bool, wider: int = 1) -> F32:
+    """StereoSGBM over the true range of depths, in pixels; `strict` with every check of its own that it has.
+
+    `wider`: on pictures so many times as wide, for finer disparities.
+    """
+    low = wider * int(pair.f * pair.baseline / far) - 4
+    count = -(-int(wider * pair.f * pair.baseline / near + 4 - low) // 16) * 16
     checks = {"uniquenessRatio": 10, "speckleWindowSize": 100, "speckleRange": 2, "disp12MaxDiff": 1}
     matcher = cv2.StereoSGBM_create(low, count, 5, P1=200, P2=800, **(checks if strict else {"disp12MaxDiff": -1}))
-    return np.asarray(matcher.compute(pair.left, pair.right), np.float32) / 16
+    wide = [cv2.resize(p, None, fx=wider, fy=1, interpolation=cv2.INTER_CUBIC) for p in (pair.left, pair.right)]
+    found = np.asarray(matcher.compute(*wide), np.float32) / 16
+    return np.asarray(found[:, wider // 2 :: wider] / wider)
 
 
 def _visible(subject: Subject, xyz: F64, view: View) -> Mask:
-    """Whether nothing of the truth stands between the points and a camera. A reference's points are seen."""
+    """The same of a subject; a reference's points are seen."""
     if subject.truth is None:
         return np.ones(len(xyz), bool)
-    surface, grid = subject.surface(), subject.truth.grid
+    return stands_clear(subject.surface(), subject.truth.grid, xyz, view)
+
+
+def stands_clear(surface: F32, grid: Grid, xyz: F64, view: View) -> Mask:
+    """Whether nothing of a surface stands between points (N, 3) and a camera."""
     top, clear = float(np.nanmax(surface)), np.ones(len(xyz), bool)
     way = view.centre - xyz
     for rise in np.arange(0.2, top - float(np.nanmin(surface)), 0.2):
@@ -177,7 +187,7 @@ def sgbm(subject: Subject, points: Points, views: list[View], above: float) -> B
         keep = (col >= 0) & (col < w) & (row >= 0) & (row < h)
         k, col, row = k[keep], col[keep], row[keep]
         near, far = float(z[k].min()), float(z[k].max())
-        loose, strict = (_disparity(pair, near, far, s)[row, col] for s in (False, True))
+        loose, strict = (disparity(pair, near, far, s)[row, col] for s in (False, True))
         low = pair.f * pair.baseline / far - 4
         errors.append(z[k] - pair.f * pair.baseline / np.where(loose > low, loose, 1e-3))
         given.append(strict > low)

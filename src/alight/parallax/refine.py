@@ -24,10 +24,9 @@ BLOCK = 8  # cells of half resolution
 LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
 HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
-PRIOR = (
-    1600.0  # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they
-)
-# are not: neighbours share pixels, so 100 left three times the noise on a concrete slab
+# of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they are not:
+# neighbours share pixels, so 100 left three times the noise on a concrete slab
+PRIOR = 2500.0
 # offsets (dx, dy) of one neighbour of each opposite pair: of 7 x 7 cells these 16 smooth as well as all 24
 PRIOR_PAIRS = np.array(
     [

@@ -18,7 +18,7 @@ from alight.parallax.refine import Fit, middle
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.records import F32, U16, Flag
 
-MIN_CONTRAST = 1.2  # grey levels: less is noise
+MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: less carries no height
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
 FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
@@ -28,8 +28,9 @@ STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 MAX_DOUBT = 0.25  # probability of a wrong match that is still given out
 
 # Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
-# means the same for any camera and height. Fitted by bench/doubt.py on simulated flights; real photos agree.
-DOUBT = {"ambiguity": 1.2, "residual": 1.12, "sigma": 1.26, "drop": 0.07, "rise": 0.34, "slide": 0.0, "one": 0.14}
+# means the same for any camera and height. Between what bench/doubt.py fits on simulated flights, where the second-best
+# cost says nothing that the others do not, and what real photos need, where it does.
+DOUBT = {"ambiguity": 1.2, "residual": 1.2, "sigma": 0.3, "drop": 0.8, "rise": 0.8, "slide": -2.2, "one": -1.26}
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +104,14 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F
     """
     per_px = _halved(fit.metres_per_px)
     ambiguity = _near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, np.float32(1)))
+    sigma_px = np.fmin(sigma_ / fit.metres_per_px, np.float32(5.0))  # 5 where there is none
     filled = _filled(fit.height)
     low, high = _pooled(filled, np.minimum), _pooled(filled, np.maximum)
     near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
-    sigma_px = np.fmin(sigma_ / fit.metres_per_px, np.float32(5.0))  # 5 where there is none
     return {
         "ambiguity": np.clip(ambiguity, 1e-2, 1.0),
-        "residual": np.clip(_near(residual_share(fit, texture)), 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
+        "residual": np.clip(_near(residual_share(fit, texture)), 1e-2, 1.0),
         "drop": np.clip((high - cv2.erode(low, near)) / per_px, 5e-2, 50.0),
         "rise": np.clip((cv2.dilate(high, near) - low) / per_px, 5e-2, 50.0),
         "slide": np.clip(_halved(seen.slide), 1e-2, 2.0),
@@ -119,7 +120,7 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F
 
 def doubt(terms: dict[str, F32]) -> F32:
     """Probability that a height is off by more than a hundredth of the height above it (eq. 15)."""
-    score = sum((DOUBT[k] * np.log(v) for k, v in terms.items()), start=np.float32(DOUBT["one"]))
+    score = sum((np.float32(DOUBT[k]) * np.log(v) for k, v in terms.items()), start=np.float32(DOUBT["one"]))
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
