@@ -31,12 +31,13 @@ def _cells(pixels: F32, cell: float) -> list[tuple[int, int]]:
 
 def spread(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
     """Keep the `_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
-    keep = np.zeros(len(ids), bool)
-    count: dict[tuple[int, int], int] = {}
-    for i, key in enumerate(_cells(pixels, cell)):  # ids grow with the row, so the oldest come first
-        if good[i] and count.get(key, 0) < _PER_CELL:
-            count[key] = count.get(key, 0) + 1
-            keep[i] = True
+    keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
+    column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
+    key = row * 100_000 + column
+    order = np.argsort(key, kind="stable")  # ids grow with the row, so the oldest of a cell come first
+    ranked = key[order]
+    rank = np.arange(len(at)) - np.searchsorted(ranked, ranked)
+    keep[at[order[rank < _PER_CELL]]] = True
     return keep
 
 
