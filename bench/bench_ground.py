@@ -1,6 +1,7 @@
 """Judging the ground: hazard terrains with truth, speed, reliability of P(safe).
 
-Run: python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest]
+Run: python bench/bench_ground.py               (hazards and speed)
+     python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest]
      python bench/bench_ground.py speed
      python bench/bench_ground.py reliability --runs RUN:FLIGHT ...   (simulated flights, with truth)
      python bench/bench_ground.py odds --runs RUN:FLIGHT ...          (fits hidden.py, one left out)
@@ -215,15 +216,15 @@ def odds(runs: list[str]) -> None:
 def main() -> None:
     """One part of the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["hazards", "speed", "reliability", "odds"])
+    parser.add_argument("part", nargs="?", default="all", choices=["all", "hazards", "speed", "reliability", "odds"])
     parser.add_argument("--data", type=Path, default=Path("../shared/data/hazard-contest"))
     parser.add_argument("--runs", nargs="*", default=[], metavar="RUN:FLIGHT")
     arguments = parser.parse_args()
-    if arguments.part == "hazards":
+    if arguments.part in ("all", "hazards") and arguments.data.is_dir():
         hazards(arguments.data)
-    elif arguments.part == "speed":
+    if arguments.part in ("all", "speed"):
         speed()
-    elif arguments.part == "odds":
+    if arguments.part == "odds":
         odds(arguments.runs)
     for run in arguments.runs if arguments.part == "reliability" else []:
         claims = read_claims(*map(Path, run.split(":")))
