@@ -12,6 +12,7 @@ from ground import covered, ground, plane
 from numpy.testing import assert_allclose
 
 from alight.hazards import assess
+from alight.hazards.hidden import darkest_near, nothing_hidden
 from alight.records import Flag, Hazard, HazardMap
 from alight.settings import Hazards, Lander
 
@@ -272,3 +273,25 @@ def test_the_rule_of_the_rendered_scene_is_reproduced(shared_data: Path) -> None
     assert_allclose(h.clearance[row, col], 6.47, atol=0.005)
     assert_allclose(math.degrees(h.slope[row, col]), 0.97, atol=0.005)
     assert_allclose(h.roughness[row, col], 0.043, atol=0.0005)
+
+
+def test_dark_spots_and_roughness_cost_probability_where_heights_are_matched() -> None:
+    e = ground(flat(), rgb=np.full((81, 81, 3), 150, np.uint8))
+    e.rgb[39:42, 40:43] = 20  # the shadow of a stone that the heights do not show
+    p = assess(e, None, Lander(radius=1.0), Hazards(tilt_sigma=0.0)).p_safe
+    assert p[MID] < 0.95
+    assert p[40, 20] > 0.999
+    r, c = np.mgrid[:81, :81]
+    under = np.hypot(r - 40, c - 40) <= 10
+    assert p[under & ~(np.abs(r - 40) > 35)].max() < p[40, 20]
+    resolved = assess(e, None, Lander(radius=1.0), EXACT).p_safe
+    assert_allclose(resolved[MID], 1.0)
+    rough = nothing_hidden(e, np.array([[0.02, 0.08, 0.14]], np.float32).repeat(81, 0).repeat(27, 1), 0.15, 1.0)
+    assert rough[70, 5] > rough[70, 40] > rough[70, 75]
+
+
+def test_a_brighter_exposure_has_the_same_dark_spots() -> None:
+    rng = np.random.default_rng(0)
+    rgb = rng.integers(40, 80, (81, 81, 3)).astype(np.uint8)
+    dim, bright = (darkest_near(ground(flat(), rgb=a), 1.0) for a in (rgb, 3 * rgb))
+    assert_allclose(dim, bright, rtol=0.03)

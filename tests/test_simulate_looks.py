@@ -11,6 +11,7 @@ from alight.kernels import block, texture
 from alight.kernels.boxes import hit_box
 from alight.kernels.noise import gradient_noise, noise32, seed32
 from alight.records import InputError, Terrain
+from alight.simulate import cameras, coarser
 from alight.simulate.cameras import Eye, Shutter, spread
 from alight.simulate.exactness import LENSES, errors
 from alight.simulate.light import Clouds, Light, Wind
@@ -368,3 +369,77 @@ def test_tint_multiplies_the_look():
     ratio = tinted / plain
     assert ratio[5:40, 20:140].mean(axis=(0, 1)) == pytest.approx([2.0, 0.5, 1.0], rel=3e-3)  # east is up
     assert ratio[60:90, 20:140].mean(axis=(0, 1)) == pytest.approx([1.0, 1.0, 1.0], rel=3e-3)
+
+
+# -- edges, plants, far pictures
+
+
+def test_a_thing_askew_to_the_grid_has_a_straight_edge_of_colour():
+    n, turn = 301, np.radians(17.0)
+    grid = Grid(-15.0, 15.0, 0.1, n, n)
+    x, y = (a.ravel() for a in grid.xy())
+    u = np.cos(turn) * x[None] + np.sin(turn) * y[:, None]  # east of the edge stands a block
+    covered = np.clip(0.5 + u / (0.1 * (np.cos(turn) + np.sin(turn))), 0.0, 1.0)
+    look = np.where(covered >= 0.5, Look.WHITE, Look.ASPHALT).astype(np.uint8)
+    label = np.where(covered >= 0.5, Terrain.STRUCTURE, Terrain.PAVED).astype(np.uint8)
+    world = world_of(grid, (0.4 * covered).astype(np.float32), label, look=look, light=Light(elevation_deg=80.0))
+    camera = Camera(160, 96, 600.0, 600.0, 79.5, 47.5)
+    picture = Eye(camera).radiance(world, above(up=12.0), 0.0)[..., 1]
+    rows = np.array([np.argmax(column < 0.4) for column in picture.T], float)  # image top is east
+    away = rows - np.polyval(np.polyfit(np.arange(160), rows, 1), np.arange(160))
+    assert rows.min() > 5
+    assert away.std() * 12.0 / 600.0 < 0.016  # metres; a stair of cells: 0.03
+
+
+def test_what_is_matched_on_short_plants_is_the_height_that_truth_knows():
+    camera, up, base = Camera(320, 240, 600.0, 600.0, 159.5, 119.5), 27.0, 2.7
+    for look in (Look.MEADOW, Look.LAWN, Look.DRY_GRASS, Look.STUBBLE, Look.HEATH, Look.SOIL, Look.ASPHALT):
+        eye, world = Eye(camera), ground(look, side=60.0)
+        left, right = (eye.radiance(world, above(3.0, n, up), 0.0)[..., 1] for n in (0.5 * base, -0.5 * base))
+        shift = round(camera.fu * base / up)
+        found = []
+        for r in range(20, 220, 24):
+            for c in range(shift + 20, 300, 24):
+                a = left[r - 12 : r + 13, c - 12 : c + 13]
+                likeness = [
+                    np.corrcoef(a.ravel(), right[r - 12 : r + 13, c - shift + d - 12 : c - shift + d + 13].ravel())[
+                        0, 1
+                    ]
+                    for d in (-1, 0, 1)
+                ]
+                bend = likeness[0] - 2 * likeness[1] + likeness[2]
+                found.append(shift - 0.5 * (likeness[0] - likeness[2]) / bend)
+        assert up - camera.fu * base / np.median(found) == pytest.approx(0.0, abs=0.012), look
+
+
+def test_coarser_layers_are_means_and_what_most_are():
+    rng = np.random.default_rng(3)
+    layer = rng.random((8, 12, 2)).astype(np.float32)
+    assert coarser.mean_of(layer, 2) == pytest.approx(layer.reshape(2, 4, 3, 4, 2).mean(axis=(1, 3)), abs=1e-6)
+    codes = np.array([[7, 3, 1, 1], [3, 3, 2, 2], [5, 4, 9, 8], [6, 4, 8, 7]], np.uint16)
+    assert coarser.most_of(codes, 1).tolist() == [[3, 1], [4, 8]]
+    margin = rng.uniform(-0.5, 0.5, (16, 16)).astype(np.float32)
+    t = np.clip((margin + 0.03) / 0.08, 0, 1)
+    share = (t * t * (3 - 2 * t)).reshape(8, 2, 8, 2).mean(axis=(1, 3))
+    t = np.clip((coarser.mean_shadow(margin, 1) + 0.03) / 0.08, 0, 1)
+    assert t * t * (3 - 2 * t) == pytest.approx(share, abs=1e-5)
+
+
+def test_a_far_picture_is_as_smooth_as_many_rays_would_make_it(monkeypatch):
+    """Stripes and shadows finer than a pixel do not sparkle, and cost less memory."""
+    n = 1201
+    tint = np.ones((n, n, 3), np.float32)
+    tint[::2, ::3] = 0.1
+    world = ground(
+        Look.PLAIN, side=120.0, tint=tint, surface=lambda x, y: 0.3 * (np.sin(9.0 * x) * np.sin(8.0 * y) > 0.5)
+    )
+    one, many = (Eye(SMALL, k).radiance(world, above(up=60.0), 0.0)[..., 1] for k in (1, 16))
+    monkeypatch.setattr(cameras, "COARSEST", 0)
+    sparkling = Eye(SMALL).radiance(world, above(up=60.0), 0.0)[..., 1]
+    assert np.std(one - many) < 0.35 * np.std(sparkling - many)
+    box = (-30.0, -30.0, 30.0, 30.0)
+    fine, coarse = world.patch(box), world.patch(box, 0.0, 2)
+    assert np.array_equal(fine.height, coarse.height)
+    assert coarse.light.shape[0] == fine.light.shape[0] // 4
+    assert coarse.nbytes < 0.35 * fine.nbytes
+    assert coarse.skin_place == pytest.approx(fine.place * (1, 1, 4) + (0.15, -0.15, 0.0))

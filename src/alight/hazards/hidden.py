@@ -10,8 +10,8 @@ from alight.records import F32, ElevationMap
 
 SURROUNDINGS = 0.25  # metres, 1-sigma of the brightness that a spot is compared with
 # log odds that nothing higher than the limit stands in a footprint: constant, per e-fold of the deviation over the
-# limit, per e-fold of the darkness; fitted to simulated flights by bench/bench_ground.py
-ODDS = (-6.05, -1.89, -3.62)
+# limit, per e-fold of the darkness; fitted to four simulated flights (bench/bench_ground.py odds)
+ODDS = (-6.97, -1.94, -4.03)
 LEAST_DEVIATION, LEAST_DARKNESS = 0.03, 0.01  # of the limit; in log brightness: below, they tell nothing
 
 
@@ -33,6 +33,13 @@ def darkest_near(elevation: ElevationMap, radius: float) -> F32:
     return np.maximum(np.asarray(near, dtype=np.float32), np.float32(0))
 
 
+def hidden_terms(elevation: ElevationMap, roughness: F32, limit: float, radius: float) -> tuple[F32, F32]:
+    """What the odds depend on, (R, C) each: log of the deviation over the limit, log of the darkness."""
+    rough: F32 = np.log(np.maximum(roughness / np.float32(limit), np.float32(LEAST_DEVIATION)))
+    dark: F32 = np.log(np.maximum(darkest_near(elevation, radius), np.float32(LEAST_DARKNESS)))
+    return rough, dark
+
+
 def nothing_hidden(elevation: ElevationMap, roughness: F32, limit: float, radius: float) -> F32:
     """P(nothing in the footprint rises above the limit that the heights do not show), (R, C) (G9b).
 
@@ -42,8 +49,7 @@ def nothing_hidden(elevation: ElevationMap, roughness: F32, limit: float, radius
         limit: metres, the deviation or rise that is allowed.
         radius: metres, of the footprint.
     """
-    rough = np.log(np.maximum(roughness / np.float32(limit), np.float32(LEAST_DEVIATION)))
-    dark = np.log(np.maximum(darkest_near(elevation, radius), np.float32(LEAST_DARKNESS)))
+    rough, dark = hidden_terms(elevation, roughness, limit, radius)
     odds = np.float32(ODDS[0]) + np.float32(ODDS[1]) * rough + np.float32(ODDS[2]) * dark
     out: F32 = (1 / (1 + np.exp(-odds))).astype(np.float32)
     return out

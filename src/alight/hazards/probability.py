@@ -84,7 +84,7 @@ class Margins:
 
 
 def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float) -> F32:
-    """P(a touchdown keeps every limit) at every cell (G7 to G9): tilt, ground below, and what was not seen or not resolved."""
+    """P(a touchdown keeps every limit) at every cell (G7 to G9b): tilt, ground below, what was not seen or resolved."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
         tilt_sigma = gear_sigma(local, lander, cell, settings)

@@ -46,6 +46,17 @@ def hit_box(box: F64, origin: Three, ray: Three) -> tuple[float, int]:
     return (near, face) if near <= far else (MISS, 0)
 
 
+@kernel
+def _spheres(boxes: F64, origin: Three, out: F64) -> None:
+    """Fill `out` (M, 4) with where the spheres about the boxes are, from the origin, and the squared cosine's bound."""
+    for m in range(boxes.shape[0]):
+        box = boxes[m]
+        half = 0.5 * box[7]
+        out[m, 0], out[m, 1], out[m, 2] = box[0] - origin[0], box[1] - origin[1], box[2] + half - origin[2]
+        away = out[m, 0] ** 2 + out[m, 1] ** 2 + out[m, 2] ** 2
+        out[m, 3] = max(away - 1.001 * (box[5] ** 2 + box[6] ** 2 + half**2), 0.0)
+
+
 @parallel_kernel
 def cast_boxes(boxes: F64, origins: F64, directions: F32 | F64, turns: F64, depth: F64, faces: I16) -> None:
     """Bring `depth` (H, W) forward to the boxes and fill `faces` (H, W): 8 times the box plus its face, 0 the ground.
@@ -57,13 +68,18 @@ def cast_boxes(boxes: F64, origins: F64, directions: F32 | F64, turns: F64, dept
         n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)
         turn = turns[n]
         origin = (origins[n, 0], origins[n, 1], origins[n, 2])
+        near = np.empty((boxes.shape[1], 4))
+        _spheres(boxes[n], origin, near)
         for c in range(depth.shape[1]):
             d0, d1, d2 = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
             x = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
             y = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
             z = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
-            faces[r, c] = 0
+            faces[r, c], square = 0, x * x + y * y + z * z
             for m in range(boxes.shape[1]):
+                towards = near[m, 0] * x + near[m, 1] * y + near[m, 2] * z
+                if towards * towards < near[m, 3] * square:
+                    continue
                 t, face = hit_box(boxes[n, m], origin, (x, y, z))
                 if t > 0.0 and face > 0 and (depth[r, c] < 0.0 or t < depth[r, c]):
                     depth[r, c] = t

@@ -57,6 +57,7 @@ from alight.kernels.texture import P_BUMP, P_GLOSS, P_HOT
 # numbers of the light, after the sun's direction (3), its colour (3) and the sky's (3)
 HAZE, AIR, CLOUDS, CLOUD_SIZE, CLOUD_DARK, WIND, DRIFT = 9, 10, 13, 14, 15, 16, 18
 LIGHTS = 20
+SHADED, LIT = -0.03, 0.05  # metres by which the sun's ray clears the ground: half shadow between
 
 
 @kernel
@@ -102,7 +103,7 @@ def car_shadows(buf: F32, boxes: F64, base: F64, sun: F64) -> None:
 def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
     """Fill SUN: the share of the sun that comes past terrain and small things, and CLOUD: past the clouds."""
     for i in range(B):
-        buf[SUN + i] = smooth(f32(-0.03), f32(0.05), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
+        buf[SUN + i] = smooth(f32(SHADED), f32(LIT), buf[MARGIN + i]) * (F1 - buf[SHADE + i])
     fill(buf, CLOUD, 0.0)
     if lights[CLOUD_DARK] <= 0.0:
         return

@@ -205,22 +205,23 @@ def cast_rays(
     """
     rows, cols = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])
-    for r in prange(out.shape[0]):
-        n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)
+    for band in prange(-(-out.shape[0] // STRIP)):  # squares of pixels: rows of a picture may run across the grid's
         rays, fan = np.empty((STRIP, 3)), np.empty(4)
         for first in range(0, out.shape[1], STRIP):
             last = min(first + STRIP, out.shape[1])
-            top, level = math.inf, offsets.size - 1
-            if _turn_strip(directions, r, first, last, turns[n], rays, fan):
-                top = _ceiling(pyramid, offsets, widths, (rows, cols), origins[n], fan, summit, low)
-                level = min(level, START_LEVEL)
-            start = (origins[n, 0], origins[n, 1], origins[n, 2])
-            for c in range(first, last):
-                ray = (rays[c - first, 0], rays[c - first, 1], rays[c - first, 2])
-                t, t_end = _clip(start, ray, (rows, cols), min(summit, top))
-                out[r, c] = MISS
-                if t <= t_end:
-                    out[r, c] = _walk(height, pyramid, offsets, widths, start, ray, (t, t_end, 0.0), level)
+            for r in range(band * STRIP, min((band + 1) * STRIP, out.shape[0])):
+                n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)
+                top, level = math.inf, offsets.size - 1
+                if _turn_strip(directions, r, first, last, turns[n], rays, fan):
+                    top = _ceiling(pyramid, offsets, widths, (rows, cols), origins[n], fan, summit, low)
+                    level = min(level, START_LEVEL)
+                start = (origins[n, 0], origins[n, 1], origins[n, 2])
+                for c in range(first, last):
+                    ray = (rays[c - first, 0], rays[c - first, 1], rays[c - first, 2])
+                    t, t_end = _clip(start, ray, (rows, cols), min(summit, top))
+                    out[r, c] = MISS
+                    if t <= t_end:
+                        out[r, c] = _walk(height, pyramid, offsets, widths, start, ray, (t, t_end, 0.0), level)
 
 
 def max_pyramid(height: F32) -> tuple[F32, I64, I64]:

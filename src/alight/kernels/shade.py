@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from alight.kernels.block import (
     BLUE,
-    BUMP_E,
-    BUMP_N,
     DIST,
     F0,
     F1,
@@ -29,8 +27,6 @@ from alight.kernels.block import (
     RED,
     SLOPE_E,
     SLOPE_N,
-    TINT_B,
-    TINT_G,
     TINT_R,
     TX,
     TY,
@@ -39,44 +35,23 @@ from alight.kernels.block import (
     VZ,
     WATER,
     B,
-    N,
     X,
     Y,
     Z,
-    copy,
     f32,
     fill,
-    noise_at,
-    smallest,
-    smooth,
 )  # fmt: skip
 from alight.kernels.compiler import kernel, parallel_kernel, prange
+from alight.kernels.foliage import foliage, sway
+from alight.kernels.ground import look_up, wander
 from alight.kernels.illuminate import WIND, car_shadows, dye, face_normals, haze, illuminate, slope_normals, sunshine
-from alight.kernels.texture import (
-    P_BED,
-    P_DEEP,
-    PARAMS,
-    colours,
-    detail,
-    foliage,
-    laid,
-    load_looks,
-    patches,
-    small_things,
-    sway,
-)  # fmt: skip
+from alight.kernels.litter import small_things
+from alight.kernels.texture import P_BED, P_DEEP, PARAMS, colours, detail, laid, load_looks, patches
 from alight.kernels.water import dive, refract, scum, water_light, waves
 
 U8 = NDArray[np.uint8]
 I16 = NDArray[np.int16]
 
-TREE, ROCK, PAVED, STRUCTURE = (
-    4,
-    6,
-    7,
-    8,
-)  # codes of records.Terrain whose borders are edges of height: colours keep to them
-STEEP = 3.0  # slope of a side
 PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
 
 
@@ -115,100 +90,6 @@ def _aim(
             if buf[DIST + i] < F0:
                 buf[X + i], buf[Y + i], buf[Z + i] = F0, F0, F0
     return seen
-
-
-@kernel
-def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
-    rows, cols = label.shape
-    return min(max(int(gy + 0.5), 0), rows - 1), min(max(int(gx + 0.5), 0), cols - 1)
-
-
-@kernel
-def _hard(kind: int) -> bool:
-    return kind in (TREE, ROCK, STRUCTURE)
-
-
-@kernel
-def _look_up(
-    buf: F32,
-    label: U8,
-    looks_layer: U8,
-    light: F32,
-    tint: F32,
-    by_class: I32,
-    place: F64,
-    base: F64,
-    wet: F32,
-    look: I32,
-) -> None:
-    """Fill look, light and tint. Borders between two kinds of ground wander by a cell, as real ones do.
-
-    N, DU, DV and BUMP_E, BUMP_N hold noise that says how far.
-    """
-    per = 1.0 / place[2]
-    for i in range(B):
-        gx = (base[0] - place[0] + buf[X + i]) * per
-        gy = (place[1] - base[1] - buf[Y + i]) * per
-        _light_at(buf, i, light, gx, gy)
-        steep = math.hypot(buf[SLOPE_E + i], buf[SLOPE_N + i])
-        if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
-            gx, gy = gx + buf[SLOPE_E + i] / steep, gy - buf[SLOPE_N + i] / steep
-        r, c = _class_near(label, gx, gy)
-        q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
-        if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
-            q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
-        if steep <= STEEP and not _hard(label[r, c]) and not _hard(label[q, p]):
-            r, c = q, p
-        look[i] = int(looks_layer[r, c]) if looks_layer.size > 0 else 0
-        if look[i] == 0:
-            look[i] = by_class[label[r, c]]
-        buf[WATER + i] = wet[look[i]]
-        if tint.size > 0:
-            _tint_at(buf, i, tint, gx, gy)
-        else:
-            buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
-
-
-@kernel
-def _light_at(buf: F32, i: int, light: F32, gx: float, gy: float) -> None:
-    rows, cols = light.shape[0], light.shape[1]
-    gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
-    ix, iy = int(gx), int(gy)
-    u, v = f32(gx - ix), f32(gy - iy)
-    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
-    for k in range(5):
-        upper = light[iy, ix, k] * a + light[iy, ix + 1, k] * b
-        buf[SLOPE_E + k * B + i] = upper + light[iy + 1, ix, k] * c + light[iy + 1, ix + 1, k] * d
-
-
-@kernel
-def _tint_at(buf: F32, i: int, tint: F32, gx: float, gy: float) -> None:
-    rows, cols = tint.shape[0], tint.shape[1]
-    gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
-    ix, iy = int(gx), int(gy)
-    u, v = f32(gx - ix), f32(gy - iy)
-    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
-    for k in range(3):
-        upper = tint[iy, ix, k] * a + tint[iy, ix + 1, k] * b
-        buf[TINT_R + k * B + i] = upper + tint[iy + 1, ix, k] * c + tint[iy + 1, ix + 1, k] * d
-
-
-@kernel
-def _wander(buf: F32, base: F64) -> None:
-    """Fill TX, TY with how far, in cells, the border of a class wanders: at 0.4 and 0.1 m."""
-    copy(buf, X, TX)
-    copy(buf, Y, TY)
-    noise_at(buf, base, 0.4, 0.8, 0.6, 77)
-    for i in range(B):
-        buf[BUMP_E + i], buf[BUMP_N + i] = f32(0.25) * buf[N + B + i], f32(0.25) * buf[N + 2 * B + i]
-    if smallest(buf, FOOT) < 0.08:
-        noise_at(buf, base, 0.1, 0.6, 0.8, 78)
-        for i in range(B):
-            fine = f32(0.22) * smooth(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
-            buf[BUMP_E + i] += fine * buf[N + B + i]
-            buf[BUMP_N + i] += fine * buf[N + 2 * B + i]
-    copy(buf, BUMP_E, TX)
-    copy(buf, BUMP_N, TY)
 
 
 @kernel
@@ -276,18 +157,19 @@ def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool
 
 @parallel_kernel
 def shade(
-    label: U8, looks_layer: U8, light: F32, tint: F32, place: F64, looks: F32, by_class: I32, wet: F32, centres: F64,
-    directions: F32, turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float, lights: F64,
-    times: F64, seed: int, weight: float, out: F32,
+    height: F32, label: U8, looks_layer: U8, light: F32, tint: F32, place: F64, looks: F32, by_class: I32, wet: F32,
+    centres: F64, directions: F32, turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float,
+    lights: F64, times: F64, seed: int, weight: float, out: F32,
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `label`, `looks_layer` (R, C; empty: by class), `tint` (R, C, 3; empty: none), `light` (R, C, 5): slope east, slope
-    north, shadow margin, open sky, water depth. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS),
-    `by_class` (9,) look of a class, `wet` (L,) 1 for water: `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3),
-    `times` (N,) seconds, `boxes` (N, M, 12): of the whole picture (N = 1) or of each row; `directions` (H, W, 3) with
-    z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W) from `cast_boxes`; `pixel`: angle of a pixel; `level`: height
-    of the plane that goes on where the patch ends; `lights` (LIGHTS,): see `illuminate`.
+    `height` (R, C; empty: the layers are coarser than it); `label`, `looks_layer` (R, C; empty: by class), `tint`
+    (R, C, 3; empty: none), `light` (R, C, 5): slope east, slope north, shadow margin, open sky, water depth. `place`:
+    east, north of cell (0, 0), cell. `looks` (L, PARAMS), `by_class` (9,) look of a class, `wet` (L,) 1 for water:
+    `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
+    picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
+    from `cast_boxes`; `pixel`: angle of a pixel; `level`: height of the plane that goes on where the patch ends;
+    `lights` (LIGHTS,): see `illuminate`.
     """
     lights32 = lights.astype(np.float32)
     for r in prange(out.shape[0]):
@@ -302,8 +184,8 @@ def shade(
                 haze(buf, lights32)
                 _put(buf, f32(weight), row, first, out)
                 continue
-            _wander(buf, base)
-            _look_up(buf, label, looks_layer, light, tint, by_class, place, base, wet, look)
+            wander(buf, base)
+            look_up(buf, height, label, looks_layer, light, tint, by_class, place, base, wet, look)
             cars = boxes.shape[1] > 0 and _board(buf, faces, row, first, boxes[n], base, look)
             under = dive(buf, looks, look)
             if under:

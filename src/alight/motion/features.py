@@ -72,8 +72,9 @@ class Features:
 
     @staticmethod
     def _distance(state: State) -> float:
-        far = [float(np.linalg.norm(x.x - state.core[POS])) for x in state.points]
-        return float(np.median(far)) if far else 0.0
+        if not state.points:
+            return 0.0
+        return float(np.median(np.linalg.norm(np.array([x.x for x in state.points]) - state.core[POS], axis=1)))
 
     def _use_up(self, state: State, ids: Ints, gone: list[int]) -> Votes:
         """Measure the poses by the features that are seen no more, or whose first pose is about to be forgotten."""

@@ -66,6 +66,8 @@ class MotionFilter:
         self._last_exposure_ns = -(1 << 62)
         self._doubts = 0  # in a row
         self._map, self._lost = 0, False
+        self._sum: Preintegral | None = None
+        self._summed_for: tuple[float, ...] = ()
         self._heard: NavSample | None = None  # the last row
         self._before: tuple[Tracks, F64] | None = None  # the last exposure with a GPS position and no attitude
         self._recording = Recording(rig, settings) if settings.smooth else None
@@ -218,9 +220,14 @@ class MotionFilter:
         return Step(state.R, state.core[POS].copy(), state.core[VEL].copy())
 
     def _summed(self, state: State, t_ns: int) -> Preintegral:
-        start = max(bisect_left(self._imu, state.t_ns, key=lambda s: s.t_ns) - 1, 0)
-        samples = [self._imu[i] for i in range(start, len(self._imu))]
-        return preintegrate(segments(samples, state.t_ns, t_ns), state.core[GYRO], state.core[ACC], self._settings)
+        """The IMU from the state to `t_ns`; what was predicted a moment ago is not summed again."""
+        key = (state.t_ns, t_ns, self._imu[-1].t_ns, *state.core[GYRO], *state.core[ACC])
+        if self._summed_for != key or self._sum is None:
+            start = max(bisect_left(self._imu, state.t_ns, key=lambda s: s.t_ns) - 1, 0)
+            pieces = segments([self._imu[i] for i in range(start, len(self._imu))], state.t_ns, t_ns)
+            self._sum = preintegrate(pieces, state.core[GYRO], state.core[ACC], self._settings)
+            self._summed_for = key
+        return self._sum
 
     def _step(self, state: State, t_ns: int) -> tuple[Step, Preintegral | None]:
         p, v = state.core[POS], state.core[VEL]

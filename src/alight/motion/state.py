@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
-from scipy.linalg.blas import dsyrk
 
 from alight.geometry import so3_exp
 from alight.motion.turns import exps
@@ -143,8 +142,7 @@ class State:
         L = np.linalg.cholesky(S)
         both = solve_triangular(L, np.column_stack([HP, residual]), lower=True, check_finite=False)
         half, whitened = both[:, :-1], both[:, -1]  # S^-1/2 H P, S^-1/2 r
-        lower = dsyrk(-1.0, half, beta=1.0, c=self.P.T, trans=1, lower=0)  # one half of P - half' half
-        self.P = _mirrored(lower)
+        self.P -= half.T @ half  # symmetric by construction
         self._correct(half.T @ whitened)
 
     def update(self, residual: F64, H: F64, noise: F64) -> None:
@@ -160,14 +158,6 @@ class State:
             c.R, c.p = turn @ c.R, c.p + way
         for q, d in zip(self.points, error[self.point_start :].reshape(-1, POINT), strict=True):
             q.x = q.x + d
-
-
-def _mirrored(upper: F64) -> F64:
-    """The symmetric matrix of which only the upper half was filled in."""
-    out = np.triu(upper)
-    out += out.T
-    out[np.diag_indices(len(out))] *= 0.5
-    return out
 
 
 def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:

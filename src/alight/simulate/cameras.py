@@ -19,9 +19,11 @@ from alight.simulate.materials import tables
 from alight.simulate.movers import boxes_at
 
 if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
+    from alight.simulate.things.base import Box
     from alight.simulate.world import Patch, World
 
 Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
+COARSEST = 4  # halvings of the layers of looks
 REACH = 12.0  # heights above the ground to which the ground is made; beyond it goes on level
 FOUR = ((-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375))
 
@@ -106,20 +108,28 @@ class Eye:
 
     def _add(self, world: World, turns: F64, places: F64, seconds: F64, sample: int, weight: float, out: F32) -> None:
         middle = float(seconds[len(seconds) // 2])
-        patch = world.patch(self.footprint(world, turns, places), middle)
+        pixel = 1.0 / math.sqrt(self.camera.fu * self.camera.fv)
+        bounds = self.footprint(world, turns, places)
+        patch = world.patch(bounds, middle, _level(world, bounds, float(places[:, 2].min()), pixel))
         depth, faces = self._cast(world, patch, turns, places, sample), np.zeros(out.shape[:2], np.int16)
         boxes = _near(boxes_at(world.movers, seconds), patch)
         turns, places = np.ascontiguousarray(turns), np.ascontiguousarray(places)
         if boxes.shape[1]:
             cast_boxes(boxes, places, self.rays[sample], turns, depth, faces)
-        none = np.zeros((0, 0), np.uint8), np.zeros((0, 0, 3), np.float32)
+        none = np.zeros((0, 0), np.uint8), np.zeros((1, 0, 3), np.float32)
         look, tint = none[0] if patch.look is None else patch.look, none[1] if patch.tint is None else patch.tint
-        pixel = 1.0 / math.sqrt(self.camera.fu * self.camera.fv)
+        height = none[1][0] if patch.level else patch.height
         level = float(np.concatenate([patch.height[[0, -1]].ravel(), patch.height[:, [0, -1]].ravel()]).mean())
         shade(
-            patch.label, look, patch.light, tint, patch.place, *tables(), places, self.rays[sample], turns, depth,
-            faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
+            height, patch.label, look, patch.light, tint, patch.skin_place, *tables(), places, self.rays[sample], turns,
+            depth, faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
         )  # fmt: skip
+
+
+def _level(world: World, bounds: Box, up: float, pixel: float) -> int:
+    """How often the cells of looks and light are halved in number: no finer than a pixel covers of the ground below."""
+    cells = (up - world.usual_height(bounds)) * pixel / world.cell
+    return min(max(math.floor(math.log2(max(cells, 1e-3))), 0), COARSEST)
 
 
 def spread(samples: int) -> NDArray[np.float64]:

@@ -45,6 +45,7 @@ class Material:
     spread: float = 0.4  # and how that differs
     tall: float = 0.3  # height of a thing over its radius: its shadow
     deep: float = 0.0  # metres below the surface to which one sees between leaves
+    lift: float = 0.0  # metres by which its tips stand above the height that truth knows: the mean of what is seen
     open: float = 0.0  # more (1) or less (-1) gaps between the leaves
     coarse: float = 0.5  # leaves in tufts of 40 cm (1) or as single blades (0)
     sway: float = 0.0  # metres, in a wind of 4 m/s
@@ -61,7 +62,7 @@ class Material:
             *self.first, *self.second, *self.third, self.mix, self.patch, self.edge, self.contrast, self.uneven,
             self.vary, self.hue, 0.5**self.roughening, self.ridge, self.bump, self.crack, *self.things, self.tone,
             self.spread, self.tall, self.deep, self.open, self.coarse, self.sway, self.hot, self.gloss,
-            float(self.pattern), float(self.bed), self.waves, self.scum, 0.0,
+            float(self.pattern), self.lift, float(self.bed), self.waves, self.scum,
         ]  # fmt: skip
 
 
@@ -84,22 +85,24 @@ MOSS = (0.05, 0.085, 0.02)
 
 MATERIALS: dict[Look, Material] = {
     Look.BY_CLASS: Material((0.2, 0.2, 0.2), (0.2, 0.2, 0.2)),
-    Look.MEADOW: _plant((0.06, 0.115, 0.022), (0.17, 0.17, 0.06), SOIL, patch=-1.15, deep=0.10, coarse=0.2, sway=0.01,
-                        things=(0.25, 0.22, 0.10, 0.05), tone=0.25, spread=0.7, tall=0.3, open=-0.25, vary=0.22),
+    Look.MEADOW: _plant((0.06, 0.115, 0.022), (0.17, 0.17, 0.06), SOIL, patch=-1.15, deep=0.10, coarse=0.2,
+                        lift=0.028, sway=0.01, things=(0.25, 0.22, 0.10, 0.05), tone=0.25, spread=0.7, tall=0.3,
+                        open=-0.25, vary=0.22),
     Look.LAWN: _plant((0.055, 0.12, 0.025), (0.11, 0.15, 0.04), MOSS, contrast=0.17, patch=-1.2, vary=0.16, deep=0.02,
-                      open=-0.7, coarse=0.0, things=(0.1, 0.05, 0.0, 0.0), tone=0.5, uneven=0.7),
-    Look.DRY_GRASS: _plant((0.20, 0.17, 0.085), (0.29, 0.245, 0.13), SOIL, patch=-0.9, deep=0.12, coarse=0.3, sway=0.01,
-                           things=(0.3, 0.25, 0.12, 0.06), tone=0.1, spread=0.6, open=-0.4, vary=0.25),
+                      lift=0.004, open=-0.7, coarse=0.0, things=(0.1, 0.05, 0.0, 0.0), tone=0.5, uneven=0.7),
+    Look.DRY_GRASS: _plant((0.20, 0.17, 0.085), (0.29, 0.245, 0.13), SOIL, patch=-0.9, deep=0.12, coarse=0.3,
+                           lift=0.029, sway=0.01, things=(0.3, 0.25, 0.12, 0.06), tone=0.1, spread=0.6, open=-0.4,
+                           vary=0.25),
     Look.TALL_GRASS: _plant((0.07, 0.11, 0.025), (0.19, 0.17, 0.065), (0.17, 0.15, 0.075), contrast=0.4, patch=-1.2,
                             deep=0.45, open=0.2, coarse=0.35, sway=0.035, bump=0.25, roughening=-0.05, vary=0.22),
     Look.CROP: _plant((0.05, 0.11, 0.02), (0.13, 0.15, 0.04), SOIL, contrast=0.35, patch=-1.3, deep=0.4, open=0.15,
                       coarse=0.2, sway=0.03, bump=0.2),
     Look.STUBBLE: _plant((0.24, 0.19, 0.10), (0.31, 0.25, 0.14), SOIL, contrast=0.3, patch=-0.6, deep=0.08, open=0.2,
-                         coarse=0.0, things=(0.5, 0.4, 0.1, 0.0), tone=0.3, spread=0.5, roughening=-0.1),
+                         lift=0.042, coarse=0.0, things=(0.5, 0.4, 0.1, 0.0), tone=0.3, spread=0.5, roughening=-0.1),
     Look.REED: _plant((0.12, 0.14, 0.045), (0.24, 0.20, 0.095), (0.05, 0.05, 0.03), contrast=0.4, deep=0.6, open=0.35,
                       coarse=0.15, sway=0.05, bump=0.3, roughening=-0.1),
     Look.HEATH: _plant((0.07, 0.055, 0.035), (0.12, 0.10, 0.045), (0.17, 0.15, 0.09), contrast=0.38, patch=-0.7,
-                       deep=0.12, open=0.1, coarse=0.4, bump=0.3),
+                       deep=0.12, lift=0.054, open=0.1, coarse=0.4, bump=0.3),
     Look.SOIL: Material((0.105, 0.082, 0.06), (0.19, 0.155, 0.115), (0.055, 0.044, 0.034), patch=-0.9, contrast=0.24,
                         vary=0.25, bump=0.14, things=(0.5, 0.35, 0.15, 0.04), tone=0.35, spread=0.5, tall=0.55),
     Look.MUD: Material((0.075, 0.06, 0.045), (0.12, 0.095, 0.07), (0.16, 0.13, 0.10), patch=-1.0, contrast=0.13,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from alight.kernels.layers import BLOCK, block_tops, box_mean, ground_light, sun
 from alight.kernels.raycast import max_pyramid
 from alight.records import F32, F64, U8, InputError, Terrain
 from alight.simulate import rasters
+from alight.simulate.coarser import mean_of, mean_shadow, most_of
 from alight.simulate.light import Light, Sun
 from alight.simulate.movers import Mover
 from alight.simulate.rasters import Arrays
@@ -37,10 +38,11 @@ class Patch:
 
     grid: Grid
     height: F32  # (R, C) metres above the origin, topmost surface
-    label: U8  # (R, C) Terrain codes
+    label: U8  # (R, C) Terrain codes; this and what follows: of blocks of 2^level cells, means or what most are
     light: F32  # (R, C, 5) slope east, slope north, shadow margin, share of open sky, water depth
     look: U8 | None = None  # (R, C) codes of Look; None: all by class
     tint: F32 | None = None  # (R, C, 3) factor on the look's reflectance; None: 1
+    level: int = 0
 
     @cached_property
     def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64]]:
@@ -51,6 +53,12 @@ class Patch:
     def place(self) -> F64:
         """(3,) east and north of cell (0, 0), and the cell: what the kernels take."""
         return np.array([self.grid.east, self.grid.north, self.grid.cell])
+
+    @cached_property
+    def skin_place(self) -> F64:
+        """The same of the layers that are not heights."""
+        shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
+        return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
 
     @cached_property
     def low(self) -> float:
@@ -118,10 +126,23 @@ class World:
         """Heights between which everything in a box lies, on the safe side."""
         return self.source.range(bounds)
 
-    def patch(self, bounds: Box, time: float = 0.0) -> Patch:
-        """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun."""
+    def patch(self, bounds: Box, time: float = 0.0, level: int = 0) -> Patch:
+        """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun.
+
+        `level`: looks and light are of blocks of 2^level cells, for pictures whose pixels cover so much.
+        """
         box, sun = self._tile_box(bounds), self.light.sun_at(time)
-        return _patch(self._patches.get((box, sun), lambda: self._make_patch(box, sun), lambda p: p.nbytes))
+        make = partial(self._make_patch, box, sun, level)
+        return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
+
+    def usual_height(self, bounds: Box) -> float:
+        """Median of a few heights in the tiles of a box: about what a camera is above."""
+        box = self._tile_box(bounds)
+        e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
+        heights = self._patches.get(
+            ("usual", box), lambda: [self._height(int(i), int(j)) for i in e for j in n], lambda h: 8 * len(h)
+        )
+        return float(np.median(heights))
 
     def height_at(self, east: float, north: float) -> float:
         """Height of the surface, metres above the origin."""
@@ -188,30 +209,38 @@ class World:
 
     # -- light
 
-    def _make_patch(self, box: tuple[int, int, int, int], sun: Sun) -> Patch:
+    def _make_patch(self, box: tuple[int, int, int, int], sun: Sun, level: int) -> Patch:
         i0, j0, i1, j1 = box[0] * SIDE, box[1] * SIDE, (box[2] + 1) * SIDE - 1, (box[3] + 1) * SIDE - 1
-        layers = self._window(i0, j0, i1, j1, ("height", "label", "look", "tint"))
-        light = np.empty((*layers["height"].shape, 5), np.float32)
+        height = self._window(i0, j0, i1, j1, ("height",))["height"]
+        shape, side = (height.shape[0] >> level, height.shape[1] >> level), SIDE >> level
+        light, layers = np.empty((*shape, 5), np.float32), dict[str, Any]()
         for tj in range(box[1], box[3] + 1):
             for ti in range(box[0], box[2] + 1):
-                rows = slice((box[3] - tj) * SIDE, (box[3] - tj + 1) * SIDE)
-                cols = slice((ti - box[0]) * SIDE, (ti - box[0] + 1) * SIDE)
-                light[rows, cols] = self._light(ti, tj, sun)
+                rows = slice((box[3] - tj) * side, (box[3] - tj + 1) * side)
+                cols = slice((ti - box[0]) * side, (ti - box[0] + 1) * side)
+                self._lay_light(ti, tj, sun, level, light[rows, cols])
+                for name, layer in zip(("label", "look", "tint"), self._skin(ti, tj, level), strict=True):
+                    _copy(layers, name, layer, (rows, cols), slice(None), shape)
         look = layers["look"] if layers["look"].any() else None
-        grid = self._grid(i0, j1, *layers["height"].shape)
-        return Patch(grid, layers["height"], layers["label"], light, look, layers.get("tint"))
+        grid = self._grid(i0, j1, *height.shape)
+        return Patch(grid, height, layers["label"], light, look, layers.get("tint"), level)
 
-    def _light(self, i: int, j: int, sun: Sun) -> F32:
-        """(SIDE, SIDE, 5) of one tile; its own apron makes it the same whatever lies loaded beside it."""
-        key = ("light", i, j, sun)
-        return np.asarray(self._tiles.get(key, lambda: self._make_light(i, j, sun), lambda a: a.nbytes))
+    def _skin(self, i: int, j: int, level: int) -> tuple[U8, U8, F32 | None]:
+        """Class, look and tint of a tile's blocks of 2^level cells."""
+        tile = self._tile(i, j)
+        if level == 0:
+            return tile.label, tile.look, tile.tint
+        codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
+        tint = None if tile.tint is None else mean_of(tile.tint, level)
+        return (codes % 16).astype(np.uint8), (codes // 16).astype(np.uint8), tint
 
-    def _make_light(self, i: int, j: int, sun: Sun) -> F32:
-        out = np.empty((SIDE, SIDE, 5), np.float32)
-        out[..., [0, 1, 3]] = self._tiles.get(("sky", i, j), lambda: self._make_sky(i, j), lambda a: a.nbytes)
-        out[..., 2] = self._make_shadow(i, j, sun)
-        out[..., 4] = self._tile(i, j).depth
-        return out
+    def _lay_light(self, i: int, j: int, sun: Sun, level: int, out: F32) -> None:
+        """Fill (SIDE >> level)^2 of one tile; its own apron makes it the same whatever lies loaded beside it."""
+        sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
+        shadow = self._tiles.get(
+            ("shadow", i, j, sun, level), lambda: mean_shadow(self._make_shadow(i, j, sun), level), lambda a: a.nbytes
+        )
+        out[..., [0, 1, 3]], out[..., 2], out[..., 4] = sky, shadow, mean_of(self._tile(i, j).depth, level)
 
     def _make_sky(self, i: int, j: int) -> F32:
         halves = [round(0.5 * width / self.cell) for width, _ in HOLLOWS]

@@ -24,19 +24,15 @@ def strength(image: U8, pixels: F32, window_px: int) -> F64:
     return np.asarray(response[y, x], dtype=np.float64)
 
 
-def _cells(pixels: F32, cell: float) -> list[tuple[int, int]]:
-    """(column, row) of the grid cell that each pixel lies in."""
-    return [(int(x), int(y)) for x, y in np.floor(np.nan_to_num(pixels) / cell)]
-
-
 def spread(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
     """Keep the `_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
-    keep = np.zeros(len(ids), bool)
-    count: dict[tuple[int, int], int] = {}
-    for i, key in enumerate(_cells(pixels, cell)):  # ids grow with the row, so the oldest come first
-        if good[i] and count.get(key, 0) < _PER_CELL:
-            count[key] = count.get(key, 0) + 1
-            keep[i] = True
+    keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
+    column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
+    key = row * 100_000 + column
+    order = np.argsort(key, kind="stable")  # ids grow with the row, so the oldest of a cell come first
+    ranked = key[order]
+    rank = np.arange(len(at)) - np.searchsorted(ranked, ranked)
+    keep[at[order[rank < _PER_CELL]]] = True
     return keep
 
 
@@ -51,11 +47,15 @@ def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
     response = cv2.cornerMinEigenVal(cv2.GaussianBlur(image, (3, 3), 0), 5)
     b = BORDER + 4
     response[:b], response[-b:], response[:, :b], response[:, -b:] = 0, 0, 0, 0
-    for x, y in taken:
-        cv2.circle(response, (round(float(x)), round(float(y))), max(2, int(0.7 * cell)), 0.0, -1)
-    used, found = set(_cells(taken, cell)), []
     rows, cols = (int(np.ceil(n / cell)) for n in response.shape)
-    for row, col in ((r, c) for r in range(rows) for c in range(cols) if (c, r) not in used):
+    column, line = np.clip(np.floor(np.nan_to_num(taken) / cell).astype(np.int64), 0, [cols - 1, rows - 1]).T
+    empty = np.ones((rows, cols), np.uint8)
+    empty[line, column] = 0
+    beside = cv2.dilate(empty, np.ones((3, 3), np.uint8))  # features elsewhere are too far from any empty cell
+    for x, y in taken[beside[line, column] > 0]:
+        cv2.circle(response, (round(float(x)), round(float(y))), max(2, int(0.7 * cell)), 0.0, -1)
+    found = []
+    for row, col in zip(*np.nonzero(empty), strict=True):
         y, x = int(np.ceil(row * cell)), int(np.ceil(col * cell))
         part = response[y : int(np.ceil((row + 1) * cell)), x : int(np.ceil((col + 1) * cell))]
         r, c = divmod(int(part.argmax()), part.shape[1]) if part.size else (0, 0)
