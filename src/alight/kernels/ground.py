@@ -117,7 +117,7 @@ def look_up(
         r, c, upper = _beside(height, gx, gy, base[2] + buf[Z + i])
         if r >= 0:
             gx, gy = float(c), float(r)
-            if not upper:  # the ground at its foot: level, however the cells slope
+            if not upper and not _hard(label[r, c]):  # ground at the foot of a thing: level, however cells slope
                 buf[SLOPE_E + i], buf[SLOPE_N + i] = f32(0.1) * buf[SLOPE_E + i], f32(0.1) * buf[SLOPE_N + i]
         else:
             r, c = _near(buf, i, label, gx, gy)

@@ -24,7 +24,6 @@ COLUMNS = 13
 ELLIPSOID, CONE, DRUM = 0, 1, 2  # shapes of domes
 GABLE, HIP, FLAT, CAR = 0, 1, 2, 3  # roofs of boxes
 PARAPET, CHIMNEY = 0.25, 0.4  # metres: height of the rim of a flat roof, half a chimney's side
-EAVES = 40.0  # degrees of a roof
 
 
 @kernel
