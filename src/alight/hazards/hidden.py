@@ -11,7 +11,7 @@ from alight.records import F32, ElevationMap
 SURROUNDINGS = 0.25  # metres, 1-sigma of the brightness that a spot is compared with
 # log odds that nothing higher than the limit stands in a footprint: constant, per e-fold of the deviation over the
 # limit, per e-fold of the darkness; fitted to four simulated flights (bench/bench_ground.py odds)
-ODDS = (-6.97, -1.94, -4.03)
+ODDS = (-5.55, -2.66, -2.90)
 LEAST_DEVIATION, LEAST_DARKNESS = 0.03, 0.01  # of the limit; in log brightness: below, they tell nothing
 
 
