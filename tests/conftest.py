@@ -6,8 +6,10 @@ import alight  # noqa: F401  (before NumPy: it says how many threads linear alge
 
 # isort: split
 import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numba
 import pytest
 from damage import write_flight, write_photos
 
@@ -31,3 +33,11 @@ def flight(tmp_path: Path) -> Path:
 def photos(tmp_path: Path) -> Path:
     """A tiny healthy folder of photos as DJI writes them."""
     return write_photos(tmp_path / "survey")
+
+
+@pytest.fixture
+def threads() -> Iterator[Callable[[int], None]]:
+    """Sets how many threads the kernels use, until the test is over."""
+    before = numba.get_num_threads()
+    yield numba.set_num_threads
+    numba.set_num_threads(before)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 import numba
 import numpy as np
@@ -378,13 +377,6 @@ CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
         LENSES["equidistant"], heights("random"), Grid(0.0, 0.0, CELL, ROWS, COLS), Pose(DOWN, np.array([1.0, 2, 9]))
     ),
 }
-
-
-@pytest.fixture
-def threads() -> Iterator[Any]:
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
 
 
 @pytest.mark.parametrize("name", CALLS)

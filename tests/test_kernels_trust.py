@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 import numba
 import numpy as np
@@ -139,13 +138,6 @@ def test_fuse() -> None:
 CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
     "sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
 }  # fmt: skip
-
-
-@pytest.fixture
-def threads() -> Iterator[Any]:
-    before = numba.get_num_threads()
-    yield numba.set_num_threads
-    numba.set_num_threads(before)
 
 
 @pytest.mark.parametrize("name", CALLS)
