@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench bench-motion bench-simulator pictures clean
+.PHONY: help demo test check format bench bench-heights bench-ground bench-motion bench-simulator pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -23,7 +23,13 @@ format: $(MADE)  ## put the source into its form
 	$(BIN)/ruff format . && $(BIN)/ruff check --fix .
 
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
-	for b in bench/bench_*.py; do $(BIN)/python $$b || exit 1; done
+	$(BIN)/python bench/bench_steps.py
+
+bench-heights: $(MADE)  ## heights beside StereoSGBM on the ladder's test flights
+	$(BIN)/python bench/bench_heights.py
+
+bench-ground: $(MADE)  ## hazards: the contest's terrains, speed
+	$(BIN)/python bench/bench_ground.py
 
 bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py
