@@ -16,14 +16,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from doubt import exposures
 from matchers import Rectified, disparity, stands_clear
 from numpy.typing import NDArray
 
-from alight.elevation import Elevation
 from alight.evaluate.report import nmad
-from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.pipeline.terrain_lane import MARGIN, footprint, nice_cell
-from alight.records import F64, Frame, Terrain, View
+from alight.pipeline.terrain_lane import TerrainLane
+from alight.records import F64, Terrain, View
 from alight.settings import Settings
 from alight.simulate import SimulatedFlight
 from alight.simulate.ladder import Rung, ladder, rung
@@ -55,24 +54,6 @@ class Answer:
     given: Mask  # what it would give out
 
 
-def exposures(flight: SimulatedFlight, count: int) -> list[list[View]]:
-    """The views, left first, of the middle `count` exposures, with true poses."""
-    frames = [e for e in flight.events() if isinstance(e, Frame)]
-    start = max(0, (len(frames) - count) // 2)
-    out = []
-    for e in frames[start : start + count]:
-        body = flight.pose(e.t_ns)
-        cams = flight.true_rig.cameras
-        out.append(
-            [
-                View(e.t_ns, i, p, c.camera, body @ c.body_from_cam)
-                for i, (c, p) in enumerate(zip(cams, e.images, strict=True))
-                if p is not None
-            ]
-        )
-    return out
-
-
 def points_of(flight: SimulatedFlight, shots: list[list[View]]) -> Points:
     """Draw the points."""
     truth = flight.truth
@@ -98,8 +79,8 @@ def points_of(flight: SimulatedFlight, shots: list[list[View]]) -> Points:
 # -- the matchers
 
 
-def _on_map(elevation: Elevation, points: Points) -> Answer:
-    found = elevation.snapshot()
+def _on_map(lane: TerrainLane, points: Points) -> Answer:
+    found = lane.elevation.snapshot() if lane.elevation else None
     assert found is not None
     r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
     ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)
@@ -108,42 +89,27 @@ def _on_map(elevation: Elevation, points: Points) -> Answer:
     return Answer(height, found.sigma[r, c].astype(np.float64), ok & found.trusted[r, c])
 
 
-def _ground(views: list[View]) -> tuple[F64, float, float]:
-    points = find_points(views[:: max(1, len(views) // 8)])
-    ground = float(np.median(points[:, 2]))
-    return points, ground, nice_cell(ground_sampling(views[0], ground))
+def _lane(views: list[View]) -> TerrainLane:
+    lane = TerrainLane(Settings())
+    if not lane.learn(views[:: max(1, len(views) // 8)]):
+        raise SystemExit(lane.reason)
+    return lane
 
 
 def batch(shots: list[list[View]], points: Points) -> Answer:
     """Alight's batch on the left pictures."""
     views = [s[0] for s in shots]
-    cloud, ground, cell = _ground(views)
-    elevation, settings = Elevation(cell, 384), Settings()
-    images = Images(views, cell, ground)
-    corners = np.concatenate([footprint(v, ground) for v in views])
-    span = height_range(cloud, float(views[0].centre[2]))
-    for key in elevation.cover((corners[:, 0].min(), corners[:, 0].max()), (corners[:, 1].min(), corners[:, 1].max())):
-        found = match(images, elevation.tile_grid(key, MARGIN), *span, settings.parallax)
-        if found is not None:
-            elevation.add(found)
-    return _on_map(elevation, points)
+    lane = _lane(views)
+    lane.build(views, lambda share: None)
+    return _on_map(lane, points)
 
 
 def ring(shots: list[list[View]], points: Points) -> Answer:
     """Alight's recursive step, exposure by exposure."""
-    views = [s[0] for s in shots]
-    cloud, ground, cell = _ground(views)
-    elevation, held = Elevation(cell, 384), Ring(Settings().parallax, cell, ground)
-    span = height_range(cloud, float(views[0].centre[2]))
-    for v in views:
-        held.push([v])
-        corner = footprint(v, ground)
-        low, high = corner.min(axis=0), corner.max(axis=0)
-        grid = elevation.window((low[0], high[0]), (low[1], high[1]))
-        found = held.step(grid, elevation.read(grid), *span)
-        if found is not None:
-            elevation.add(found, replace_all=True)
-    return _on_map(elevation, points)
+    lane = _lane([s[0] for s in shots])
+    for shot in shots:
+        lane.step(shot[:1])
+    return _on_map(lane, points)
 
 
 def _by_pair(a: View, b: View, points: Points, wider: int = 1) -> tuple[F64, Mask]:
@@ -154,7 +120,7 @@ def _by_pair(a: View, b: View, points: Points, wider: int = 1) -> tuple[F64, Mas
     for strict in (False, True):
         found = disparity(pair, near, far, strict, wider)
         h, w = found.shape
-        col, row = np.rint(uv * [1, 1]).astype(int).T
+        col, row = np.rint(uv).astype(int).T
         inside = (col >= 0) & (col < w) & (row >= 0) & (row < h)
         d = np.where(inside, found[row.clip(0, h - 1), col.clip(0, w - 1)], -1e9)
         low = pair.f * pair.baseline / far - 4
@@ -226,7 +192,7 @@ def row(answer: Answer, points: Points, both: Mask, above: float) -> dict[str, f
 def measure(which: Rung) -> Iterator[tuple[int, dict[str, dict[str, float]]]]:
     """For each N the row of every matcher."""
     flight = which.fly()
-    shots = exposures(flight, max(COUNTS))
+    shots = list(exposures(flight))
     for count in COUNTS:
         start = (len(shots) - count) // 2
         some = shots[start : start + count]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid
+from alight.geometry import Grid, box_of
 from alight.records import REFUSED, ElevationMap, Flag, Heights
 
 Key = tuple[int, int]  # (row, column) of a tile; rows count north
@@ -165,9 +165,8 @@ class Elevation:
 def cropped(full: ElevationMap) -> ElevationMap | None:
     """The part of a map that was seen; None when nothing was."""
     seen = (full.flags & np.uint16(Flag.UNSEEN)) == 0
-    rows, cols = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
-    if not len(rows):
+    if not seen.any():
         return None
-    r, c = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    grid = full.grid.window(int(r.start), int(c.start), int(r.stop - r.start), int(c.stop - c.start))
+    r, c = box_of(seen)
+    grid = full.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
     return replace(full, grid=grid, **{k: np.ascontiguousarray(getattr(full, k)[r, c]) for k in FIELDS})

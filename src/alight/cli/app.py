@@ -16,7 +16,7 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from alight import __version__
-from alight.records import AlightError, OutputError, SettingsError
+from alight.records import AlightError, OutputError, SettingsError, Site
 from alight.settings import Settings, load
 
 MENDABLE, INTERRUPTED = 2, 130  # exit codes
@@ -96,6 +96,14 @@ def say(line: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
     except OSError as e:
         raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
+
+
+def tell_site(site: Site, place: str, found: str) -> None:
+    """The best site in one line on stdout."""
+    say(
+        f"SITE  {place}  slope {site.slope * 57.29578:.1f} deg  rough {site.roughness:.2f} m  "
+        f"clear {site.clearance:.1f} m  P(safe) {site.p_safe:.3f}  ({found})"
+    )
 
 
 @app.callback(invoke_without_command=True)

@@ -21,6 +21,7 @@ from alight.cli.app import (
     progress_bar,
     read_settings,
     say,
+    tell_site,
 )
 from alight.records import RunResult, SettingsError
 from alight.settings import Settings
@@ -93,10 +94,8 @@ def _answer(result: RunResult) -> None:
         say(f"NO SITE  {result.sites.reason}")
         return
     s = result.sites.sites[0]
-    say(
-        f"SITE  east {s.east:.2f} north {s.north:.2f}  slope {s.slope * 57.29578:.1f} deg  rough {s.roughness:.2f} m  "
-        f"clear {s.clearance:.1f} m  P(safe) {s.p_safe:.3f}  ({len(result.sites.sites)} found, {share:.1f} % is safe)"
-    )
+    found = f"{len(result.sites.sites)} found, {share:.1f} % is safe"
+    tell_site(s, f"east {s.east:.2f} north {s.north:.2f}", found)
 
 
 @app.command("hazards")

@@ -18,6 +18,7 @@ from alight.cli.app import (
     progress_bar,
     read_settings,
     say,
+    tell_site,
 )
 from alight.records import RunResult
 
@@ -40,11 +41,7 @@ def _answer(result: RunResult) -> None:
     if not result.sites.sites:
         say(f"NO SITE  {result.sites.reason}")
         return
-    s = result.sites.sites[0]
-    say(
-        f"SITE  {_place(result)}  slope {s.slope * 57.29578:.1f} deg  rough {s.roughness:.2f} m  "
-        f"clear {s.clearance:.1f} m  P(safe) {s.p_safe:.3f}  ({len(result.sites.sites)} found)"
-    )
+    tell_site(result.sites.sites[0], _place(result), f"{len(result.sites.sites)} found")
 
 
 @app.command()

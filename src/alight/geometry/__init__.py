@@ -2,7 +2,7 @@
 
 from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
 from alight.geometry.geodesy import LocalFrame
-from alight.geometry.grid import Grid, ground_projection
+from alight.geometry.grid import Grid, box_of, ground_projection
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
     enu_from_flu,
@@ -22,6 +22,7 @@ __all__ = [
     "Grid",
     "LocalFrame",
     "Pose",
+    "box_of",
     "enu_from_flu",
     "ground_projection",
     "matrix_from_quaternion",

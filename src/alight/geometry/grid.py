@@ -62,6 +62,14 @@ class Grid:
         return c, 0.0, self.east - c / 2, 0.0, -c, self.north + c / 2
 
 
+def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Rows and columns of the rectangle about the cells of a mask (R, C); empty where there are none."""
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not len(rows):
+        return slice(0, 0), slice(0, 0)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
+
+
 def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[Array, Array]:
     """Return `H` (3, 3) and `b` (3,) in *normalised* image coordinates (K left out; the lens comes after, per cell)."""
     cam_from_world = world_from_cam.inverse

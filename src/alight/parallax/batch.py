@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust
@@ -26,14 +25,11 @@ MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferr
 ITERATIONS = 4
 
 
-def enlarge(values: F32, grid: Grid, factor: int, smooth: bool) -> F32:
-    """Bring coarse values to the grid; bilinear where four neighbours are known, the nearest otherwise."""
-    shape = (values.shape[1] * factor, values.shape[0] * factor)
-    nearest = cv2.resize(values, shape, interpolation=cv2.INTER_NEAREST)
-    if smooth:
-        linear = cv2.resize(values, shape, interpolation=cv2.INTER_LINEAR)
-        nearest = np.where(np.isnan(linear), nearest, linear)
-    return np.ascontiguousarray(nearest[: grid.rows, : grid.cols], dtype=np.float32)
+def interpolated(values: F32, grid: Grid) -> F32:
+    """Bring what the sweep found to the grid; bilinear where four neighbours are known, the nearest otherwise."""
+    shape = (values.shape[1] * COARSE, values.shape[0] * COARSE)
+    linear = cv2.resize(values, shape, interpolation=cv2.INTER_LINEAR)[: grid.rows, : grid.cols]
+    return np.where(np.isnan(linear), refine.enlarged(values, grid, COARSE), linear)
 
 
 class Images:
@@ -75,7 +71,7 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     wide = grid.coarser(COARSE)
     coarse = [images.get(i, coarse=True) for i in chosen]
     found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell), images.height)
-    start = enlarge(found, grid, COARSE, smooth=True)
+    start = interpolated(found, grid)
     if not np.isfinite(start).any():
         return None
     fine = [images.get(i, coarse=False) for i in chosen]
@@ -83,7 +79,7 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     start = sharpen(fine, grid, start, per_px)
     visible = refine.visible_from(fine, grid, start, per_px)
     fit = refine.gauss_newton(fine, grid, start, visible, ITERATIONS)
-    ambiguity = enlarge(ratio, grid, COARSE, smooth=False)
+    ambiguity = refine.enlarged(ratio, grid, COARSE)
     rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
     return judged(fine, fine, grid, fit, ambiguity, (low, high), rgb)
 
@@ -99,12 +95,12 @@ def judged(
 ) -> Heights:
     """Put sigma and flags to a fit; `lit` are the views asked for the brightness."""
     slide = np.float32(grid.cell) / fit.metres_per_px
-    seen = trust.Evidence(ratio, trust.brightness(lit, grid, fit.height), slide, *searched)
+    texture = trust.variance_of(fit.mean)
+    residual = trust.residual_share(fit, texture)
+    brightness = trust.brightness(lit, grid, fit.height)
+    seen = trust.Evidence(ratio, texture, residual, brightness, slide, *searched)
     sigma = trust.sigma(fit, grid.cell)
-    flags = trust.flags(fit, seen, sigma)
-    return Heights(
-        grid, fit.height, sigma, flags, fit.seen, rgb, trust.residual_share(fit, trust.variance_of(fit.mean))
-    )
+    return Heights(grid, fit.height, sigma, trust.flags(fit, seen, sigma), fit.seen, rgb, residual)
 
 
 def colour(
@@ -124,16 +120,12 @@ def colour(
             if not left.any():
                 return out
             mx, my = maps(fine[i], grid, height)
-            ok = left & (mx >= 0) & (_twice(visible[i], grid) | (not strict))
+            ok = left & (mx >= 0) & ((refine.enlarged(visible[i], grid, 2) > 0) | (not strict))
             if ok.any():
                 seen = picture_at(views[i], fine[i], mx, my)
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
-
-
-def _twice(visible: U8, grid: Grid) -> NDArray[np.bool_]:
-    return np.repeat(np.repeat(visible > 0, 2, axis=0), 2, axis=1)[: grid.rows, : grid.cols]
 
 
 def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:

@@ -90,12 +90,12 @@ def baselines(prepared: list[Prepared], grid: Grid, height: F32) -> tuple[F32, N
     seen[seen < 0] = np.nan
     baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
     kernels.baseline(seen, centres_of(prepared), baseline, count)
-    return enlarged(baseline, grid), enlarged(count, grid)
+    return enlarged(baseline, grid, SEEN_BLOCK), enlarged(count, grid, SEEN_BLOCK)
 
 
-def enlarged(values: NDArray[Any], grid: Grid) -> NDArray[Any]:
-    """The values of blocks of `SEEN_BLOCK` cells on the cells of the grid."""
-    return np.repeat(np.repeat(values, SEEN_BLOCK, axis=0), SEEN_BLOCK, axis=1)[: grid.rows, : grid.cols]
+def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
+    """The values of blocks of `factor` x `factor` cells on the cells of the grid."""
+    return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)[: grid.rows, : grid.cols]
 
 
 def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:
@@ -140,9 +140,8 @@ def gauss_newton(
 ) -> Fit:
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
-    `visible` (N, R, C) leaves views out where the map stands in their way, unless it leaves one only: then the map is
-    wrong. What the fit knows beside the heights is of
-    where the last iteration began.
+    `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
+    map is wrong. What the fit knows beside the heights is of where the last iteration began.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()

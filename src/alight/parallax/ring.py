@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid
+from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
 from alight.parallax import refine
-from alight.parallax.batch import COARSE, enlarge, judged, picture_at
+from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
 from alight.parallax.views import Buffers, Prepared, maps, prepare
 from alight.records import F32, U8, ElevationMap, Heights, View
@@ -101,14 +101,14 @@ class Ring:
         fresh = np.isnan(before) & self._parallax_enough(views, grid, before)
         if not fresh.any():
             return before
-        where = _box(fresh)
+        where = box_of(fresh)
         part = grid.window(where[0].start, where[1].start, *fresh[where].shape)
         wide = part.coarser(COARSE)
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
         out = before.copy()
-        out[where] = np.where(fresh[where], enlarge(found, part, COARSE, smooth=True), before[where])
-        ratio[where] = np.where(fresh[where], enlarge(ambiguity, part, COARSE, smooth=False), ratio[where])
+        out[where] = np.where(fresh[where], interpolated(found, part), before[where])
+        ratio[where] = np.where(fresh[where], refine.enlarged(ambiguity, part, COARSE), ratio[where])
         return out
 
     def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
@@ -119,7 +119,7 @@ class Ring:
         k = BELOW * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = np.isnan(known.height) & np.isfinite(height)
-        for where, only in ((_box(fresh), fresh), (below, np.isfinite(height))):
+        for where, only in ((box_of(fresh), fresh), (below, np.isfinite(height))):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
             if not part.rows * part.cols:
@@ -128,14 +128,6 @@ class Ring:
             take = only[where] & (mapx >= 0)
             out[where][take] = picture_at(view, fine, mapx, mapy)[take]
         return out
-
-
-def _box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
-    """The rectangle about the cells of a mask; empty where there are none."""
-    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if not len(rows):
-        return slice(0, 0), slice(0, 0)
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
 def spread_out(away: NDArray[np.float64], count: int) -> list[int]:

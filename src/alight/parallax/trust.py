@@ -38,6 +38,8 @@ class Evidence:
     """What is known of each cell beside the fit; all (R, C)."""
 
     cost_ratio: F32  # best over second-best sweep cost
+    texture: F32  # variance of the template nearby
+    residual: F32  # share of the variance that the views do not have in common
     grey: F32  # (R / 2, C / 2) mean grey level of the views
     slide: F32  # baseline of the views that see a cell over their height above it
     low: float  # metres, lowest searched height
@@ -95,7 +97,7 @@ def _near(values: F32) -> F32:
     return np.asarray(cv2.blur(_halved(values), (5, 5)), dtype=np.float32)
 
 
-def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F32]:
+def evidence(fit: Fit, seen: Evidence, sigma_: F32, ambiguity: F32) -> dict[str, F32]:
     """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost nearby; residual: share of the variance that the views do not share, nearby;
@@ -103,7 +105,6 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F
     (the high side of a step is where windows smear); slide: baseline over height.
     """
     per_px = _halved(fit.metres_per_px)
-    ambiguity = _near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, np.float32(1)))
     sigma_px = np.fmin(sigma_ / fit.metres_per_px, np.float32(5.0))  # 5 where there is none
     filled = _filled(fit.height)
     low, high = _pooled(filled, np.minimum), _pooled(filled, np.maximum)
@@ -111,7 +112,7 @@ def evidence(fit: Fit, seen: Evidence, sigma_: F32, texture: F32) -> dict[str, F
     return {
         "ambiguity": np.clip(ambiguity, 1e-2, 1.0),
         "sigma": np.clip(np.sqrt(_near(sigma_px**2)), 5e-2, 50.0),
-        "residual": np.clip(_near(residual_share(fit, texture)), 1e-2, 1.0),
+        "residual": np.clip(_near(seen.residual), 1e-2, 1.0),
         "drop": np.clip((high - cv2.erode(low, near)) / per_px, 5e-2, 50.0),
         "rise": np.clip((cv2.dilate(high, near) - low) / per_px, 5e-2, 50.0),
         "slide": np.clip(_halved(seen.slide), 1e-2, 2.0),
@@ -140,10 +141,10 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
 
 def flags(fit: Fit, seen: Evidence, sigma_: F32) -> U16:
     """The reasons, as bits of `Flag`, why each height is missing or doubtful."""
-    texture = variance_of(fit.mean)
-    terms = evidence(fit, seen, sigma_, texture)
+    ambiguity = _near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, np.float32(1)))
+    terms = evidence(fit, seen, sigma_, ambiguity)
     near = _bit(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
-    near |= _bit(_near(np.where(np.isfinite(seen.cost_ratio), seen.cost_ratio, 1)) > MAX_COST_RATIO, Flag.AMBIGUOUS)
+    near |= _bit(ambiguity > MAX_COST_RATIO, Flag.AMBIGUOUS)
     near |= _bit((seen.grey < 3) | (seen.grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
     near |= _bit(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
@@ -152,7 +153,7 @@ def flags(fit: Fit, seen: Evidence, sigma_: F32) -> U16:
     bits = (Flag.UNSEEN, Flag.INCONSISTENT, Flag.FEW, Flag.TEXTURE, Flag.RANGE)
     out = np.empty(fit.height.shape, np.uint16)
     kernels.flag(
-        near, fit.height, fit.seen, fit.used, fit.precision, texture, fit.noise, limits, tuple(map(int, bits)), out
+        near, fit.height, fit.seen, fit.used, fit.precision, seen.texture, fit.noise, limits, tuple(map(int, bits)), out
     )
     return out
 

@@ -24,7 +24,6 @@ class Prepared:
 
     grey: F32  # (H, W) smoothed to the cell
     norm: F32  # (H, W) grey less local mean over local sd
-    contrast: F32  # (H, W) local sd, grey levels
     camera: Camera
     H: F64  # (3, 3) ground homography, ideal coordinates (eq. 2)
     b: F64  # (3,) image of the vertical (eq. 2)
@@ -77,7 +76,7 @@ def prepare(view: View, cell: float, height: float) -> Prepared:
     contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0))
     H, b = ground_projection(camera, view.world_from_cam)
     norm = (grey - mean) / np.maximum(contrast, NORM_FLOOR)
-    return Prepared(grey, norm, contrast, camera, H, b, np.array(view.centre), radius2_limit(camera))
+    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera))
 
 
 class Buffers:
