@@ -113,7 +113,7 @@ def look_up(
     for i in range(B):
         gx = (base[0] - place[0] + buf[X + i]) * per
         gy = (place[1] - base[1] - buf[Y + i]) * per
-        _light_at(buf, i, light, gx, gy)
+        _layers_at(buf, i, SLOPE_E, light, 5, gx, gy)
         r, c, upper = _beside(height, gx, gy, base[2] + buf[Z + i])
         if r >= 0:
             gx, gy = float(c), float(r)
@@ -126,33 +126,22 @@ def look_up(
             look[i] = by_class[label[r, c]]
         buf[WATER + i] = wet[look[i]]
         if tint.size > 0:
-            _tint_at(buf, i, tint, gx, gy)
+            _layers_at(buf, i, TINT_R, tint, 3, gx, gy)
         else:
             buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
 
 
 @kernel
-def _light_at(buf: F32, i: int, light: F32, gx: float, gy: float) -> None:
-    rows, cols = light.shape[0], light.shape[1]
+def _layers_at(buf: F32, i: int, slot: int, layers: F32, count: int, gx: float, gy: float) -> None:
+    """Fill `count` slots from `slot` on with the layers (R, C, count) at a place of the grid, bilinear."""
+    rows, cols = layers.shape[0], layers.shape[1]
     gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
     ix, iy = int(gx), int(gy)
     u, v = f32(gx - ix), f32(gy - iy)
     a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
-    for k in range(5):
-        upper = light[iy, ix, k] * a + light[iy, ix + 1, k] * b
-        buf[SLOPE_E + k * B + i] = upper + light[iy + 1, ix, k] * c + light[iy + 1, ix + 1, k] * d
-
-
-@kernel
-def _tint_at(buf: F32, i: int, tint: F32, gx: float, gy: float) -> None:
-    rows, cols = tint.shape[0], tint.shape[1]
-    gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
-    ix, iy = int(gx), int(gy)
-    u, v = f32(gx - ix), f32(gy - iy)
-    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
-    for k in range(3):
-        upper = tint[iy, ix, k] * a + tint[iy, ix + 1, k] * b
-        buf[TINT_R + k * B + i] = upper + tint[iy + 1, ix, k] * c + tint[iy + 1, ix + 1, k] * d
+    for k in range(count):
+        upper = layers[iy, ix, k] * a + layers[iy, ix + 1, k] * b
+        buf[slot + k * B + i] = upper + layers[iy + 1, ix, k] * c + layers[iy + 1, ix + 1, k] * d
 
 
 @kernel
