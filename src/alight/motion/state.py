@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
 
 from alight.geometry import so3_exp
 from alight.motion.turns import exps
@@ -116,10 +117,10 @@ class State:
         R, p = self.rig, self.core[POS].copy()
         self.clones.append(Clone(self.t_ns, R, p, R, p))
 
-    def add_point(self, point: Point, cross: F64, covariance: F64) -> None:
-        """Append a point: `cross` (3, n) is its covariance with the state, `covariance` (3, 3) its own."""
+    def add_points(self, points: Sequence[Point], cross: F64, covariance: F64) -> None:
+        """Append m points: `cross` (3m, n) is their covariance with the state, `covariance` (3m, 3m) their own."""
         self.P = _insert(self.P, len(self.P), cross, covariance)
-        self.points.append(point)
+        self.points.extend(points)
 
     def drop(self, clones: Sequence[int] = (), points: Sequence[int] = ()) -> None:
         """Marginalise clones and points by index."""
@@ -140,10 +141,9 @@ class State:
         S = HP[:, columns] @ H.T
         S[np.diag_indices(len(S))] += 1.0
         L = np.linalg.cholesky(S)
-        both = solve_triangular(L, np.column_stack([HP, residual]), lower=True, check_finite=False)
-        half, whitened = both[:, :-1], both[:, -1]  # S^-1/2 H P, S^-1/2 r
-        self.P -= half.T @ half  # symmetric by construction
-        self._correct(half.T @ whitened)
+        half = dtrsm(1.0, L.T, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
+        self.P -= half @ half.T  # symmetric by construction
+        self._correct(half @ solve_triangular(L, residual, lower=True, check_finite=False))
 
     def update(self, residual: F64, H: F64, noise: F64) -> None:
         """Correct by a measurement `residual = H error + noise` over all unknowns; `noise` (m,) variances."""
