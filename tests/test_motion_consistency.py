@@ -141,7 +141,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
     for k in range(4):  # the first is known, the others are off by what the prior says
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
-        state.add_clone()
+        state.add_clone(k)
         at = state.clone_at(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +41,10 @@ class Features:
         state.drop(range(len(state.clones)), range(len(state.points)))
         self._waiting = Sights.none(len(self._cams))
 
+    def copy(self) -> Features:
+        """One that changes of this one leave as it is."""
+        return copy(self)  # what it holds is replaced, never changed
+
     def ring(self, state: State) -> Refined:
         """The poses held, refined with the sights that wait."""
         return refine(state, self._waiting, self._cams, self._settings.vague_share)
@@ -58,7 +63,7 @@ class Features:
         votes = self._use_up(state, ids, gone)
         lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
         state.drop(clones=gone, points=lost)
-        state.add_clone()
+        state.add_clone(tracks.t_ns)
         votes += measure(state, ids, seen, sigma, self._cams, self._gate)
         new = ~np.isin(ids, [x.id for x in state.points])
         self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
