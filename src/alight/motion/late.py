@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from alight.geometry import Pose
 from alight.motion.filter import MotionFilter, Snapshot
+from alight.motion.forecast import Forecast
 from alight.records import ImuSample, Motion, NavSample, PoseRing, Rig, Tracks
 from alight.settings import Filter
 
@@ -92,6 +93,10 @@ class LateFilter:
             if e.before.t_ns <= stamp_ns and e.before.state is not None:
                 return self._filter.forecast_of(e.before.state).cameras(stamp_ns, self._filter.imu)
         return self._filter.predict(stamp_ns)
+
+    def forecast(self) -> Forecast | None:
+        """What can be said of later exposures now; None before the first GPS/INS row."""
+        return self._filter.forecast()
 
     def ring(self) -> tuple[Motion, ...]:
         """The keyframes of `posterior`, oldest first."""
