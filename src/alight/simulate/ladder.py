@@ -136,6 +136,6 @@ def _check(r: Rung) -> None:
     if r.scene not in SCENES:
         raise InputError(f"{r.name}: the scene is not on the ladder; use one of: {', '.join(SCENES)}")
     if r.height not in RATES:
-        raise InputError(f"{r.name}: the height is not on the ladder; use one of: {', '.join(map(str, HEIGHTS))}")
+        raise InputError(f"{r.name}: the height is not on the ladder; use one of: {', '.join(map(str, RATES))}")
     if r.kind not in KINDS or not 1 <= r.number <= MOST_SEEDS:
         raise InputError(f"{r.name}: use tuning-1 or test-1, up to {MOST_SEEDS}")
