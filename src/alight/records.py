@@ -203,6 +203,9 @@ class Terrain(IntEnum):
     STRUCTURE = 8
 
 
+LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
+
+
 @dataclass(frozen=True, eq=False)
 class Heights:
     """What one parallax step found on one grid."""
