@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from alight.geometry import Camera, Grid, LocalFrame, Pose
 from alight.settings import Settings
 
+F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -245,6 +246,7 @@ class TerrainMap:
     grid: Grid
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
+    probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
 
 
 class Hazard(IntFlag):

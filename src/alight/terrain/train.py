@@ -37,7 +37,7 @@ def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
     return np.asarray(weight / weight.mean())
 
 
-def regression(z: F32, at: Integers, weight: F64, count: int) -> tuple[F32, F32]:
+def regression(z: F32, at: Integers, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
     """Multinomial logistic regression with a penalty: weights (K, F) and bias (K,)."""
     features = np.c_[z, np.ones(len(z))].astype(np.float64)
     goal = np.eye(count)[at]
@@ -47,19 +47,19 @@ def regression(z: F32, at: Integers, weight: F64, count: int) -> tuple[F32, F32]
         w = flat.reshape(count, -1)
         log_p = log_softmax((features @ w.T).astype(np.float64))
         off = (np.exp(log_p) - goal) * weight[:, None] / len(z)
-        value = -float((weight * (log_p * goal).sum(axis=1)).mean()) + 0.5 * PENALTY * float((w**2 @ free).sum())
-        return value, np.asarray((off.T @ features + PENALTY * w * free).ravel())
+        value = -float((weight * (log_p * goal).sum(axis=1)).mean()) + 0.5 * penalty * float((w**2 @ free).sum())
+        return value, np.asarray((off.T @ features + penalty * w * free).ravel())
 
     start = np.zeros(count * features.shape[1])
     found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x.reshape(count, -1)
     return found[:, :-1].astype(np.float32), found[:, -1].astype(np.float32)
 
 
-def fit_head(values: F32, at: Integers, weight: F64, count: int) -> Head:
+def fit_head(values: F32, at: Integers, weight: F64, count: int, penalty: float = PENALTY) -> Head:
     """The classifier of one level, without a temperature."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
-    weights, bias = regression(z, at, weight, count)
+    weights, bias = regression(z, at, weight, count, penalty)
     centres = np.stack([np.average(z[at == k], axis=0, weights=weight[at == k]) for k in range(count)])
     within = np.cov((z - centres[at]).T)
     round_one = np.eye(len(mean)) * np.trace(within) / len(mean)
