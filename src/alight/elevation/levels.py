@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.elevation.tiles import FIELDS, Fields, is_seen
-from alight.records import REFUSED, Flag
+from alight.records import REFUSED
 
 WHOLE = 3  # of four cells seen: the coarse one is
 ENOUGH = 2  # of four cells trusted: the coarse one is

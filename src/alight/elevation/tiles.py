@@ -59,7 +59,7 @@ def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 class Forgotten(dict[Name, bytes]):
-    """Where packed tiles go that nobody wants back: memory is bounded, and the map ends where the vehicle cannot see."""
+    """Where packed tiles go that nobody wants back: the map ends where the vehicle cannot see."""
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
         """Keep nothing."""
