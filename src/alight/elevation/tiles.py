@@ -124,7 +124,7 @@ class Layer:
             if (some := take[here]).any():
                 tile = self._tile(key)
                 for k in FIELDS:
-                    tile[k][at][some] = fields[k][here][some]
+                    np.copyto(tile[k][at], fields[k][here], where=some[..., None] if k == "rgb" else some)
 
     def _tile(self, key: Key) -> Fields:
         if key not in self._near:

@@ -45,6 +45,7 @@ class Ring:
         self._kept: list[list[Kept]] = []
         self._unknown = UNKNOWN_RATIO
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
+        self._sharper = False  # the cells became smaller: the colours of the map are coarse
         self._buffers = Buffers()
 
     def work_at(self, cell: float, ground: float) -> None:
@@ -54,6 +55,7 @@ class Ring:
         """
         self._ground = ground
         if cell != self._cell:
+            self._sharper = cell < self._cell
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute what the sweep found
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
@@ -153,7 +155,8 @@ class Ring:
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = BELOW * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
-        fresh = np.isnan(known.height) & np.isfinite(height)
+        fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
+        self._sharper = False
         for where, only in ((box_of(fresh), fresh), (below, np.isfinite(height))):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
