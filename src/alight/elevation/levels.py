@@ -1,4 +1,4 @@
-"""From one cell size to the next: what a coarse cell says of the four in it, and they of it (docs/method.md, 5)."""
+"""From one cell size to the next: what a coarse cell says of its four, and they of it (docs/method.md, eqs. 16b, 16c)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def is_trusted(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 
 def halved(fine: Fields) -> Fields:
-    """Means of 2 x 2 cells (eq. 17); those of the trusted ones where there are two of them or more.
+    """Means of 2 x 2 cells (eq. 16b); those of the trusted ones where there are two of them or more.
 
     Sigma is not divided: neighbours share their windows, and so their errors.
     """
@@ -36,7 +36,7 @@ def halved(fine: Fields) -> Fields:
 
 
 def doubled(coarse: Fields) -> Fields:
-    """The same at half the cell size (eq. 18): bilinear between trusted cells, each cell's own value beside others.
+    """The same at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
 
     Sigma grows by `LESS_SURE`: what is smaller than a coarse cell was not seen.
     """
