@@ -2,7 +2,7 @@
 
     python bench/bench_motion.py                        all of it
     python bench/bench_motion.py nees damage speed      some parts: nees batch damage sample ladder photos speed evo
-    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50
+    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50 --seeds 3
 
 `nees`, `batch` and `damage` fly without images; `sample` and `photos` need the recordings in ../shared/data (or
 $ALIGHT_DATA) and say so when they are absent.
@@ -35,9 +35,9 @@ from motion_scenarios import ALL, DEGRADED, GOOD, OUTAGE, Outcome
 from point_flight import NOISE, PointFlight, best, error, nees, run
 
 from alight.geometry import Pose, so3_log
-from alight.motion import MotionFilter
+from alight.motion import LateFilter, MotionFilter
 from alight.records import F64, Frame, ImuSample, InputError, Motion, MotionState, NavSample, Rig, Tracks
-from alight.settings import Filter, Settings, load
+from alight.settings import Filter, Settings, load, with_imu
 from alight.simulate import ladder
 from alight.simulate.flight import SimulatedFlight
 from alight.sources import Source, open_source
@@ -183,7 +183,8 @@ class Flown:
 
 def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
-    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
+    settings = with_imu(settings, source.notes.get("imu_noise", {}))
+    tracker, estimator = Tracker(source.rig, settings.tracks), LateFilter(source.rig, settings.motion.filter)
     out = Flown(source.rig)
     for event in source.events():
         if isinstance(event, ImuSample):
@@ -257,25 +258,61 @@ def part_sample(_: argparse.Namespace) -> None:
         )
 
 
-def part_ladder(options: argparse.Namespace) -> None:
-    """The standard ladder with pictures: ring, states, and vision alone beside it. A minute or more a rung."""
-    scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
-    live = load("", ["motion.filter.smooth=false"])
-    for r in ladder.ladder("test", scenes=scenes, heights=heights, seeds=1):
-        flight = r.fly()
-        flown = fly(flight, live)
-        px, length = ring_px(flown, flight.pose, float(r.height))
+@dataclass(frozen=True)
+class Climbed:
+    """What one rung of the ladder gave."""
+
+    height: int
+    ring: float  # px, RMS
+    seconds: float  # that a ring spans
+    lost: int  # exposures
+    nees: float
+    alone: float  # % of the way, GPS/INS off after the first second
+    cameras: float  # % of the way, and no IMU either
+
+    @classmethod
+    def of(cls, rung: ladder.Rung) -> Climbed:
+        """Fly it."""
+        flight = rung.fly()
+        flown = fly(flight, load("", ["motion.filter.smooth=false"]))
+        px, length = ring_px(flown, flight.pose, float(rung.height))
         lost = sum(m.state is MotionState.LOST for m in flown.online)
+        mean = errors(flown.online, flight.pose)[2]
+        return cls(rung.height, px, length, lost, mean, _alone(flown, flight, True), _alone(flown, flight, False))
+
+
+def part_ladder(options: argparse.Namespace) -> None:
+    """The standard ladder with pictures, flights that nothing was tuned on: ring, states, vision alone beside it."""
+    scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
+    print(f"{'':34s}{'ring px':>9s}{'over s':>8s}{'lost':>6s}{'NEES':>7s}{'no GPS/INS %':>14s}{'nor IMU %':>11s}")
+    found = []
+    for r in ladder.ladder("test", scenes=scenes, heights=heights, seeds=options.seeds):
+        c = Climbed.of(r)
+        found.append(c)
+        print(
+            f"{r.name:34s}{c.ring:9.3f}{c.seconds:8.2f}{c.lost:6d}{c.nees:7.1f}{c.alone:14.2f}{c.cameras:11.2f}",
+            flush=True,
+        )
+    for h in heights:
+        some = [c for c in found if c.height == h]
+        kept = 100 * float(np.mean([c.lost == 0 for c in some]))
+        rings = np.array([c.ring for c in some])
         say(
-            Row(f"{r.name}: consistency of the ring over {length:.2f} s", px, 0.35, 0.15, "px"),
-            Row("... exposures `lost`", lost, 0, 0),
-            Row("... NEES (6 expected)", errors(flown.online, flight.pose)[2]),
-            Row("... GPS/INS off after 1 s: drift of the way", _alone(flown, flight), unit="%"),
+            Row(f"ladder {h} m, {len(some)} flights: completed without `lost`", kept, 100, 100, "%", least=True),
+            Row("... ring, RMS over the flights", float(np.sqrt(np.mean(rings**2))), 0.35, 0.15, "px"),
+            Row("... ring, the worst flight", float(rings.max()), unit="px"),
+            Row("... NEES, mean (6 expected)", float(np.mean([c.nees for c in some]))),
+            Row(
+                "... GPS/INS off after 1 s: drift of the way, median",
+                float(np.median([c.alone for c in some])),
+                unit="%",
+            ),
+            Row("... and no IMU: cameras alone, median", float(np.median([c.cameras for c in some])), unit="%"),
         )
 
 
-def _alone(flown: Flown, flight: SimulatedFlight) -> float:
-    """Percent of the way by which vision and IMU drift when GPS/INS falls silent after the first second."""
+def _alone(flown: Flown, flight: SimulatedFlight, imu: bool) -> float:
+    """Percent of the way by which vision drifts when GPS/INS falls silent after the first second."""
     estimator, motions = MotionFilter(flown.rig, Filter(smooth=False)), []
     begin = int(flight.frame_times[0]) + SECOND
     for e in flown.events:
@@ -283,7 +320,7 @@ def _alone(flown: Flown, flight: SimulatedFlight) -> float:
             motions += [m] if (m := estimator.feed_tracks(e)) else []
         elif isinstance(e, NavSample) and e.t_ns < begin:
             estimator.feed_nav(e)
-        elif isinstance(e, ImuSample):
+        elif isinstance(e, ImuSample) and imu:
             estimator.feed_imu(e)
     first = next(m for m in motions if m.t_ns >= begin)
     off = [m.world_from_body.translation - flight.pose(m.t_ns).translation for m in (first, motions[-1])]
@@ -438,8 +475,9 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", default=list(PARTS), choices=list(PARTS))
-    parser.add_argument("--scenes", default="meadow", help="of the ladder, with commas between")
+    parser.add_argument("--scenes", default=",".join(ladder.SCENES), help="of the ladder, with commas between")
     parser.add_argument("--heights", default="20,50,100,150", help="of the ladder, metres")
+    parser.add_argument("--seeds", type=int, default=1, help="of the ladder, flights of each scene and height")
     options = parser.parse_args()
     logging.basicConfig(level=logging.ERROR)
     print(f"{'':66s}{'measured':>10s} {'':6s}{'must':>10s}{'aim':>10s}")
