@@ -40,14 +40,19 @@ class Lane(Protocol):
 
 
 class FilterLane:
-    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording."""
+    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording.
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    Without `history` nothing is kept for that end: memory does not grow with the flight.
+    """
+
+    def __init__(self, rig: Rig, settings: Settings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._tracker = Tracker(rig, settings.tracks)
         self._settings = settings.motion.filter
+        if not history:
+            self._settings = self._settings.model_copy(update={"smooth": False})
         self._filter = LateFilter(rig, self._settings)
-        self._motions: list[Motion] = []
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._stamps: deque[int] = deque(maxlen=_STAMPS)
         self._repeated = 0
 
@@ -99,10 +104,10 @@ class FilterLane:
 class GivenLane:
     """Poses from outside, for evaluation."""
 
-    def __init__(self, rig: Rig, poses: TimedPoses) -> None:
+    def __init__(self, rig: Rig, poses: TimedPoses, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._t, self._poses = [int(t) for t in poses[0]], poses[1]
-        self._motions: list[Motion] = []
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._missed = 0
 
     def _at(self, t_ns: int) -> Pose | None:
@@ -132,7 +137,7 @@ class GivenLane:
         if self._missed:
             self.warnings.append(f"poses: none for {self._missed} exposures, which are not used")
         self.notes["motion"] = "given poses, not estimated"
-        return self._motions
+        return list(self._motions)
 
 
 class BundleLane:
