@@ -28,6 +28,7 @@ SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
 STEPS = 1  # Gauss-Newton steps a keyframe
 UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
+SAME_PX = 2.0  # parallax pixels: a sweep that is as near to the map's height only confirms it
 BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
@@ -41,14 +42,33 @@ class Ring:
         self._settings = settings
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
-        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window
+        self._unknown = UNKNOWN_RATIO
+        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
         self._buffers = Buffers()
 
+    def work_at(self, cell: float, ground: float) -> None:
+        """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
+
+        Pictures that were made ready for another ground stay as they are: the height only says how much to smooth.
+        """
+        self._ground = ground
+        if cell != self._cell:
+            self._cell = cell
+            self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
+
+    def restart(self) -> None:
+        """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
+        self._kept, self._ratio, self._unknown = [], None, np.float32(np.nan)
+
+    def _ready(self, view: View) -> Kept:
+        return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)
+
     def push(self, views: list[View]) -> None:
-        """Take the images of one exposure; the one that is missed least leaves."""
-        self._kept.append(
-            [(v, prepare(v, self._cell, self._ground), prepare(v, self._cell * COARSE, self._ground)) for v in views]
-        )
+        """Take the images of one exposure, late or not; the one that is missed least leaves."""
+        if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
+            return  # a repeated time: the same picture twice would agree with itself
+        self._kept.append([self._ready(v) for v in views])
+        self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
         centres = np.array([exposure[0][0].centre for exposure in self._kept])
         above = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / above
@@ -67,49 +87,52 @@ class Ring:
         """
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
-        ratio = self._carried(grid)
-        start = self._first_look(views, grid, known.height, ratio, low, high)
+        ratio, seen = self._carried(grid), refine.baselines(fine, grid, known.height)
+        start = self._first_look(views, grid, known.height, ratio, seen, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
         visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
-        fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers)
+        fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers, wide=seen[0])
         rgb = self._coloured(views[-1], grid, fit.height, known)
+        ratio = np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio)
         return fused(judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
-        out = np.full(grid.shape, UNKNOWN_RATIO, np.float32)
-        if self._ratio is None:
-            return out
-        old, values = self._ratio
-        dr, dc = round((old.north - grid.north) / grid.cell), round((grid.east - old.east) / grid.cell)
-        r = slice(max(0, -dr), min(grid.rows, old.rows - dr))  # rows of the new window that the old one had
-        c = slice(max(0, -dc), min(grid.cols, old.cols - dc))
-        if r.stop > r.start and c.stop > c.start:
-            out[r, c] = values[r.start + dr : r.stop + dr, c.start + dc : c.stop + dc]
+        out = np.full(grid.shape, self._unknown, np.float32)
+        if self._ratio is not None:
+            old, values = self._ratio
+            x, y = grid.xy()
+            row, col = (np.rint(i).astype(int) for i in old.index(x, y))
+            r, c = (row >= 0) & (row < old.rows), (col >= 0) & (col < old.cols)
+            out[np.ix_(r, c)] = values[np.ix_(row[r], col[c])]
         return out
 
-    def _parallax_enough(self, views: list[Kept], grid: Grid, before: F32) -> NDArray[np.bool_]:
-        """Where at least `LEAST_VIEWS` see the ground over a baseline of `FIRST_LOOK`, (R, C)."""
-        fine = [f for _, f, _ in views]
-        baseline, number = refine.baselines(fine, grid, before)
-        above = views[-1][0].centre[2] - self._ground
-        return np.asarray((baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS))
+    def _first_look(
+        self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: tuple[F32, U8], low: float, high: float
+    ) -> F32:
+        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
-    def _first_look(self, views: list[Kept], grid: Grid, before: F32, ratio: F32, low: float, high: float) -> F32:
-        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity."""
-        fresh = np.isnan(before) & self._parallax_enough(views, grid, before)
+        First: since the restart. There the map's height stays where the sweep is within `SAME_PX` of it, and what was
+        not looked at yet is left out of the step.
+        """
+        baseline, number = seen
+        above = views[-1][0].centre[2] - self._ground
+        known, anew = np.isfinite(before), np.isnan(ratio)
+        fresh = (~known | anew) & (baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS)
+        start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
-            return before
+            return start
         where = box_of(fresh)
-        part = grid.window(where[0].start, where[1].start, *fresh[where].shape)
+        part, here = grid.window(where[0].start, where[1].start, *fresh[where].shape), fresh[where]
         wide = part.coarser(COARSE)
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
-        out = before.copy()
-        out[where] = np.where(fresh[where], interpolated(found, part), before[where])
-        ratio[where] = np.where(fresh[where], refine.enlarged(ambiguity, part, COARSE), ratio[where])
-        return out
+        new = interpolated(found, part)
+        same = np.abs(new - before[where]) < SAME_PX * grid.cell * above / np.maximum(baseline[where], 1e-3)
+        start[where] = np.where(here, np.where(same, before[where], new), start[where])
+        ratio[where] = np.where(here, refine.enlarged(ambiguity, part, COARSE), ratio[where])
+        return start
 
     def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""

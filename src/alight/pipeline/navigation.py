@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -38,14 +39,19 @@ class Lane(Protocol):
 
 
 class FilterLane:
-    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording."""
+    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording.
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    Without `history` nothing is kept for that end: memory does not grow with the flight.
+    """
+
+    def __init__(self, rig: Rig, settings: Settings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._tracker = Tracker(rig, settings.tracks)
         self._settings = settings.motion.filter
+        if not history:
+            self._settings = self._settings.model_copy(update={"smooth": False})
         self._filter = MotionFilter(rig, self._settings)
-        self._motions: list[Motion] = []
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
 
     def feed(self, event: Event) -> Motion | None:
         """Track, predict, update (docs/method-motion.md)."""
@@ -63,7 +69,7 @@ class FilterLane:
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The smoothed motions; a warning where the filter was lost."""
-        motions = self._filter.smoothed() or self._motions
+        motions = self._filter.smoothed() or list(self._motions)
         lost = sum(m.state is MotionState.LOST for m in motions)
         if lost:
             self.warnings.append(f"motion: lost in {lost} of {len(motions)} exposures, which are not used for the map")
@@ -86,10 +92,10 @@ class FilterLane:
 class GivenLane:
     """Poses from outside, for evaluation."""
 
-    def __init__(self, rig: Rig, poses: TimedPoses) -> None:
+    def __init__(self, rig: Rig, poses: TimedPoses, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._t, self._poses = [int(t) for t in poses[0]], poses[1]
-        self._motions: list[Motion] = []
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._missed = 0
 
     def _at(self, t_ns: int) -> Pose | None:
@@ -119,7 +125,7 @@ class GivenLane:
         if self._missed:
             self.warnings.append(f"poses: none for {self._missed} exposures, which are not used")
         self.notes["motion"] = "given poses, not estimated"
-        return self._motions
+        return list(self._motions)
 
 
 class BundleLane:
