@@ -1,7 +1,7 @@
-"""Poses refined with the map: exposures, heights and template in one small solve (docs/method.md, section 6).
+"""Poses refined with the map: exposures, map plane, heights and template in one small solve (docs/method.md, section 6).
 
-The pictures fix how the exposures lie to each other, the prior fixes what pictures cannot know: where all of them lie
-together. A cell's height and template value are eliminated, so nothing depends on how good the map already is.
+The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
+there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from alight.geometry import Grid, Pose, ground_projection
 from alight.kernels import joint as kernels
 from alight.kernels.parallax import template
 from alight.kernels.sorting import network
+from alight.parallax.belief import PLANE, POSE, Belief, moved
 from alight.parallax.refine import TAU, centres_of
 from alight.parallax.views import Buffers, Prepared, stack
-from alight.records import F32, F64, Gauge
+from alight.records import F32, F64
 
-CELLS = 5000  # that take part
+CELLS = 3000  # that take part
 LEAST = 40  # cells that a view must share with others
 CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
 APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cells it has
@@ -27,21 +28,39 @@ APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cell
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One view of an exposure, as it takes part."""
+    """One view, as it takes part."""
 
     prepared: Prepared
     body_from_cam: Pose
-    owner: int  # exposure
+    exposure: int  # t_ns
+
+    def at(self, world_from_body: Pose) -> Prepared:
+        """The same picture seen from elsewhere."""
+        return posed(self.prepared, world_from_body @ self.body_from_cam)
 
 
 @dataclass(frozen=True, eq=False)
-class Aligned:
-    """What the pictures and the prior say together."""
+class Ground:
+    """The cells that take part."""
 
-    poses: list[Pose]  # (E) world_from_body
-    covariance: F64  # (6E, 6E)
-    information: F64  # (6E, 6E) that the pictures brought
-    gauge: Gauge
+    grid: Grid
+    height: F32  # (R, C) metres, NaN: takes no part
+    kappa: F32  # (R, C) one over the variance of a height about the map's plane
+    about: F64  # (2,) metres, where the plane's offset is meant
+    arm: float  # metres, of the template's gradient
+
+    def tilted(self, plane: F64) -> F32:
+        """The heights with an error of the plane taken out."""
+        return self.height + plane_on(self.grid, plane, self.about)
+
+
+def plane_on(grid: Grid, plane: F64, about: F64) -> F32:
+    """Heights (R, C) of a plane (3,) that is `plane[0]` high `about` (2,)."""
+    x, y = grid.xy()
+    return (plane[0] + plane[1] * (x - about[0])[None, :] + plane[2] * (y - about[1])[:, None]).astype(np.float32)
+
+
+Look = tuple[list[Sight], Ground]  # pictures and cells of one linearisation
 
 
 def posed(prepared: Prepared, world_from_cam: Pose) -> Prepared:
@@ -58,38 +77,62 @@ def thinned(grid: Grid, count: int) -> tuple[Grid, int]:
     return Grid(grid.east + first * grid.cell, grid.north - first * grid.cell, grid.cell * k, rows, cols), k
 
 
-def crosses(prepared: list[Prepared], grid: Grid, height: F32, arm: float, held: Buffers) -> F32:
-    """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
-    out = held.get("crosses", (len(prepared), 5, *grid.shape))
-    for k, (east, north) in enumerate(((0, 0), (arm, 0), (-arm, 0), (0, arm), (0, -arm))):
-        moved = replace(grid, east=grid.east + east, north=grid.north + north)
-        out[:, k] = stack(prepared, moved, height, held)
-    return out
+def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ring: int) -> tuple[Belief, F64]:
+    """The belief with what the pictures say, and the plane (3,) by which the map was off (eqs. 17 to 24).
+
+    Args:
+        belief: prior.
+        looks: one a linearisation, of exposures that the belief knows.
+        pixel: rad.
+        drop: metres from the cameras to the ground.
+        ring: steps that a picture takes part in; its information is shared among them.
+    """
+    P, x, held = belief.covariance, belief.start.copy(), Buffers()
+    x[:PLANE] = -belief.plane
+    index = {t: k for k, t in enumerate(belief.times)}
+    apparent = np.tile(np.repeat([APPARENT_PX * pixel * drop, APPARENT_PX * pixel], 3) ** 2, len(belief.times))
+    F, one = np.concatenate([np.zeros(PLANE), apparent]), np.eye(len(P))
+    A = np.zeros_like(P)
+    for sights, ground in looks:
+        owner = np.array([index[s.exposure] for s in sights])
+        poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, p in enumerate(belief.poses)]
+        views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
+        A, b = _information(views, owner, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
+        known = np.linalg.inv(one + A * F)
+        A, b = known @ A, known @ b
+        x = P @ np.linalg.solve(one + A @ P, b + A @ x)
+    after = P @ np.linalg.inv(one + A @ P / ring)
+    return belief.corrected(x, 0.5 * (after + after.T)), belief.plane + x[:PLANE]
 
 
-def _sums(
-    prepared: list[Prepared], owner: Sequence[int], pivots: F64, grid: Grid, height: F32, loose: F32, arm: float
-) -> tuple[F64, F64, F64, F64]:
-    """Normal equations of one linearisation: A (6E, 6E), b (6E,), tie (3, 6E), level (3, 4)."""
-    held = Buffers()
-    s = crosses(prepared, grid, height, arm, held)
-    n, rows, cols = len(prepared), *grid.shape
+def _information(
+    views: list[Prepared], owner: np.ndarray, poses: list[Pose], ground: Ground, height: F32, held: Buffers
+) -> tuple[F64, F64]:
+    """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
+    s = _crosses(views, ground, height, held)
+    n, (rows, cols), M = len(views), ground.grid.shape, PLANE + POSE * len(poses)
     weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
     used, number = np.empty(mean.shape, np.uint8), np.empty(mean.shape, np.uint8)
     template(s.reshape(n, 5 * rows, cols), network(n), TAU, weights, mean, used, number)
     w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
     samples = np.ascontiguousarray(s[:, 0])
-    precision = _precision(samples, w, m[0])
-    middle = np.array([grid.east + 0.5 * grid.cell * cols, grid.north - 0.5 * grid.cell * rows, 0.0])
-    xs, ys = grid.xy()
-    e6 = 6 * len(pivots)
-    A, b = np.empty((rows, e6, e6)), np.empty((rows, e6))
-    tie, level = np.empty((rows, 3, e6)), np.empty((rows, 3, 4))
+    A, b = np.empty((rows, M, M)), np.empty((rows, M))
     kernels.normal_equations(
-        samples, w, m, np.asarray(owner, np.int64), centres_of(prepared) - middle, pivots - middle, precision,
-        xs - middle[0], ys - middle[1], height, arm, loose, A, b, tie, level,
+        samples, w, m, owner.astype(np.int64), centres_of(views), np.array([p.translation for p in poses]),
+        _precision(samples, w, m[0]), *ground.grid.xy(), height, ground.about, ground.arm, ground.kappa, A, b,
     )  # fmt: skip
-    return A.sum(0), b.sum(0), tie.sum(0), level.sum(0)
+    whole = A.sum(axis=0)
+    whole[PLANE:, :PLANE] = whole[:PLANE, PLANE:].T
+    return whole, b.sum(axis=0)
+
+
+def _crosses(views: list[Prepared], ground: Ground, height: F32, held: Buffers) -> F32:
+    """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
+    out, a = held.get("crosses", (len(views), 5, *ground.grid.shape)), ground.arm
+    for k, (east, north) in enumerate(((0.0, 0.0), (a, 0.0), (-a, 0.0), (0.0, a), (0.0, -a))):
+        moved_by = replace(ground.grid, east=ground.grid.east + east, north=ground.grid.north + north)
+        out[:, k] = stack(views, moved_by, height, held)
+    return out
 
 
 def _precision(samples: F32, weights: F32, mean: F32) -> F64:
