@@ -122,7 +122,7 @@ class Elevation:
 
     def read(self, grid: Grid) -> ElevationMap:
         """The best that is known on a grid of whole cells of any level, copied."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""

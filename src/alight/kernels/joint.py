@@ -39,7 +39,7 @@ def _view(
         b[x] += wr * e
         for y in range(POSE):
             A[x, y] += wr * row[y]
-    return q
+    return float(q)
 
 
 @kernel

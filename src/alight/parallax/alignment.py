@@ -14,7 +14,7 @@ from alight.records import F32, F64, REFUSED, ElevationMap, Flag, Gauge, PoseRin
 
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
-HOLD = 3.0  # a cell is held to the map by so many of its sigma
+HOLD = 10.0  # a cell is held to the map by so many of its sigma: 3 bent good poses to the map's own faults
 FREE = 10.0  # heights above ground: sigma of a cell that the map does not know
 FLAT = 0.05  # the same before there is a map: the ground about its plane
 LEAST_KNOWN = 200  # cells that make a map
@@ -83,15 +83,18 @@ class Alignment:
         self, exposures: list[list[Kept]], belief: Belief, grid: Grid, known: ElevationMap, ground: float, drop: float
     ) -> list[Look]:
         """Coarse to fine, as often as the newest exposure is in doubt."""
-        fine, coarse = (
-            [Sight(k[i], self._mounts[k[0].t_ns, k[0].cam], k[0].t_ns) for e in exposures for k in e] for i in (1, 2)
-        )
+        all_of = [k for e in exposures for k in e]
+        fine = [self._sight(view, ready) for view, ready, _ in all_of]
+        coarse = [self._sight(view, ready) for view, _, ready in all_of]
         cells = self._ground(grid, known, ground, drop)
         doubt = doubt_of_last(belief, drop) / grid.cell
         wide = replace(cells, arm=2 * cells.arm)
         if doubt > 0.5:
             return [(coarse, wide), (coarse, wide), (fine, cells), (fine, cells)]
         return [(fine, cells)] * (2 if doubt > 0.1 else 1)
+
+    def _sight(self, view: View, prepared: Prepared) -> Sight:
+        return Sight(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
     def _ground(self, grid: Grid, known: ElevationMap, ground: float, drop: float) -> Ground:
         sub, k = thinned(grid, CELLS)

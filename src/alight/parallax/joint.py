@@ -1,4 +1,4 @@
-"""Poses refined with the map: exposures, map plane, heights and template in one small solve (docs/method.md, section 6).
+"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method.md, section 6).
 
 The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
 there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose, ground_projection
 from alight.kernels import joint as kernels
@@ -20,7 +21,7 @@ from alight.parallax.refine import TAU, centres_of
 from alight.parallax.views import Buffers, Prepared, stack
 from alight.records import F32, F64
 
-CELLS = 3000  # that take part
+CELLS = 1500  # that take part
 LEAST = 40  # cells that a view must share with others
 CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
 APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cells it has
@@ -57,7 +58,8 @@ class Ground:
 def plane_on(grid: Grid, plane: F64, about: F64) -> F32:
     """Heights (R, C) of a plane (3,) that is `plane[0]` high `about` (2,)."""
     x, y = grid.xy()
-    return (plane[0] + plane[1] * (x - about[0])[None, :] + plane[2] * (y - about[1])[:, None]).astype(np.float32)
+    up = plane[0] + plane[1] * (x - about[0])[None, :] + plane[2] * (y - about[1])[:, None]
+    return np.asarray(up, dtype=np.float32)
 
 
 Look = tuple[list[Sight], Ground]  # pictures and cells of one linearisation
@@ -94,7 +96,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     F, one = np.concatenate([np.zeros(PLANE), apparent]), np.eye(len(P))
     A = np.zeros_like(P)
     for sights, ground in looks:
-        owner = np.array([index[s.exposure] for s in sights])
+        owner = np.array([index[s.exposure] for s in sights], np.int64)
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, p in enumerate(belief.poses)]
         views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
         A, b = _information(views, owner, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
@@ -106,7 +108,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
 
 
 def _information(
-    views: list[Prepared], owner: np.ndarray, poses: list[Pose], ground: Ground, height: F32, held: Buffers
+    views: list[Prepared], owner: NDArray[np.int64], poses: list[Pose], ground: Ground, height: F32, held: Buffers
 ) -> tuple[F64, F64]:
     """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
     s = _crosses(views, ground, height, held)
@@ -118,7 +120,7 @@ def _information(
     samples = np.ascontiguousarray(s[:, 0])
     A, b = np.empty((rows, M, M)), np.empty((rows, M))
     kernels.normal_equations(
-        samples, w, m, owner.astype(np.int64), centres_of(views), np.array([p.translation for p in poses]),
+        samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
         _precision(samples, w, m[0]), *ground.grid.xy(), height, ground.about, ground.arm, ground.kappa, A, b,
     )  # fmt: skip
     whole = A.sum(axis=0)

@@ -51,7 +51,7 @@ def core(heights: Heights, margin: int) -> Heights:
     """The heights without their margin."""
     inner = slice(margin, -margin)
     grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
-    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})
+    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
 
 
 def footprint(view: View, height: float) -> NDArray[np.float64]:
@@ -215,7 +215,8 @@ class TerrainLane:
 
     def map(self) -> ElevationMap | None:
         """The map so far."""
-        return self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        return None if found is None else replace(found, gauge=self.gauge)
 
 
 def changed(found: Heights, known: ElevationMap) -> Heights:
