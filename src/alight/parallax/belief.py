@@ -66,11 +66,12 @@ class Belief:
         S = Q[np.ix_(theirs, theirs)]
         out[np.ix_(mine, mine)] = S
         out[np.ix_(rest, rest)] = P[np.ix_(rest, rest)] + gain @ (S - P[np.ix_(mine, mine)]) @ gain.T
-        out[np.ix_(rest, mine)] = gain @ S
+        out[np.ix_(mine, rest)] = S @ gain.T
         out[np.ix_(fresh, fresh)] = Q[np.ix_(theirs_new, theirs_new)]
         out[np.ix_(fresh, mine)] = Q[np.ix_(theirs_new, theirs)]
         out[np.ix_(fresh, rest)] = Q[np.ix_(theirs_new, theirs)] @ gain.T
-        low = np.tril(out)
+        out[np.ix_(rest, mine)] = out[np.ix_(mine, rest)].T
+        out[: len(P), len(P) :] = out[len(P) :, : len(P)].T
         poses = dict(zip(self.times, self.poses, strict=True))
         shift = np.zeros(len(P))
         for t in shared:
@@ -80,7 +81,7 @@ class Belief:
         means += [ring.motions[at[t]].world_from_body for t in new]
         lead = np.linalg.lstsq(S, Q[np.ix_(theirs, theirs_new)], rcond=1e-12)[0].T @ (self.start - shift)[mine]
         return Belief(
-            (*self.times, *new), tuple(means), low + np.tril(low, -1).T, self.plane + shift[:PLANE],
+            (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
             np.concatenate([self.start - shift, lead]),
         )  # fmt: skip
 
