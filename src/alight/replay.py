@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
-from alight.outputs import prepare, write_run
+from alight.elevation import Far
+from alight.outputs import Spill, prepare, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import InputError, RunResult
 from alight.settings import Settings
@@ -36,7 +38,11 @@ def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
 
 
 def replay(
-    source: Source, settings: Settings, poses: str | None = None, tell: Tell = lambda stage, share: None
+    source: Source,
+    settings: Settings,
+    poses: str | None = None,
+    tell: Tell = lambda stage, share: None,
+    far: Far | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -45,11 +51,12 @@ def replay(
         settings: all of them.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         tell: called with the stage and the share of it that is done.
+        far: where the map puts what the flight has left behind; None: memory.
 
     Raises:
         InputError: nothing in the recording can be used.
     """
-    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter)
+    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter, far)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
     for event in source.events():
@@ -102,4 +109,5 @@ def find(
     """
     source = open_source(path, settings)
     prepare(out, overwrite)
-    return replay(source, settings, poses, tell)
+    with closing(Spill(out)) as far:
+        return replay(source, settings, poses, tell, far)

@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
@@ -80,6 +81,13 @@ class Filter(_Model):
     accelerometer_bias_sigma: Positive = Field(0.2, description="m/s^2, 1-sigma of the accelerometer bias at the start")
     mounting_sigma: NonNegative | None = Field(
         None, description="rad, camera mounting against the INS; 0 holds it; None: 0.03 for photos, held in flights"
+    )
+    time_offset: Finite = Field(
+        0.0, description="s that the cameras' stamps are ahead of the clock of GPS/INS and IMU, as far as known"
+    )
+    time_offset_sigma: NonNegative = Field(0.0, description="s, 1-sigma of what is unknown of it; 0 holds it")
+    lateness: NonNegative = Field(
+        1.0, description="s by which exposures and GPS/INS rows may come late; later ones are left out"
     )
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose
 from alight.parallax.belief import PLANE, POSE, Belief
@@ -12,6 +13,7 @@ from alight.parallax.joint import CELLS, Ground, Look, Sight, plane_on, posed, r
 from alight.parallax.views import Prepared
 from alight.records import F32, F64, REFUSED, ElevationMap, Flag, Gauge, PoseRing, View
 
+Mask = NDArray[np.bool_]
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
 HOLD = 10.0  # a cell is held to the map by so many of its sigma: 3 bent good poses to the map's own faults
@@ -50,14 +52,17 @@ class Alignment:
         self._offset2 = max(0.0, float(last.covariance[2, 2] - poses.covariance[-4, -4]))
 
     def align(self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, ground: float) -> list[list[Kept]]:
-        """Refine the poses with the map; `plane` then says by how much the map was off."""
+        """Refine the poses with the map; `plane` then says by how much the map was off.
+
+        `old` (R, C): cells that belong to other poses, and are taken as unknown.
+        """
         newest = exposures[-1][0][0]
         self.plane = np.zeros(PLANE)
         drop = max(float(newest.centre[2]) - ground, 1e-2)
         if self.belief is None or any(k[0][0].t_ns not in self.belief.times for k in exposures):
             return exposures
         belief = self._prior(drop)
-        looks = self._looks(exposures, belief, grid, known, ground, drop)
+        looks = self._looks(exposures, belief, self._ground(grid, known, old, ground, drop), drop)
         pixel = grid.cell / drop
         self.belief, plane = refined(belief, looks, pixel, drop, self.ring)
         if self._mapped:
@@ -79,15 +84,12 @@ class Alignment:
         pose = world_from_body @ self._mounts[view.t_ns, view.cam]
         return replace(view, world_from_cam=pose), posed(fine, pose), posed(coarse, pose)
 
-    def _looks(
-        self, exposures: list[list[Kept]], belief: Belief, grid: Grid, known: ElevationMap, ground: float, drop: float
-    ) -> list[Look]:
+    def _looks(self, exposures: list[list[Kept]], belief: Belief, cells: Ground, drop: float) -> list[Look]:
         """Coarse to fine, as often as the newest exposure is in doubt."""
         all_of = [k for e in exposures for k in e]
         fine = [self._sight(view, ready) for view, ready, _ in all_of]
         coarse = [self._sight(view, ready) for view, _, ready in all_of]
-        cells = self._ground(grid, known, ground, drop)
-        doubt = doubt_of_last(belief, drop) / grid.cell
+        doubt = doubt_of_last(belief, drop) / cells.arm
         wide = replace(cells, arm=2 * cells.arm)
         if doubt > 0.5:
             return [(coarse, wide), (coarse, wide), (fine, cells), (fine, cells)]
@@ -96,11 +98,14 @@ class Alignment:
     def _sight(self, view: View, prepared: Prepared) -> Sight:
         return Sight(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
-    def _ground(self, grid: Grid, known: ElevationMap, ground: float, drop: float) -> Ground:
+    def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> Ground:
+        """Some cells: the trusted ones near where the map has them, those it does not know anywhere, no others."""
         sub, k = thinned(grid, CELLS)
-        height, sigma, flags = (getattr(known, f)[k // 2 :: k, k // 2 :: k] for f in ("height", "sigma", "flags"))
-        ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0)
-        seen = (flags & np.uint16(Flag.UNSEEN)) == 0
+        height, sigma, flags, other = (
+            a[k // 2 :: k, k // 2 :: k] for a in (known.height, known.sigma, known.flags, old)
+        )
+        seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
+        ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
         self._mapped = self._mapped or int(ok.sum()) >= LEAST_KNOWN
         free = (FREE if self._mapped else FLAT) * drop
         level = np.float32(np.median(height[ok]) if ok.any() else ground)

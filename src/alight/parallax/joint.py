@@ -6,6 +6,7 @@ there the belief stands. A cell's height and template value are eliminated, held
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -21,9 +22,12 @@ from alight.parallax.refine import TAU, centres_of
 from alight.parallax.views import Buffers, Prepared, stack
 from alight.records import F32, F64
 
+log = logging.getLogger(__name__)
+
 CELLS = 1500  # that take part
 LEAST = 40  # cells that a view must share with others
 CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
+UNLIKELY = 6.0  # squared error over its covariance, a degree of freedom, at which nothing is believed
 APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cells it has
 
 
@@ -94,7 +98,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     index = {t: k for k, t in enumerate(belief.times)}
     apparent = np.tile(np.repeat([APPARENT_PX * pixel * drop, APPARENT_PX * pixel], 3) ** 2, len(belief.times))
     F, one = np.concatenate([np.zeros(PLANE), apparent]), np.eye(len(P))
-    A = np.zeros_like(P)
+    A, whitened = np.zeros_like(P), np.zeros(len(P))
     for sights, ground in looks:
         owner = np.array([index[s.exposure] for s in sights], np.int64)
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, p in enumerate(belief.poses)]
@@ -102,7 +106,11 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
         A, b = _information(views, owner, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
         known = np.linalg.inv(one + A * F)
         A, b = known @ A, known @ b
-        x = P @ np.linalg.solve(one + A @ P, b + A @ x)
+        whitened = np.linalg.solve(one + A @ P, b + A @ x)  # P^-1 x
+        x = P @ whitened
+    if whitened @ x > UNLIKELY * len(x):
+        log.info("the pictures contradict what is believed of the poses, which stay as they were")
+        return belief, np.zeros(PLANE)
     after = P @ np.linalg.inv(one + A @ P / ring)
     return belief.corrected(x, 0.5 * (after + after.T)), belief.plane + x[:PLANE]
 

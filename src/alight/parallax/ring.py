@@ -29,7 +29,8 @@ SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
 STEPS = 1  # Gauss-Newton steps a keyframe
 UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
-SAME_PX = 2.0  # parallax pixels: a sweep that is as near to the map's height only confirms it
+SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
+SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
 BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
@@ -68,6 +69,8 @@ class Ring:
         self._ground = ground
         if cell != self._cell:
             self._cell = cell
+            if self._ratio is not None:  # the other cells confirm or refute what the sweep found
+                self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
             self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
 
     def restart(self) -> None:
@@ -106,12 +109,13 @@ class Ring:
         Returns:
             The window after the step, or None while no cell has seen enough parallax.
         """
-        self._kept = self._alignment.align(self._kept, grid, known, self._ground)
+        ratio = self._carried(grid)
+        self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
         known = replace(known, height=known.height + self.plane_on(grid))
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
-        ratio, seen = self._carried(grid), refine.baselines(fine, grid, known.height)
-        start = self._first_look(views, grid, known.height, ratio, seen, low, high)
+        seen = refine.baselines(fine, grid, known.height)
+        start, wrong = self._first_look(views, grid, known.height, ratio, seen, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
@@ -119,6 +123,8 @@ class Ring:
         fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers, wide=seen[0])
         rgb = self._coloured(views[-1], grid, fit.height, known)
         ratio = np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio)
+        if wrong.any():
+            known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
         found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
         return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
 
@@ -134,29 +140,36 @@ class Ring:
 
     def _first_look(
         self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: tuple[F32, U8], low: float, high: float
-    ) -> F32:
+    ) -> tuple[F32, NDArray[np.bool_]]:
         """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
-        First: since the restart. There the map's height stays where the sweep is within `SAME_PX` of it, and what was
-        not looked at yet is left out of the step.
+        First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
+        differ by more than `SAME_PX`; what was not looked at yet is left out of the step.
+
+        Returns:
+            Where to start from, (R, C) metres, and where what the map has is wrong.
         """
         baseline, number = seen
         above = views[-1][0].centre[2] - self._ground
-        known, anew = np.isfinite(before), np.isnan(ratio)
-        fresh = (~known | anew) & (baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS)
+        anew, wrong = np.isnan(ratio), np.zeros(grid.shape, np.bool_)
+        fresh = (np.isnan(before) | anew) & (baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS)
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
-            return start
+            return start, wrong
         where = box_of(fresh)
-        part, here = grid.window(where[0].start, where[1].start, *fresh[where].shape), fresh[where]
+        here, known = fresh[where], before[where]
+        part = grid.window(where[0].start, where[1].start, *here.shape)
         wide = part.coarser(COARSE)
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
         new = interpolated(found, part)
-        same = np.abs(new - before[where]) < SAME_PX * grid.cell * above / np.maximum(baseline[where], 1e-3)
-        start[where] = np.where(here, np.where(same, before[where], new), start[where])
+        per_px = np.float32(grid.cell * above) / np.maximum(baseline[where], np.float32(1e-3))
+        told, off = known + shift_of((new - known)[here], per_px[here]), here & np.isfinite(known)
+        same = np.abs(new - told) < SAME_PX * per_px
+        start[where] = np.where(here, np.where(same, told, new), start[where])
+        wrong[where] = off & (start[where] != known) & np.isfinite(new)
         ratio[where] = np.where(here, refine.enlarged(ambiguity, part, COARSE), ratio[where])
-        return start
+        return start, wrong
 
     def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
@@ -175,6 +188,15 @@ class Ring:
             take = only[where] & (mapx >= 0)
             out[where][take] = picture_at(view, fine, mapx, mapy)[take]
         return out
+
+
+def shift_of(apart: F32, per_px: F32) -> np.float32:
+    """What a sweep and a map differ by as a whole, metres; 0 where that is little, or nothing in common."""
+    both = np.isfinite(apart)
+    if not both.any():
+        return np.float32(0)
+    shift = np.median(apart[both])
+    return np.float32(shift if abs(shift) > SHIFT_PX * np.median(per_px[both]) else 0)
 
 
 def spread_out(away: NDArray[np.float64], count: int) -> list[int]:

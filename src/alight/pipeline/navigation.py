@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Pose
-from alight.motion import MotionFilter
+from alight.motion import LateFilter
 from alight.motion.bundle import adjust
 from alight.motion.bundle_match import colmap
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig
@@ -21,6 +21,7 @@ from alight.tracks import Tracker
 Progress = Callable[[float], None]
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
 GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
+_STAMPS = 256  # of exposures that are remembered, to find those that come twice
 LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
 
 
@@ -53,8 +54,10 @@ class FilterLane:
         self._settings = settings.motion.filter
         if not history:
             self._settings = self._settings.model_copy(update={"smooth": False})
-        self._filter = MotionFilter(rig, self._settings)
+        self._filter = LateFilter(rig, self._settings)
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
+        self._stamps: deque[int] = deque(maxlen=_STAMPS)
+        self._repeated = 0
 
     def feed(self, event: Event) -> Motion | None:
         """Track, predict, update (docs/method-motion.md)."""
@@ -62,17 +65,26 @@ class FilterLane:
             self._filter.feed_nav(event)
         elif isinstance(event, ImuSample):
             self._filter.feed_imu(event)
+        elif event.t_ns in self._stamps:  # nobody knows when it was; the first one is taken, as the log's reader does
+            self._repeated += 1
         else:
-            tracks = self._tracker.feed(event, self._filter.predict(event.t_ns))
-            motion = self._filter.feed_tracks(tracks)
-            if motion is not None:
-                self._motions.append(motion)
-            return motion
+            self._stamps.append(event.t_ns)
+            return self._see(event)
         return None
+
+    def _see(self, frame: Frame) -> Motion | None:
+        tracks = self._tracker.feed(frame, self._filter.predict(frame.t_ns))
+        motion = self._filter.feed_tracks(tracks)
+        if motion is not None:
+            self._motions.append(motion)
+        return motion
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The smoothed motions; a warning where the filter was lost."""
-        motions = self._filter.smoothed() or list(self._motions)
+        motions = self._filter.smoothed() or sorted(self._motions, key=lambda m: m.t_ns)
+        for count, what in ((self._repeated, "have the stamp of an earlier one"), (self._filter.too_late, "came late")):
+            if count:
+                self.warnings.append(f"motion: {count} exposures or GPS/INS rows {what} and are left out")
         lost = sum(m.state is MotionState.LOST for m in motions)
         if lost:
             self.warnings.append(f"motion: lost in {lost} of {len(motions)} exposures, which are not used for the map")
