@@ -16,7 +16,7 @@ from alight.records import F32, F64, REFUSED, ElevationMap, Flag, Gauge, PoseRin
 Mask = NDArray[np.bool_]
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
-HOLD = 10.0  # a cell is held to the map by so many of its sigma: 3 bent good poses to the map's own faults
+HOLD = 7.0  # a cell is held to the map by so many of its sigma: 3 bent good poses to the map's own faults
 FREE = 10.0  # heights above ground: sigma of a cell that the map does not know
 FLAT = 0.05  # the same before there is a map: the ground about its plane
 LEAST_KNOWN = 200  # cells that make a map
@@ -51,7 +51,9 @@ class Alignment:
         last = poses.motions[-1]
         self._offset2 = max(0.0, float(last.covariance[2, 2] - poses.covariance[-4, -4]))
 
-    def align(self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, ground: float) -> list[list[Kept]]:
+    def align(
+        self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
+    ) -> list[list[Kept]]:
         """Refine the poses with the map; `plane` then says by how much the map was off.
 
         `old` (R, C): cells that belong to other poses, and are taken as unknown.
@@ -101,9 +103,8 @@ class Alignment:
     def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> Ground:
         """Some cells: the trusted ones near where the map has them, those it does not know anywhere, no others."""
         sub, k = thinned(grid, CELLS)
-        height, sigma, flags, other = (
-            a[k // 2 :: k, k // 2 :: k] for a in (known.height, known.sigma, known.flags, old)
-        )
+        some = (slice(k // 2, None, k),) * 2
+        height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
         self._mapped = self._mapped or int(ok.sum()) >= LEAST_KNOWN

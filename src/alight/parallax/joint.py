@@ -98,7 +98,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     index = {t: k for k, t in enumerate(belief.times)}
     apparent = np.tile(np.repeat([APPARENT_PX * pixel * drop, APPARENT_PX * pixel], 3) ** 2, len(belief.times))
     F, one = np.concatenate([np.zeros(PLANE), apparent]), np.eye(len(P))
-    A, whitened = np.zeros_like(P), np.zeros(len(P))
+    A, whitened = np.zeros_like(P), np.asarray(np.zeros(len(x)))
     for sights, ground in looks:
         owner = np.array([index[s.exposure] for s in sights], np.int64)
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, p in enumerate(belief.poses)]
@@ -106,7 +106,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
         A, b = _information(views, owner, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
         known = np.linalg.inv(one + A * F)
         A, b = known @ A, known @ b
-        whitened = np.linalg.solve(one + A @ P, b + A @ x)  # P^-1 x
+        whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
     if whitened @ x > UNLIKELY * len(x):
         log.info("the pictures contradict what is believed of the poses, which stay as they were")
