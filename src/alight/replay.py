@@ -12,7 +12,7 @@ from alight.elevation import Far
 from alight.outputs import Spill, prepare, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import InputError, RunResult
-from alight.settings import Settings
+from alight.settings import Settings, with_imu
 from alight.sources import Source, open_source, read_tum
 
 __all__ = ["find", "given_poses", "replay", "write_run"]
@@ -56,6 +56,7 @@ def replay(
     Raises:
         InputError: nothing in the recording can be used.
     """
+    settings = with_imu(settings, source.notes.get("imu_noise", {}))
     pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter, far)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
