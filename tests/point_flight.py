@@ -102,6 +102,8 @@ class PointFlight:
         force = np.einsum("nji,nj->ni", R, (self._velocity(t + 1e-3) - self._velocity(t - 1e-3)) / 2e-3 + UP)
         gyro = self._rates(t) + _bias(rng, len(t), 0.25 * n.gyro_bias_sigma, n.gyro_walk)
         force = force + _bias(rng, len(t), 0.5 * n.accelerometer_bias_sigma, n.accelerometer_walk)
+        turn = so3_exp(self.mounting)  # the IMU is the INS's
+        gyro, force = gyro @ turn.T, force @ turn.T
         gyro += n.gyro_noise * np.sqrt(200) * rng.normal(size=gyro.shape)
         force += n.accelerometer_noise * np.sqrt(200) * rng.normal(size=gyro.shape)
         return [ImuSample(_ns(a), w, f) for a, w, f in zip(t, gyro, force, strict=True)]
