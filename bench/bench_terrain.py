@@ -70,10 +70,10 @@ def _ladder(name: str) -> tuple[ElevationMap, U8]:
     shots = list(exposures(flight))
     views = [v for shot in shots for v in shot]
     lane = TerrainLane(Settings())
-    if not lane.learn(views[:: max(1, len(views) // 24)]) or lane.ground is None:
+    if not lane.learn(views[:: max(1, len(views) // 24)]):
         raise SystemExit(f"{name}: {lane.reason}")
     lane.build(views, lambda share: None)
-    found = lane.map(float(np.median([v.centre[2] for v in views])) - lane.ground)
+    found = lane.map()
     assert found is not None
     return found, _label_of(flight.truth.label, flight.truth.grid, found.grid)
 

@@ -70,6 +70,7 @@ class Pipeline:
         far: where the map puts what the vehicle has left behind: a file's mapping, `Forgotten`, or by default memory.
         history: keep what `finish` needs of a recording. Without it a flight may last for ever: the motions are
             those that were given out in flight, and none older than the keyframes that are held.
+        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
     """
 
     def __init__(
@@ -81,10 +82,12 @@ class Pipeline:
         clock: Callable[[], float] = lambda: 0.0,
         far: Far | None = None,
         history: bool = True,
+        appearance: terrain.Model | None = None,
     ) -> None:
         self._settings = settings
         self._clock = clock
         self._history = history
+        self._appearance = appearance
         self._navigation = _lane(rig, kind, settings, poses, history)
         self._everything = isinstance(self._navigation, BundleLane)
         self._recursive = settings.parallax.method == "ring" and not self._everything
@@ -211,7 +214,8 @@ class Pipeline:
                 warnings=warnings,
                 notes=notes,
             )
-        cover = terrain.classify(elevation, s.terrain) if s.terrain.enabled else None
+        cover = terrain.classify(elevation, s.terrain, self._appearance) if s.terrain.enabled else None
+        notes["terrain"] = terrain.says(elevation, s.terrain, self._appearance)
         start = self._timed("terrain", start)
         tell("judging", 0.4)
         danger = hazards.assess(elevation, cover, s.lander, s.hazards)

@@ -10,6 +10,7 @@ from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, Terra
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
 from alight.terrain.evidence import terms, weighed
+from alight.terrain.features import level_of
 from alight.terrain.model import Model, evidence, log_softmax
 from alight.terrain.patchwork import closed, without_specks
 from alight.terrain.relief import Relief, relief
@@ -111,6 +112,21 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     landable = np.minimum(landable_of(plain), landable_of(odds))  # appearance may take and never give (T5)
     landable = np.where(beside_tall(elevation, shape, settings), np.minimum(landable, UNDER), landable)
     return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
+
+
+def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
+    """In words, what the classes of a map are made of."""
+    if not settings.enabled:
+        return "not judged (terrain.enabled)"
+    alone = "shape, matching and texture of the map alone: "
+    if model is None:
+        return alone + "no model of appearance"
+    if not appearance(elevation).coloured:
+        return alone + "the pictures are grey"
+    level = level_of(elevation.grid.cell)
+    if level is None or model.heads[level] is None:
+        return alone + f"cells of {elevation.grid.cell:g} m are too coarse for the model of appearance"
+    return "shape, matching and texture of the map, and a model of appearance, which may only refuse"
 
 
 def classify(elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None) -> TerrainMap:
