@@ -6,13 +6,22 @@ import cv2
 import numpy as np
 from scipy.special import expit, logit
 
+from alight.hazards.contact import any_near
 from alight.hazards.footprint import disc_mask, disc_spans
 from alight.records import F32
 
-# log odds that a footprint holds nothing but ground that may be landed on: constant, and per log odds of its most
-# doubtful cell; fitted to what was not refused on simulated tuning flights (bench/bench_terrain.py footprint)
-ODDS = (2.7, 1.8)
+# log odds that a footprint holds nothing else, nearer than 0.3 m to its rim and larger than 0.1 m^2: constant, and per
+# log odds of its most doubtful cell; fitted to what the rest of P calls likely on tuning flights
+# (bench/bench_terrain.py footprint)
+ODDS = (3.4, 2.2)
 LEAST = 1e-4
+
+
+def worst_odds(landable: F32, radius: float, cell: float) -> F32:
+    """Log odds of the most doubtful cell of the disc about every cell; cells without evidence doubt nothing."""
+    odds = logit(np.where(np.isfinite(landable), landable, 1).clip(LEAST, 1 - LEAST)).astype(np.float32)
+    disc = disc_mask(disc_spans(radius / cell))
+    return np.asarray(cv2.erode(odds, disc, borderType=cv2.BORDER_CONSTANT, borderValue=1e3), np.float32)
 
 
 def cover_probability(landable: F32, radius: float, cell: float) -> F32:
@@ -23,8 +32,7 @@ def cover_probability(landable: F32, radius: float, cell: float) -> F32:
         radius: metres, of the footprint.
         cell: metres.
     """
-    odds = logit(np.where(np.isfinite(landable), landable, 1).clip(LEAST, 1 - LEAST)).astype(np.float32)
-    worst = cv2.erode(odds, disc_mask(disc_spans(radius / cell)), borderType=cv2.BORDER_CONSTANT, borderValue=1e3)
-    sure = cv2.dilate(np.isfinite(landable).astype(np.uint8), disc_mask(disc_spans(radius / cell))) == 0
-    out: F32 = np.where(sure, 1, expit(np.float32(ODDS[0]) + np.float32(ODDS[1]) * worst)).astype(np.float32)
+    looked = any_near(np.isfinite(landable), radius, cell)
+    p = expit(np.float32(ODDS[0]) + np.float32(ODDS[1]) * worst_odds(landable, radius, cell))
+    out: F32 = np.where(looked, p, 1).astype(np.float32)
     return out

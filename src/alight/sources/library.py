@@ -183,7 +183,7 @@ def read_model(path: Path | None = None) -> Model:
     """
     path = path or DEFAULT_MODEL
     try:
-        with np.load(path, allow_pickle=False) as z:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as z:
             heads = tuple(_head(z, level) for level in range(LEVELS))
             classes, provenance = z["classes"].astype(np.uint8), str(z["provenance"])
     except OSError as e:

@@ -12,7 +12,7 @@ from alight.terrain.appearance import Appearance, appearance, seen
 from alight.terrain.evidence import terms, weighed
 from alight.terrain.features import level_of
 from alight.terrain.model import Model, evidence, log_softmax
-from alight.terrain.patchwork import closed, without_specks
+from alight.terrain.patchwork import closed, without_pits, without_specks
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
@@ -109,7 +109,7 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     plain = _settled(weighed(terms(elevation, look, shape)), water, cell)
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
-    landable = np.minimum(landable_of(plain), landable_of(odds))  # appearance may take and never give (T5)
+    landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)
     landable = np.where(beside_tall(elevation, shape, settings), np.minimum(landable, UNDER), landable)
     return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
 

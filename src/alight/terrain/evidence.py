@@ -23,8 +23,7 @@ def _log(values: F32, floor: float) -> F32:
 def _against(values: F32, looked: F32) -> F32:
     """Relative to the median of the frame: what a camera and a height change for all cells alike cancels."""
     known = values[looked > 0]
-    out: F32 = values - np.float32(np.median(known) if known.size else 0.0)
-    return out
+    return np.asarray(values - np.float32(np.median(known) if known.size else 0.0), np.float32)
 
 
 def _ramp(values: F32, low: float, high: float) -> F32:

@@ -22,3 +22,10 @@ def closed(mask: Bool, cell: float, reach: float = 0.5) -> Bool:
     n = max(1, round(reach / cell))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
     return np.asarray(cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, disc, borderValue=0) > 0)
+
+
+def without_pits(values: NDArray[np.float32], cell: float, reach: float = 0.15) -> NDArray[np.float32]:
+    """Fill what is low and narrower than twice the reach: the geometry judges what is that small."""
+    n = round(reach / cell)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
+    return np.asarray(cv2.morphologyEx(values, cv2.MORPH_CLOSE, disc), np.float32)
