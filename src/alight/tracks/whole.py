@@ -39,7 +39,7 @@ def lit_as(image: U8, other: U8) -> U8:
     """Take one picture to the brightness and contrast of another of the same ground (M1d).
 
     The SSD has no notion of exposure: a step of 20 % between two pictures cost 0.4 px, of 50 % nine of ten features.
-    Small differences are left alone, they come from what the pictures do not share: the sample's ring 0.18 px, not 0.14.
+    Small differences come from what the pictures do not share (taken out: ring of the sample 0.18 px instead of 0.14).
     """
     a, b = image[::_EVERY, ::_EVERY].astype(np.float32), other[::_EVERY, ::_EVERY].astype(np.float32)
     gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MOST_GAIN, _MOST_GAIN))
