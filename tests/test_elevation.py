@@ -305,6 +305,8 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
         assert got.sigma[0, 0] == pytest.approx(np.sqrt(np.mean([fine.sigma[k] ** 2 for k in used])), abs=1e-6)
         assert got.trusted[0, 0] == (len(good) >= 2)
         assert got.views[0, 0] == max(fine.views[k] for k in used)
+        assert got.flags[0, 0] == np.bitwise_or.reduce([fine.flags[k] for k in used])
+        assert got.residual[0, 0] == pytest.approx(np.mean([fine.residual[k] for k in used]), abs=1e-6)
         assert_allclose(got.rgb[0, 0], np.mean([fine.rgb[k] for k in used], axis=0), atol=0.51)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -23,6 +24,7 @@ from alight.records import (
     HazardMap,
     Motion,
     MotionState,
+    PoseRing,
     Rig,
     Route,
     Sites,
@@ -37,6 +39,7 @@ log = logging.getLogger(__name__)
 __all__ = ["Decision", "Pipeline", "TimedPoses"]
 
 Tell = Callable[[str, float], None]  # stage, share done
+LAST_STEPS = 1000  # whose times are kept in flight
 FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
 KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
 
@@ -88,11 +91,11 @@ class Pipeline:
         self._terrain = TerrainLane(settings, far)
         self._store = FrameStore()
         self._motions: dict[int, Motion] = {}
-        self.timings: dict[str, list[float]] = {}
+        self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
 
     def _timed(self, stage: str, since: float) -> float:
         now = self._clock()
-        self.timings.setdefault(stage, []).append(now - since)
+        self.timings.setdefault(stage, deque(maxlen=None if self._history else LAST_STEPS)).append(now - since)
         return now
 
     def feed(self, event: Event) -> Motion | None:
@@ -134,8 +137,10 @@ class Pipeline:
     def _advance(self, frames: list[Frame]) -> None:
         for frame in frames:
             start = self._clock()
-            views = views_of([frame], self._motions, self._navigation.rig)
-            self._terrain.step(views, self._motions[frame.t_ns].map)
+            motion, poses = self._motions[frame.t_ns], self._navigation.posterior()
+            if poses is not None and frame.t_ns not in {m.t_ns for m in poses.motions}:
+                poses = PoseRing((motion,), motion.covariance)  # held before the ground was found
+            self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
             self._timed("heights", start)
 
     def _step(self, motion: Motion) -> float:
@@ -232,7 +237,7 @@ def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> Elevatio
 
 def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> Lane:
     if poses is not None:
-        return GivenLane(rig, poses, history)
+        return GivenLane(rig, poses, settings.motion, history)
     method = settings.motion.method
     if method == "bundle" or (method == "auto" and kind == "photos"):
         return BundleLane(rig, settings)
