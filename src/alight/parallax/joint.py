@@ -102,12 +102,12 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     x = belief.start[rows]
     x[:PLANE] = -belief.plane
     F = np.concatenate([np.zeros(PLANE), np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * APPARENT_PX]) ** 2
-    A, whitened = np.zeros_like(P), np.zeros(len(rows))
+    A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
     for sights, ground in looks:
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
-        A, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
-        known = np.linalg.inv(one + A * F)
-        A, b = known @ A, known @ b
+        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
+        known = np.linalg.inv(one + seen * F)
+        A, b = known @ seen, known @ b
         whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
     if whitened @ x > UNLIKELY * len(x):
@@ -116,6 +116,10 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     across, shared = belief.covariance[:, rows], A / ring
     known = np.linalg.solve(one + shared @ P, shared)
     after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
+    follow = np.eye(len(after))  # the step that comes takes a share of the heights from these poses
+    follow[:PLANE, :PLANE] *= 1 - 1 / ring
+    follow[:PLANE, rows[PLANE:]] = np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0] / -ring
+    after = follow @ after @ follow.T
     return belief.corrected(across @ whitened, after), belief.plane + x[:PLANE]
 
 
