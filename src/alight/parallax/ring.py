@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
-from alight.parallax import refine
+from alight.parallax import refine, witness
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
 from alight.parallax.views import Buffers, Prepared, maps, prepare
@@ -75,7 +75,10 @@ class Ring:
         visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
         fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
-        return fused(judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
+        found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
+        samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit.mean, grid)
+        return fused(replace(found, flags=found.flags | moves), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, UNKNOWN_RATIO, np.float32)
