@@ -78,7 +78,7 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     change = rng.normal(0, 0.3, (8, 64, 64)).astype(np.float32)
     if together:
         change[1::2] = change[::2]
-    share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean)
+    share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8))
     assert (share > witness.MOST_SHARED).all() == together
     assert (share > 0.5 * witness.MOST_SHARED).any() == together
 

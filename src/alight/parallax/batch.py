@@ -95,7 +95,7 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -
     if not len(asked):
         return np.zeros(grid.shape, np.uint16)
     samples = stack([images.get(int(i), coarse=False) for i in asked.ravel()], grid, fit.height)
-    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit.mean, grid)
+    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid)
 
 
 def judged(

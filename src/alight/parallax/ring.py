@@ -77,7 +77,7 @@ class Ring:
         rgb = self._coloured(views[-1], grid, fit.height, known)
         found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
         samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
-        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit.mean, grid)
+        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
         return fused(replace(found, flags=found.flags | moves), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
