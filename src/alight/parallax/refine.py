@@ -125,7 +125,7 @@ def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
     xs, ys = grid.xy()
     corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
     flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)
-    reach = math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1
+    reach = min(math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1, max(rows, cols))
     return np.asarray(cv2.dilate(tops, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
 
 
@@ -137,11 +137,13 @@ def gauss_newton(
     iterations: int,
     buffers: Buffers | None = None,
     prior: float = PRIOR,
+    wide: F32 | None = None,
 ) -> Fit:
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
     `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
-    map is wrong. What the fit knows beside the heights is of where the last iteration began.
+    map is wrong. `wide` (R, C) is the baseline, where it is known already. What the fit knows beside the heights is of
+    where the last iteration began.
     """
     held = buffers or Buffers()
     shape, xs_ys = grid.shape, grid.xy()
@@ -150,7 +152,8 @@ def gauss_newton(
     lam, eta, s2, step = (held.get(name, shape) for name in ("lambda", "eta", "s2", "step"))
     weights = held.get("weights", (len(prepared), *shape))
     centres = centres_of(prepared)
-    wide, _ = baselines(prepared, grid, height)
+    if wide is None:
+        wide, _ = baselines(prepared, grid, height)
     drop = _drop(centres, height)
     spread = fit.metres_per_px = np.float32(grid.cell) * drop / np.maximum(wide, np.float32(0.01) * drop)
     limit = np.float32(STEP_PX) * spread
