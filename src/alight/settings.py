@@ -132,6 +132,10 @@ class MotionSettings(_Model):
     )
     filter: Filter = Filter()
     bundle: Bundle = Bundle()
+    given_position_sigma: NonNegative = Field(
+        0.0, description="m, 1-sigma of poses from outside; above 0 the ring refines them with the map"
+    )
+    given_attitude_sigma: NonNegative = Field(0.0, description="rad, the same of their attitude")
 
 
 class Parallax(_Model):

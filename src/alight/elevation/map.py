@@ -121,9 +121,14 @@ class Elevation:
             out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
         return out
 
+    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane (3,), `plane[0]` metres up at `about` (2,) and rising east and north, to what is near."""
+        for layer in self._layers.values():
+            layer.lean(plane, about)
+
     def read(self, grid: Grid) -> ElevationMap:
         """The best that is known on a grid of whole cells of any level, copied."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
         """The same as a step at these cells may start from: less sure of what was only seen with coarser ones."""

@@ -150,6 +150,13 @@ class Layer:
                     out[k][here] = tile[k][at]
         return out
 
+    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane to the tiles that are near."""
+        for key, tile in self._near.items():
+            east, north = self.tile_grid(key).xy()
+            across, along = plane[1] * (east - about[0]) + plane[0], plane[2] * (north - about[1])
+            tile["height"] += across.astype(np.float32)[None, :] + along.astype(np.float32)[:, None]
+
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle."""
         for key in list(self._near):

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
 from alight.parallax import refine
+from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Buffers, Prepared, maps, prepare
-from alight.records import F32, U8, ElevationMap, Heights, View
+from alight.parallax.views import Buffers, maps, prepare
+from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
 
 FIRST_LOOK = 0.12  # baseline over height that a cell needs to be swept; 0.04 left four times the wrong heights
@@ -33,8 +34,6 @@ SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
 BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
-Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
-
 
 class Ring:
     """Keyframes at distances that grow with age, and the step that they allow."""
@@ -47,6 +46,21 @@ class Ring:
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
         self._sharper = False  # the cells became smaller: the colours of the map are coarse
         self._buffers = Buffers()
+        self._alignment = Alignment(settings.ring)
+
+    @property
+    def plane(self) -> F64:
+        """By how much the last step found the map to be off: (3,) up, and rise a metre towards east and north."""
+        return self._alignment.plane
+
+    @property
+    def about(self) -> F64:
+        """The place (2,) east and north where `plane` is what it says upwards."""
+        return self._alignment.about
+
+    def plane_on(self, grid: Grid) -> F32:
+        """The same for the cells of a grid, (R, C) metres."""
+        return self._alignment.on(grid)
 
     def work_at(self, cell: float, ground: float) -> None:
         """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
@@ -64,12 +78,16 @@ class Ring:
     def restart(self) -> None:
         """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
         self._kept, self._ratio, self._unknown = [], None, np.float32(np.nan)
+        self._alignment = Alignment(self._settings.ring)
 
     def _ready(self, view: View) -> Kept:
         return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)
 
-    def push(self, views: list[View]) -> None:
-        """Take the images of one exposure, late or not; the one that is missed least leaves."""
+    def push(self, views: list[View], poses: PoseRing | None = None) -> None:
+        """Take the images of one exposure, late or not; the one that is missed least leaves.
+
+        `poses`: what is known of the keyframes' poses by now, this one's among them; None: they are taken as they are.
+        """
         if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
             return  # a repeated time: the same picture twice would agree with itself
         self._kept.append([self._ready(v) for v in views])
@@ -78,6 +96,9 @@ class Ring:
         above = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / above
         self._kept = [self._kept[i] for i in spread_out(away, self._settings.ring)]
+        if poses is not None:
+            times = {exposure[0][0].t_ns for exposure in self._kept}
+            self._alignment.tell(poses, times, above)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
         """Improve the heights of a window with the ring as it is now (docs/method.md, section 5).
@@ -90,9 +111,12 @@ class Ring:
         Returns:
             The window after the step, or None while no cell has seen enough parallax.
         """
+        ratio = self._carried(grid)
+        self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
+        known = replace(known, height=known.height + self.plane_on(grid))
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
-        ratio, seen = self._carried(grid), refine.baselines(fine, grid, known.height)
+        seen = refine.baselines(fine, grid, known.height)
         start, wrong = self._first_look(views, grid, known.height, ratio, seen, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
@@ -103,7 +127,8 @@ class Ring:
         ratio = np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio)
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
-        return fused(judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
+        found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
+        return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, self._unknown, np.float32)

@@ -24,6 +24,7 @@ from alight.records import (
     HazardMap,
     Motion,
     MotionState,
+    PoseRing,
     Rig,
     Route,
     Sites,
@@ -136,8 +137,10 @@ class Pipeline:
     def _advance(self, frames: list[Frame]) -> None:
         for frame in frames:
             start = self._clock()
-            views = views_of([frame], self._motions, self._navigation.rig)
-            self._terrain.step(views, self._motions[frame.t_ns].map)
+            motion, poses = self._motions[frame.t_ns], self._navigation.posterior()
+            if poses is not None and frame.t_ns not in {m.t_ns for m in poses.motions}:
+                poses = PoseRing((motion,), motion.covariance)  # held before the ground was found
+            self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
             self._timed("heights", start)
 
     def _step(self, motion: Motion) -> float:
@@ -234,7 +237,7 @@ def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> Elevatio
 
 def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> Lane:
     if poses is not None:
-        return GivenLane(rig, poses, history)
+        return GivenLane(rig, poses, settings.motion, history)
     method = settings.motion.method
     if method == "bundle" or (method == "auto" and kind == "photos"):
         return BundleLane(rig, settings)

@@ -15,12 +15,12 @@ from alight.motion import LateFilter
 from alight.motion.bundle import adjust
 from alight.motion.bundle_match import colmap
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig
-from alight.settings import Settings
+from alight.settings import MotionSettings, Settings
 from alight.tracks import Tracker
 
 Progress = Callable[[float], None]
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
-GIVEN_SIGMA = 1e-3  # metres and radians: poses from outside are taken as they are
+GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
 _STAMPS = 256  # of exposures that are remembered, to find those that come twice
 LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
 
@@ -34,6 +34,9 @@ class Lane(Protocol):
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion as soon as it can be known."""
+
+    def posterior(self) -> PoseRing | None:
+        """What is known of the last keyframes' poses, for a refinement with the map; None: take them as given out."""
 
     def finish(self, progress: Progress) -> list[Motion]:
         """All motions, refined with everything that came."""
@@ -92,20 +95,18 @@ class FilterLane:
         self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions
 
-    def ring(self) -> tuple[Motion, ...]:
-        """The last keyframes from one posterior: for the recursive map, whose views must agree with each other."""
-        return self._filter.ring()
-
     def posterior(self) -> PoseRing:
         """The ring with the joint covariance of its poses: what a refinement with the map starts from."""
         return self._filter.posterior()
 
 
 class GivenLane:
-    """Poses from outside, for evaluation."""
+    """Poses from outside, for evaluation; each has errors of its own as large as the settings say, or none."""
 
-    def __init__(self, rig: Rig, poses: TimedPoses, history: bool = True) -> None:
+    def __init__(self, rig: Rig, poses: TimedPoses, settings: MotionSettings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
+        sigma = np.repeat([settings.given_position_sigma, settings.given_attitude_sigma], 3)
+        self._covariance, self._exact = np.diag(np.maximum(sigma, GIVEN_SIGMA) ** 2), not sigma.any()
         self._t, self._poses = [int(t) for t in poses[0]], poses[1]
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._missed = 0
@@ -129,8 +130,12 @@ class GivenLane:
             self._missed += 1
             return None
         cams = tuple(pose @ c.body_from_cam for c in self.rig.cameras)
-        self._motions.append(Motion(event.t_ns, pose, cams, np.eye(6) * GIVEN_SIGMA**2))
+        self._motions.append(Motion(event.t_ns, pose, cams, self._covariance))
         return self._motions[-1]
+
+    def posterior(self) -> PoseRing | None:
+        """The last pose by itself."""
+        return None if self._exact or not self._motions else PoseRing((self._motions[-1],), self._covariance)
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The motions given out before."""
@@ -158,6 +163,10 @@ class BundleLane:
         elif isinstance(event, Frame):
             self._frames.append(event)
             self._nav.append(self._last if self._last is not None and self._last.t_ns == event.t_ns else None)
+        return None
+
+    def posterior(self) -> PoseRing | None:
+        """None: all poses come at the end."""
         return None
 
     def finish(self, progress: Progress) -> list[Motion]:

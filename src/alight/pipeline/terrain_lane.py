@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from alight.elevation import FIELDS, Elevation, Far
 from alight.geometry import Grid
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.records import F64, ElevationMap, Flag, Heights, View
+from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View
 from alight.settings import Settings
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
@@ -51,7 +51,7 @@ def core(heights: Heights, margin: int) -> Heights:
     """The heights without their margin."""
     inner = slice(margin, -margin)
     grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
-    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})
+    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
 
 
 def footprint(view: View, height: float) -> NDArray[np.float64]:
@@ -74,6 +74,7 @@ class TerrainLane:
     ground: float | None = None  # metres above the origin, the ground in general
     below: float | None = None  # the same under the newest keyframe
     reason: str = ""  # why there is no map
+    gauge: Gauge | None = None  # what all heights under the newest keyframe share
     _ring: Ring | None = None
     _level: int = 0  # of the newest keyframe's cells
     _map: int | None = None  # the number of the poses that the ring holds
@@ -158,10 +159,11 @@ class TerrainLane:
             progress((n + 1) / len(keys))
         return done
 
-    def step(self, views: Sequence[View], of_map: int = 0) -> bool:
+    def step(self, views: Sequence[View], of_map: int = 0, poses: PoseRing | None = None) -> bool:
         """Recursive parallax: take a keyframe into the ring and improve the map; False without a baseline yet.
 
         `of_map` is the number of the motion's map: poses of another one do not belong with those that the ring holds.
+        `poses`: what is known of the last keyframes' poses; they are refined with the map. None: they are exact.
         """
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
@@ -178,7 +180,7 @@ class TerrainLane:
             self._ring.restart()
         self._map = of_map
         self._ring.work_at(cell, self.below)
-        self._ring.push(down)
+        self._ring.push(down, poses)
         return self._improve(down)
 
     def _improve(self, down: list[View]) -> bool:
@@ -190,8 +192,12 @@ class TerrainLane:
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self._level)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         found = self._ring.step(grid, known, *self._range(grid, up, known))
+        if self._ring.plane.any():
+            self.elevation.lean(self._ring.plane, self._ring.about)
+            known = replace(known, height=known.height + self._ring.plane_on(grid))
         if found is None:
             return False
+        self.gauge = found.gauge
         found = self._without_vague(found, up)
         heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
         if len(heights) >= LEAST_KNOWN // 4:
@@ -209,7 +215,8 @@ class TerrainLane:
 
     def map(self) -> ElevationMap | None:
         """The map so far."""
-        return self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        return None if found is None else replace(found, gauge=self.gauge)
 
 
 def changed(found: Heights, known: ElevationMap) -> Heights:
