@@ -132,7 +132,7 @@ class Elevation:
 
     def start(self, grid: Grid) -> ElevationMap:
         """The same as a step at these cells may start from: less sure of what was only seen with coarser ones."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, LESS_SURE))
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, LESS_SURE))  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""
