@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -73,7 +73,7 @@ def replay(
     return result_of(source, settings, decision, pipeline.timings)
 
 
-def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str, list[float]]) -> RunResult:
+def result_of(source: Source, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
     """Everything that the output folder and the report are made of."""
     return RunResult(
         source_name=source.name,

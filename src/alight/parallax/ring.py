@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
-from alight.parallax import refine
+from alight.parallax import refine, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
@@ -44,6 +44,7 @@ class Ring:
         self._kept: list[list[Kept]] = []
         self._unknown = UNKNOWN_RATIO
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
+        self._sharper = False  # the cells became smaller: the colours of the map are coarse
         self._buffers = Buffers()
         self._alignment = Alignment(settings.ring)
 
@@ -68,6 +69,7 @@ class Ring:
         """
         self._ground = ground
         if cell != self._cell:
+            self._sharper = cell < self._cell
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute what the sweep found
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
@@ -126,6 +128,9 @@ class Ring:
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
         found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
+        samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
+        found = replace(found, flags=found.flags | moves)
         return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:
@@ -178,7 +183,8 @@ class Ring:
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = BELOW * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
-        fresh = np.isnan(known.height) & np.isfinite(height)
+        fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
+        self._sharper = False
         for where, only in ((box_of(fresh), fresh), (below, np.isfinite(height))):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)

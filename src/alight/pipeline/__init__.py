@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -38,6 +39,7 @@ log = logging.getLogger(__name__)
 __all__ = ["Decision", "Pipeline", "TimedPoses"]
 
 Tell = Callable[[str, float], None]  # stage, share done
+LAST_STEPS = 1000  # whose times are kept in flight
 FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
 KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
 
@@ -89,11 +91,11 @@ class Pipeline:
         self._terrain = TerrainLane(settings, far)
         self._store = FrameStore()
         self._motions: dict[int, Motion] = {}
-        self.timings: dict[str, list[float]] = {}
+        self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
 
     def _timed(self, stage: str, since: float) -> float:
         now = self._clock()
-        self.timings.setdefault(stage, []).append(now - since)
+        self.timings.setdefault(stage, deque(maxlen=None if self._history else LAST_STEPS)).append(now - since)
         return now
 
     def feed(self, event: Event) -> Motion | None:
@@ -105,6 +107,9 @@ class Pipeline:
             if motion is not None:
                 self._motions[event.t_ns] = motion
             self._keep(event, motion)
+            if not self._history:
+                held = {f.t_ns for f in self._store.frames}
+                self._motions = {t: m for t, m in self._motions.items() if t in held}
         return motion
 
     def _keep(self, frame: Frame, motion: Motion | None) -> None:
@@ -128,9 +133,6 @@ class Pipeline:
         if self._recursive:
             self._advance(frames)
             self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
-            if not self._history:
-                held = {f.t_ns for f in self._store.frames}
-                self._motions = {t: m for t, m in self._motions.items() if t in held}
 
     def _advance(self, frames: list[Frame]) -> None:
         for frame in frames:
