@@ -17,8 +17,9 @@ from alight.kernels import joint as kernels
 from alight.parallax import Ring
 from alight.parallax.belief import PLANE, POSE, Belief, between, moved, regression
 from alight.parallax.joint import plane_on, thinning
-from alight.records import ElevationMap, Gauge, Heights, Motion, PoseRing, View
-from alight.settings import Parallax
+from alight.pipeline.navigation import GivenLane
+from alight.records import ElevationMap, Frame, Gauge, Heights, Motion, PoseRing, Rig, RigCamera, View
+from alight.settings import MotionSettings, Parallax
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -192,6 +193,24 @@ def test_some_cells_of_a_grid() -> None:
 def test_errors_in_common_are_passed_on_whole() -> None:
     """A singular covariance: what all share is expected of the next as well."""
     assert_allclose(regression(np.ones((3, 3)), np.ones((3, 1))), np.full((1, 3), 1 / 3), atol=1e-6)
+
+
+def test_given_poses_are_told_of_when_the_settings_say_that_they_have_errors() -> None:
+    rig = Rig((RigCamera("cam0", ANY_CAMERA, Pose()),))
+    times = np.array([0, 10**8], np.int64), [Pose(), Pose(np.eye(3), np.ones(3))]
+    frame = Frame(10**8, (np.zeros((120, 160), np.uint8),))
+    exact, rough = (
+        GivenLane(rig, times, MotionSettings(given_position_sigma=a, given_attitude_sigma=b))
+        for a, b in ((0.0, 0.0), (0.05, 0.003))
+    )
+    assert rough.posterior() is None
+    assert exact.feed(frame) is not None
+    assert exact.posterior() is None
+    motion = rough.feed(frame)
+    ring = rough.posterior()
+    assert ring is not None
+    assert ring.motions == (motion,)
+    assert_allclose(np.sqrt(np.diag(ring.covariance)), [0.05] * 3 + [0.003] * 3)
 
 
 # -- flights
