@@ -77,7 +77,7 @@ def test_detail_is_measured_in_metres_not_in_pixels() -> None:
 def test_levels_follow_the_sampling() -> None:
     assert [level_of(s) for s in (0.02, 0.1, 0.135, 0.2, 0.3, 0.5, 0.6)] == [0, 0, 0, 1, 2, 2, None]
     assert look(picture(Terrain.BARE, 0), 1.0) is None
-    assert [len(names(level)) for level in range(3)] == [15, 12, 8]
+    assert [len(names(level)) for level in range(3)] == [19, 16, 12]
 
 
 def test_what_was_not_seen_has_no_features_and_changes_none_beside_it() -> None:

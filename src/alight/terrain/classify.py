@@ -1,4 +1,4 @@
-"""From evidence to classes: everything is weighed together, and appearance may only take (docs/method-terrain.md)."""
+"""From evidence to classes: everything is weighed together, and appearance may only take (docs/method-ground.md, 3)."""
 
 from __future__ import annotations
 

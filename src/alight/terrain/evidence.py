@@ -1,4 +1,4 @@
-"""What the map itself says of its cover: shape, matching and texture, weighed together (docs/method-terrain.md, 1).
+"""What the map itself says of its cover: shape, matching and texture, weighed together (docs/method-ground.md, T1).
 
 No colour and no library: this is what is left when the pictures look like nothing known, and what an appearance may
 only take from.
@@ -46,14 +46,15 @@ def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str,
     height = np.nan_to_num(elevation.height)
 
     def near(values: F32, metres: float) -> F32:
-        return np.nan_to_num(smooth(np.nan_to_num(values).astype(np.float32), looked, metres / cell))
+        mean = smooth(np.nan_to_num(values).astype(np.float32), looked, metres / cell)
+        return np.asarray(np.nan_to_num(mean), np.float32)
 
     def rough(metres: float) -> F32:
-        off = height - np.nan_to_num(smooth(height, measured, metres / cell))
+        off: F32 = height - np.nan_to_num(smooth(height, measured, metres / cell))
         return _log(np.sqrt(np.nan_to_num(smooth(off * off, measured, metres / cell))), 0.01)
 
     def flagged(flags: int) -> F32:
-        return ((elevation.flags & np.uint16(flags)) != 0).astype(np.float32)
+        return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
 
     usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))

@@ -1,4 +1,4 @@
-"""What ground looks like, in numbers that another camera, season and light leave alone (docs/method-terrain.md, 2).
+"""What ground looks like, in numbers that another camera, season and light leave alone (docs/method-ground.md, T3).
 
 Every number is a ratio: of brightness at two scales in metres, of a picture and the frame that it belongs to, or a
 correlation. None is a colour, because a colour is the camera's and the season's as much as the ground's.
@@ -48,6 +48,7 @@ def names(level: int) -> tuple[str, ...]:
         *detail,
         *(f"{d} against the frame" for d in detail),
         *(f"blue shade {n}" for n in octaves),
+        *(f"{k} tint {n}" for n in octaves[:2] for k in ("red", "blue")),
         *(f"evenness {n}" for n in octaves[:3]),
     )
 
@@ -91,12 +92,14 @@ class _Means:
         return np.asarray(self._coarse(values * self._seen) / np.maximum(self.share, 1e-3), np.float32)
 
 
-def _octave(light: F32, blue: F32, mean: _Means) -> dict[str, F32]:
-    """Numbers of one octave of log brightness and log blue over green."""
+def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
+    """Numbers of one octave of log brightness, log red over green and log blue over green."""
     power, tint = mean(light * light), mean(blue * blue)
     return {
         "detail": 0.5 * np.log(power + NOISE),
         "blue shade": mean(light * blue) / np.sqrt((power + NOISE) * (tint + TINT)),
+        "red tint": 0.5 * np.log(mean(red * red) + TINT),
+        "blue tint": 0.5 * np.log(tint + TINT),
         "evenness": mean(np.abs(light)) / np.sqrt(power + NOISE),
     }
 
@@ -104,13 +107,14 @@ def _octave(light: F32, blue: F32, mean: _Means) -> dict[str, F32]:
 def _octaves(colour: F32, level: int, mean: _Means) -> dict[str, F32]:
     """The numbers of all octaves by name."""
     r, g, b = (colour[..., k] + np.float32(DARK) for k in range(3))
-    light, blue = np.log((r + g + b) / 3).astype(np.float32), np.log(b / g).astype(np.float32)
+    signals = [np.asarray(np.log(v), np.float32) for v in ((r + g + b) / 3, r / g, b / g)]
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
         sigma = 2.0 ** (n + 1 - level)
-        coarse_light, coarse_blue = _blur(light, sigma), _blur(blue, sigma)
-        found |= {f"{k} {n}": v for k, v in _octave(light - coarse_light, blue - coarse_blue, mean).items()}
-        light, blue = coarse_light, coarse_blue
+        coarser = [_blur(s, sigma) for s in signals]
+        light, red, blue = (s - c for s, c in zip(signals, coarser, strict=True))
+        found |= {f"{k} {n}": v for k, v in _octave(light, red, blue, mean).items()}
+        signals = coarser
     return found
 
 
