@@ -132,8 +132,8 @@ class Pipeline:
         elif self._terrain.ground is not None:
             self._advance(self._store.frames[-1:])
             if self._terrain.beyond and look:
-                self._terrain.learn_anew(self._views(), FIND_BASELINE)
-        elif look and self._terrain.learn(self._views(), FIND_BASELINE):
+                self._terrain.learn_anew(self._views_now(), FIND_BASELINE)
+        elif look and self._terrain.learn(self._views_now(), FIND_BASELINE):
             self._advance(self._store.frames)
         elif len(self._store.frames) >= KEPT_BY_RING:  # the height is not known, so the baseline that it takes is not
             self._store.thin()
@@ -156,6 +156,10 @@ class Pipeline:
         return float(self._settings.parallax.keyframe_baseline * max(above, 1.0))
 
     def _views(self) -> list[View]:
+        return views_of(self._store.frames, self._motions, self._navigation.rig)
+
+    def _views_now(self) -> list[View]:
+        """The same in flight: with what is known of the last poses by now."""
         newer = self._navigation.posterior()
         motions = self._motions if newer is None else self._motions | {m.t_ns: m for m in newer.motions}
         return views_of(self._store.frames, motions, self._navigation.rig)
