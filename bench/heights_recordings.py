@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from heights_points import BAD, LEAST, OPEN, Answer, Mask, percent
 from heights_table import KEPT, Row, kept
-from heights_unflagged import DEEP, Ground, mapped, through
+from heights_unflagged import DEEP, OF_GIVEN, Ground, mapped, through
 from matchers import by_pair, inside
 from subjects import Subject, flight, photos
 
@@ -76,7 +76,7 @@ def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
         "p95": float(np.percentile(np.abs(e), 95)),
         "accepted": 100 * float(given.sum() / seen.sum()),
         "95 %": percent(np.abs(e - np.median(e)) < 1.96 * found.sigma[given]),
-        "pond": water["of what is given out"],
+        "pond": water[OF_GIVEN],
         "pond given": water["given out"],
     }
 

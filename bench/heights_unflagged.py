@@ -32,6 +32,7 @@ ASKED = {
     "clear_water": (True, DEEP),
 }  # fmt: skip
 METHODS = ("batch", "ring")
+OF_GIVEN, OF_KIND = "of all given out", "of its own cells"
 Numbers = dict[str, float]
 
 
@@ -76,8 +77,8 @@ def through(found: ElevationMap, ground: Ground, limit: float, water: bool) -> N
     given = seen & found.trusted
     wrong = given & kind & (np.abs(found.height - height) > limit)
     return {
-        "of what is given out": _share(wrong, given),
-        "of the cells of its kind": _share(wrong, seen & kind),
+        OF_GIVEN: _share(wrong, given),
+        OF_KIND: _share(wrong, seen & kind),
         "given out": _share(given & kind, seen & kind),
     }
 
@@ -112,10 +113,11 @@ def rows(seeds: str) -> list[Row]:
     out = []
     for which, found in flights.items():
         limit = ASKED[which][1] if which in ASKED else DEEP
+        judged = OF_GIVEN if limit == DEEP else OF_KIND
         for m in METHODS:
             mean = {k: float(np.mean([f[m][k] for f in found])) for k in found[0][m]}
-            name = f"off > {limit} m, not flagged, % of given out: {which}, {m}"
-            out.append(Row(name, mean["of what is given out"], 1.0, 0.1))
-            out.append(Row("... % of its own cells", mean["of the cells of its kind"]))
-            out.append(Row("... its own cells that are given out, %", mean["given out"]))
+            out.append(Row(f"off > {limit} m and not flagged, % {judged}: {which}, {m}", mean[judged], 1.0, 0.1))
+            other = OF_KIND if judged == OF_GIVEN else OF_GIVEN
+            out.append(Row(f"... % {other}", mean[other]))
+            out.append(Row(f"... given out, % {OF_KIND}", mean["given out"]))
     return out
