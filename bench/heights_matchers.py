@@ -31,7 +31,7 @@ def lane_of(views: list[View]) -> TerrainLane:
 
 def on_map(lane: TerrainLane, points: Points) -> Answer:
     """What the map of a lane says of the points."""
-    found = lane.map(points.above)
+    found = lane.map()
     assert found is not None
     r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
     ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)

@@ -53,7 +53,7 @@ class Ground:
         return height, cv2.remap(self.label, col, row, cv2.INTER_NEAREST, borderValue=0, **edge)
 
 
-def mapped(shots: list[list[View]], method: str, above: float) -> ElevationMap:
+def mapped(shots: list[list[View]], method: str) -> ElevationMap:
     """The map of the heights stage alone, both cameras."""
     lane = TerrainLane(Settings())
     views = [v for shot in shots for v in shot]
@@ -64,7 +64,7 @@ def mapped(shots: list[list[View]], method: str, above: float) -> ElevationMap:
     else:
         for shot in shots:
             lane.step(shot)
-    found = lane.map(above)
+    found = lane.map()
     assert found is not None
     return found
 
@@ -92,7 +92,7 @@ def _judged(flight: simulate.SimulatedFlight, water: bool, limit: float) -> dict
     shots = list(exposures(flight))
     truth = flight.truth
     ground = Ground(np.asarray(truth.height, np.float32), truth.label, truth.grid)
-    return {m: through(mapped(shots, m, flight.plan.height), ground, limit, water) for m in METHODS}
+    return {m: through(mapped(shots, m), ground, limit, water) for m in METHODS}
 
 
 def scene(name: str, seed: int) -> dict[str, Numbers]:
