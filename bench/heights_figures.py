@@ -20,9 +20,10 @@ from heights_table import kept
 
 FOLDER = Path(__file__).parents[1] / "docs" / "figures"
 RUNG = "meadow/40m/test-1"
-FRAMES = (5, 7, 10, 14, 20, 28, 40)
+FRAMES = (8, 10, 14, 20, 28, 40)
 SCALES = (0.0, 0.25, 0.5, 1.0, 2.0)  # of 5 cm and 0.2 degrees
 POSE_SEEDS = 2
+LEAST_GIVEN = 50  # percent given out, of points: of fewer an error means nothing
 WIDTH, HEIGHT, LEFT, RIGHT, TOP, BOTTOM = 640, 360, 64, 176, 34, 48  # px
 COLOURS = ("#1f5fa8", "#2a9d57", "#c0392b", "#e08a1e", "#7d5ba6", "#777777")
 Points = Sequence[tuple[float, float]]
@@ -66,6 +67,7 @@ def chart(title: str, across: Axis, up: Axis, lines: dict[str, Points]) -> str:
     for t in up.ticks:
         out.append(f'<path d="M{LEFT} {y(t)}H{LEFT + w}" stroke="#ddd"/>')
         out.append(f'<text x="{LEFT - 6}" y="{y(t) + 4}" text-anchor="end">{t:g}</text>')
+    lines = {name: [p for p in points if math.isfinite(p[1])] for name, points in lines.items()}
     ends = spread([y(points[-1][1]) for points in lines.values()])
     for (name, points), colour, end in zip(lines.items(), COLOURS, ends, strict=False):
         path = " ".join(f"{x(a)},{y(b)}" for a, b in points)
@@ -113,7 +115,8 @@ def pose() -> str:
             kept(f"poses {RUNG} x{scale} {seed} {refine}", lambda s=seed: poses.fly(RUNG, "white", s, refine, scale))  # type: ignore[misc]
             for seed in range(1, 1 + POSE_SEEDS)
         ]
-        return float(np.mean([r["shape"] for r in runs]))
+        given = min(r["given"] for r in runs)
+        return float(np.mean([r["shape"] for r in runs])) if given > LEAST_GIVEN else math.nan
 
     lines = {
         name: [(5.0 * s, shape(s, refine)) for s in SCALES]
