@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from heights_points import BAD, LEAST, OPEN, Answer, Mask, percent
 from heights_table import KEPT, Row, kept
-from heights_unflagged import DEEP, OF_GIVEN, Ground, mapped, through
+from heights_unflagged import DEEP, OF_GIVEN, WITH_TERRAIN, Ground, mapped, through
 from matchers import by_pair, inside
 from subjects import Subject, flight, photos
 
@@ -40,6 +40,7 @@ def sample_rows() -> list[Row]:
             Row(f"sample, {method}: ground accepted of seen, %", found["accepted"], (80, math.inf), (90, math.inf)),
             Row(f"sample, {method}: ground within 1.96 sigma, %", found["95 %"]),
             Row(f"sample, {method}: off > 0.5 m on the pond, % of given out", found["pond"], 1.0, 0.1),
+            Row("... after the terrain stage", found["pond after"], 1.0, 0.1),
             Row(f"sample, {method}: pond given out, %", found["pond given"]),
         ]
     return out
@@ -77,6 +78,7 @@ def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
         "accepted": 100 * float(given.sum() / seen.sum()),
         "95 %": percent(np.abs(e - np.median(e)) < 1.96 * found.sigma[given]),
         "pond": water[OF_GIVEN],
+        "pond after": water[WITH_TERRAIN],
         "pond given": water["given out"],
     }
 
