@@ -73,7 +73,7 @@ def chart(title: str, across: Axis, up: Axis, lines: dict[str, Points]) -> str:
         path = " ".join(f"{x(a)},{y(b)}" for a, b in points)
         out.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>')
         out += [f'<circle cx="{x(a)}" cy="{y(b)}" r="2.5" fill="{colour}"/>' for a, b in points]
-        out.append(f'<text x="{LEFT + w + 8}" y="{end + 4}" fill="{colour}">{name}</text>')
+        out.append(f'<text x="{x(points[-1][0]) + 8}" y="{end + 4}" fill="{colour}">{name}</text>')
     return "\n".join([*out, "</svg>\n"])
 
 
@@ -90,7 +90,7 @@ def frames() -> str:
     found = {n: measure(RUNG, n) for n in FRAMES}
     names = ("batch", "ring", "SGBM motion, median", "SGBM motion, widest")
     lines = {m: [(float(n), found[n][m]["open NMAD %"]) for n in FRAMES] for m in names}
-    ticks = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+    ticks = (0.03, 0.05, 0.1, 0.2, 0.5)
     title = "Open ground, true poses, 40 m: error against frames (2 % of the height apart)"
     return chart(title, Axis("frames", FRAMES), Axis("NMAD, % of height", ticks), lines)
 
@@ -102,7 +102,7 @@ def height() -> str:
         m: [(float(h), 0.01 * h * rungs.median(m, "open NMAD %", [h], 10)) for h in rungs.heights]
         for m in ("batch", "ring", "SGBM motion, median", "SGBM motion, widest", "SGBM rig", "SGBM rig x4")
     }
-    ticks = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+    ticks = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
     title = "Open ground, true poses, 10 frames: error against height"
     return chart(title, Axis("height above ground, m", rungs.heights), Axis("NMAD, m", ticks), lines)
 
@@ -124,7 +124,7 @@ def pose() -> str:
     }
     title = "Open ground, 40 m, 20 frames: shape against the error of each pose"
     across = Axis("error of the position, cm; of the attitude, 0.04 degrees a cm", (0, 2, 4, 6, 8, 10), log=False)
-    return chart(title, across, Axis("NMAD less a plane, % of height", (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)), lines)
+    return chart(title, across, Axis("NMAD less a plane, % of height", (0.05, 0.1, 0.2, 0.5)), lines)
 
 
 FIGURES: dict[str, Callable[[], str]] = {"frames": frames, "height": height, "pose": pose}

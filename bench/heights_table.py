@@ -42,7 +42,9 @@ class Row:
             return ""
         if math.isnan(self.value):
             return "not measured"
-        return "MISS" if not meets(self.value, self.must) else "must" if not meets(self.value, self.aim) else "aim"
+        if not meets(self.value, self.must):
+            return "MISS"
+        return "aim" if self.aim is not None and meets(self.value, self.aim) else "must"
 
     def line(self) -> str:
         """One line of the table."""
@@ -61,8 +63,8 @@ def said(limit: float | tuple[float, float] | None) -> str:
     if limit is None:
         return ""
     if isinstance(limit, tuple):
-        return f">= {limit[0]:g}" if math.isinf(limit[1]) else f"{limit[0]:g}-{limit[1]:g}"
-    return f"<= {limit:g}"
+        return f">= {limit[0]:.4g}" if math.isinf(limit[1]) else f"{limit[0]:.4g}-{limit[1]:.4g}"
+    return f"<= {limit:.4g}"
 
 
 def head(title: str) -> str:
