@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import kernel, parallel_kernel, prange
+from alight.kernels.compiler import kernel, parallel_kernel, pixelwise, prange
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -16,86 +16,84 @@ ZERO, ONE = np.float32(0), np.float32(1)
 
 @kernel
 def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
-    """Fill a row with the heights, far away where unknown, and with what each is worth as a neighbour."""
+    """Fill a row with the heights and with what each is worth as a neighbour: nothing where unknown."""
     for c in range(h.size):
         known = h[c] == h[c]
         information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
-        height[c] = h[c] if known else UNKNOWN
+        height[c] = h[c] if known else ZERO
         trust[c] = np.float32(0.05) + information if known else ZERO
 
 
 @kernel
-def _pair_row(
-    h: F32, h1: F32, h2: F32, t1: F32, t2: F32, spread: F32, dx: np.float32, dy: np.float32, sums: F32
-) -> None:
-    """Add two opposite neighbours, at (dx, dy) and (-dx, -dy), to the sums of the weighted plane."""
-    s0, sx, sy, sxx, sxy, syy = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    sh, shx, shy = sums[6], sums[7], sums[8]
-    xx, xy, yy = dx * dx, dx * dy, dy * dy
-    for c in range(h.size):
-        v1, v2 = h1[c] - h[c], h2[c] - h[c]
-        d1, d2 = v1 / spread[c], v2 / spread[c]
-        both = np.float32(0.5) * (d1 + d2)  # on a plane the two deviate by equal and opposite amounts
-        d1, d2, both = d1 * d1, d2 * d2, both * both
-        d1 = (both if both < d1 else d1) + ONE
-        d2 = (both if both < d2 else d2) + ONE
-        w1, w2 = t1[c] / (d1 * d1), t2[c] / (d2 * d2)
-        v1, v2 = w1 * v1, w2 * v2
-        even, odd = w1 + w2, w1 - w2
-        s0[c] += even
-        sx[c] += dx * odd
-        sy[c] += dy * odd
-        sxx[c] += xx * even
-        sxy[c] += xy * even
-        syy[c] += yy * even
-        sh[c] += v1 + v2
-        shx[c] += dx * (v1 - v2)
-        shy[c] += dy * (v1 - v2)
+def _inverse_row(x: F32, out: F32) -> None:
+    for c in range(x.size):
+        out[c] = ONE / x[c]
+
+
+@pixelwise
+def _pair(
+    h: np.float32, inverse: np.float32, h1: np.float32, h2: np.float32, t1: np.float32, t2: np.float32
+) -> tuple[np.float32, np.float32]:
+    """Weight of two opposite neighbours, and how far the middle between them is above the cell."""
+    above = np.float32(0.5) * (h1 + h2) - h
+    off = above * inverse
+    share = ONE - np.float32(0.5) * off * off
+    share = share if share > ZERO else ZERO
+    return t1 * t2 * share * share, above
 
 
 @kernel
-def _pull_row(sums: F32, h: F32, precision: F32, noise: F32, spread: F32, strength: np.float32, out: F32) -> None:
-    """Pull each height to the value of its plane, by weighted least squares v = a + bx dx + by dy, at the centre."""
+def _pairs_row(
+    h: F32, inverse: F32, a1: F32, a2: F32, ta1: F32, ta2: F32, b1: F32, b2: F32, tb1: F32, tb2: F32, sw: F32, sh: F32
+) -> None:
+    """Add two pairs to the sums: at once, because loading and storing the sums costs as much as a pair."""
     for c in range(h.size):
-        s0, sx, sy, sxy = sums[0, c], sums[1, c], sums[2, c], sums[4, c]
-        sh, shx, shy = sums[6, c], sums[7, c], sums[8, c]
-        sxx, syy = sums[3, c] + np.float32(0.1) * s0, sums[5, c] + np.float32(0.1) * s0
-        m0, m1, m2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
-        det = s0 * m0 - sx * m1 + sy * m2
-        good = (s0 >= np.float32(1e-3)) & (det > np.float32(1e-9) * s0 * s0 * s0)
-        a = (sh * m0 - sx * (shx * syy - sxy * shy) + sy * (shx * sxy - sxx * shy)) / (det if good else ONE)
-        share = s0 if s0 < ONE else ONE
-        weight = strength * (noise[c] + np.float32(1e-3)) / (spread[c] * spread[c]) * share
-        pull = a * weight / (weight + precision[c] + np.float32(1e-12))
-        out[c] = h[c] + (pull if good else ZERO)  # NaN stays NaN
+        wa, va = _pair(h[c], inverse[c], a1[c], a2[c], ta1[c], ta2[c])
+        wb, vb = _pair(h[c], inverse[c], b1[c], b2[c], tb1[c], tb2[c])
+        sw[c] += wa + wb
+        sh[c] += wa * va + wb * vb
+
+
+@kernel
+def _pull_row(sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32, strength: np.float32, out: F32) -> None:
+    """Pull each height to the mean of its pairs."""
+    for c in range(h.size):
+        share = sw[c] if sw[c] < ONE else ONE
+        weight = strength * (noise[c] + np.float32(1e-3)) * inverse[c] * inverse[c] * share
+        pull = sh[c] / (sw[c] + np.float32(1e-6)) * weight / (weight + precision[c] + np.float32(1e-12))
+        out[c] = h[c] + pull  # NaN stays NaN
 
 
 @parallel_kernel
 def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: I64, out: F32) -> None:
-    """Pull each height towards the robust local plane of its neighbours (eq. 12); what is unseen stays NaN and unused.
+    """Pull each height towards the planes of its neighbours (eq. 12); what is unseen stays NaN and unused.
 
-    Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull
-    is `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
-    `pairs` (K, 2): offsets (dx, dy) of one neighbour of each opposite pair.
+    On a plane the middle between two opposite neighbours is the height, whatever the slope. Pairs are weighted by what
+    both know and by how near that middle is; the pull is `strength` in parallax pixels (through `spread`, metres a
+    pixel), so that it means the same at any height. `pairs` (2 K, 2): offsets (dx, dy) of one neighbour of each pair.
     """
     rows, cols = h.shape
     radius = np.abs(pairs).max()
-    height = np.full((rows + 2 * radius, cols + 2 * radius), UNKNOWN, np.float32)
+    height = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
     trust = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
     for r in prange(rows):
         inner = slice(radius, radius + cols)
         _known_row(h[r], precision[r], noise[r], spread[r], height[r + radius, inner], trust[r + radius, inner])
     for r in prange(rows):
-        sums = np.zeros((9, cols), np.float32)
-        for k in range(pairs.shape[0]):
-            dx, dy = pairs[k, 0], pairs[k, 1]
-            ahead, behind = slice(radius + dx, radius + dx + cols), slice(radius - dx, radius - dx + cols)
-            down, up = r + radius + dy, r + radius - dy
-            _pair_row(
-                h[r], height[down, ahead], height[up, behind], trust[down, ahead], trust[up, behind], spread[r],
-                np.float32(dx), np.float32(dy), sums,
+        work, inner = np.zeros((3, cols), np.float32), slice(radius, radius + cols)
+        sw, sh, inverse = work[0], work[1], work[2]
+        _inverse_row(spread[r], inverse)
+        for k in range(0, pairs.shape[0], 2):
+            ax, ay, bx, by = pairs[k, 0], pairs[k, 1], pairs[k + 1, 0], pairs[k + 1, 1]
+            a1, a2 = slice(radius + ax, radius + ax + cols), slice(radius - ax, radius - ax + cols)
+            b1, b2 = slice(radius + bx, radius + bx + cols), slice(radius - bx, radius - bx + cols)
+            ra1, ra2, rb1, rb2 = r + radius + ay, r + radius - ay, r + radius + by, r + radius - by
+            _pairs_row(
+                height[r + radius, inner], inverse,
+                height[ra1, a1], height[ra2, a2], trust[ra1, a1], trust[ra2, a2],
+                height[rb1, b1], height[rb2, b2], trust[rb1, b1], trust[rb2, b2], sw, sh,
             )  # fmt: skip
-        _pull_row(sums, h[r], precision[r], noise[r], spread[r], np.float32(strength), out[r])
+        _pull_row(sw, sh, h[r], precision[r], noise[r], inverse, np.float32(strength), out[r])
 
 
 @parallel_kernel

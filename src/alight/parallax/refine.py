@@ -18,7 +18,6 @@ from alight.parallax.views import Buffers, Prepared, maps, stack
 from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey, Huber's knee
-RADIUS = 2  # cells: 5x5 windows
 SEEN_BLOCK = 4  # cells
 BLOCK = 8  # cells of half resolution
 LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
@@ -148,7 +147,6 @@ def gauss_newton(
     a, b, c = (np.zeros(shape, np.float32) for _ in range(3))
     fit = Fit(height.copy(), a, b, c, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(shape, np.float32))
     lam, eta, s2, step = (held.get(name, shape) for name in ("lambda", "eta", "s2", "step"))
-    weights = held.get("weights", (len(prepared), *shape))
     centres = centres_of(prepared)
     wide, _ = baselines(prepared, grid, height)
     drop = _drop(centres, height)
@@ -158,11 +156,11 @@ def gauss_newton(
         samples = stack(prepared, grid, fit.height, held)
         if visible is not None:
             trust.veil(visible, samples)
-        kernels.template(samples, network(len(samples)), TAU, weights, fit.mean, fit.used, fit.seen)
         kernels.normal_equations(
-            samples, weights, fit.mean, fit.used, centres, *xs_ys, fit.height, grid.cell, lam, eta, s2
+            samples, network(len(samples)), TAU, centres, *xs_ys, fit.height, grid.cell,
+            fit.mean, fit.used, fit.seen, lam, eta, s2,
         )  # fmt: skip
-        kernels.solve(lam, eta, s2, fit.height, RADIUS, spread, limit, step, fit.precision, fit.noise)
+        kernels.solve(lam, eta, s2, fit.height, spread, limit, step, fit.precision, fit.noise)
         moved = np.add(fit.height, step, out=step)
         surface.plane_prior(moved, fit.precision, fit.noise, spread, np.float32(prior), PRIOR_PAIRS, fit.height)
     return fit
