@@ -25,7 +25,7 @@ format: $(MADE)  ## put the source into its form
 bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 	$(BIN)/python bench/bench_steps.py
 
-bench-heights: $(MADE)  ## heights beside StereoSGBM on the ladder's test flights
+bench-heights: $(MADE)  ## heights: everything asked of them beside what they must show; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
 
 bench-ground: $(MADE)  ## hazards: the contest's terrains, speed

@@ -47,14 +47,22 @@ class Subject:
     truth: Truth | None  # a flight's rasters
     cloud: F64 | None  # (N, 3) a reference's points
 
-    def views(self) -> list[View]:
-        """The left pictures with their true poses, in order of time."""
-        cam = self.source.rig.cameras[0]
+    def exposures(self) -> list[list[View]]:
+        """The pictures of each exposure with their true poses, in order of time."""
+        cams = self.source.rig.cameras
         return [
-            View(e.t_ns, 0, e.images[0], cam.camera, self.at[e.t_ns] @ cam.body_from_cam)
+            [
+                View(e.t_ns, i, image, cam.camera, self.at[e.t_ns] @ cam.body_from_cam)
+                for i, (cam, image) in enumerate(zip(cams, e.images, strict=True))
+                if image is not None
+            ]
             for e in self.source.events()
             if isinstance(e, Frame) and e.images[0] is not None and e.t_ns in self.at
         ]
+
+    def views(self) -> list[View]:
+        """The left ones."""
+        return [shot[0] for shot in self.exposures()]
 
     def surface(self) -> NDArray[np.float32]:
         """The truth's heights above the origin, (R, C) metres."""

@@ -174,6 +174,21 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
     assert drift_px(ring[0], ring[-1]) < 0.35
 
 
+def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
+    """Its blocks are the poses' own in the map; between two exposures far less is unknown than of each."""
+    ring = flown[0].posterior()
+    K, P = len(ring.motions), ring.covariance
+    assert P.shape == (6 * K, 6 * K)
+    np.testing.assert_allclose(P, P.T, atol=1e-12)
+    for k, m in enumerate(ring.motions):
+        own = P[6 * k : 6 * k + 6, 6 * k : 6 * k + 6]
+        np.testing.assert_allclose(own[3:, 3:], m.covariance[3:, 3:], rtol=1e-9)  # the offset moves no rotation
+    last, first = P[-6:, -6:], P[:6, :6]
+    between = last + first - P[-6:, :6] - P[:6, -6:]
+    assert np.linalg.eigvalsh(P).min() > -1e-12
+    assert between[5, 5] < 0.1 * last[5, 5]  # heading
+
+
 def test_gps_errors_do_not_shake_the_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
     _, motions = flown
     steps = [drift_px(a, b) for a, b in pairwise(motions[20:])]

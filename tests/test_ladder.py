@@ -44,7 +44,7 @@ def test_no_seed_is_both_for_tuning_and_for_testing() -> None:
     assert not tuning & test
 
 
-@pytest.mark.parametrize("height", HEIGHTS)
+@pytest.mark.parametrize("height", steps.RATES)
 def test_a_ring_of_7_to_10_frames_spans_a_tenth_to_a_fifth_of_the_height(height: int) -> None:
     r = Rung(SCENES[0], height, "test", 1)
     spacing = r.speed / r.rate_hz / height
@@ -79,7 +79,7 @@ def test_a_rung_flies_what_it_says(height: int) -> None:
     [
         ("meadow", "write one like meadow/50m/test-3"),
         ("nowhere/50m/test-1", "nowhere/50m/test-1: the scene is not on the ladder; use one of: "),
-        (f"{SCENES[0]}/40m/test-1", "use one of: 20, 50, 100, 150"),
+        (f"{SCENES[0]}/35m/test-1", "use one of: 20, 40, 50, 60, 100, 150"),
         (f"{SCENES[0]}/50m/test-0", "use tuning-1 or test-1"),
         (f"{SCENES[0]}/50m/practice-1", "no rung"),
     ],

@@ -136,6 +136,14 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
+class PoseRing:
+    """The last keyframes from one posterior: poses that agree with each other, and how far they may be off together."""
+
+    motions: tuple[Motion, ...]  # K, oldest first
+    covariance: F64  # (6K, 6K) of the cameras' rig in the map: position [m], rotation vector in the world [rad] a pose
+
+
+@dataclass(frozen=True, eq=False)
 class View:
     """One image with its pose: what parallax works on."""
 

@@ -34,7 +34,7 @@ from alight.motion.points import Gate
 from alight.motion.ring import Refined
 from alight.motion.smoother import Recording, smooth
 from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, VEL, State
-from alight.records import F64, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.records import F64, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig, Tracks
 from alight.settings import Filter
 
 log = logging.getLogger(__name__)
@@ -45,6 +45,7 @@ _JUMP = (
 _FRESH = 0.2  # s between a GPS position and the exposure that it is taken for
 _KEEP_NS = 1_000_000_000  # ns of IMU samples kept
 _DOUBT = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added to a state that the pictures contradict
+_PLACE_FIRST = np.array([3, 4, 5, 0, 1, 2])  # the order of what goes out, of a clone's rows
 _HOPELESS = 3  # doubts in a row without a good exposure between, after which the state is made anew
 
 
@@ -148,18 +149,24 @@ class MotionFilter:
             self._state.correct(e / SIGMA, np.diag(1.0 / SIGMA), np.arange(ATT.start, ATT.stop))
 
     def ring(self) -> tuple[Motion, ...]:
+        """The keyframes of `posterior`, oldest first."""
+        return self.posterior().motions
+
+    def posterior(self) -> PoseRing:
         """The keyframes held, refined together with all that was seen from them (M23): consistent with each other.
 
-        Their covariances are marginals; GPS/INS corrections move all of them together.
+        Covariances of the single motions are marginals in the world; the joint one is in the map, whose place in the
+        world (`offset_world`) no picture tells. GPS/INS corrections move all of them together.
         """
         s = self._state
         if s is None or not s.clones:
-            return ()
-        found = self._features.ring(s)
-        return tuple(self._held(s, i, found) for i in range(len(s.clones)))
+            return PoseRing((), np.zeros((0, 0)))
+        found, K = self._features.ring(s), len(s.clones)
+        order = (6 * np.arange(K)[:, None] + _PLACE_FIRST).ravel()
+        return PoseRing(tuple(self._held(s, i, found) for i in range(K)), found.covariance[np.ix_(order, order)])
 
     def _held(self, s: State, i: int, found: Refined) -> Motion:
-        rows = 6 * i + np.array([3, 4, 5, 0, 1, 2])
+        rows = 6 * i + _PLACE_FIRST
         rig = Pose(found.R[i], found.p[i])
         body = Pose(found.R[i] @ so3_exp(s.core[MOUNT]).T, found.p[i])
         covariance = s.in_world(found.covariance[np.ix_(rows, rows)], found.offset_cross[rows])

@@ -13,7 +13,7 @@ from alight.geometry import Pose
 from alight.motion import MotionFilter
 from alight.motion.bundle import adjust
 from alight.motion.bundle_match import colmap
-from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig
+from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig
 from alight.settings import Settings
 from alight.tracks import Tracker
 
@@ -77,6 +77,10 @@ class FilterLane:
     def ring(self) -> tuple[Motion, ...]:
         """The last keyframes from one posterior: for the recursive map, whose views must agree with each other."""
         return self._filter.ring()
+
+    def posterior(self) -> PoseRing:
+        """The ring with the joint covariance of its poses: what a refinement with the map starts from."""
+        return self._filter.posterior()
 
 
 class GivenLane:

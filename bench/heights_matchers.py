@@ -1,0 +1,91 @@
+"""What is compared on simulated ground: the batch and the ring on the left pictures, StereoSGBM on the same frames.
+
+StereoSGBM gets pairs of the same motion (the median of those that see a point, and the widest pair alone) and the
+middle pair of the rig, plain and on pictures four times as wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from heights_points import Answer, Mask, Points
+from matchers import by_pair
+
+from alight.pipeline.terrain_lane import TerrainLane
+from alight.records import F64, View
+from alight.settings import Settings
+
+Shots = list[list[View]]  # exposures, the left view first
+Matcher = Callable[[Shots, Points], Answer]
+PAIRS = 5
+
+
+def lane_of(views: list[View]) -> TerrainLane:
+    """A lane that knows where the ground is; about 8 views tell it."""
+    lane = TerrainLane(Settings())
+    if not lane.learn(views[:: max(1, len(views) // 8)]):
+        raise SystemExit(lane.reason)
+    return lane
+
+
+def on_map(lane: TerrainLane, points: Points) -> Answer:
+    """What the map of a lane says of the points."""
+    found = lane.map(points.above)
+    assert found is not None
+    r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
+    ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)
+    r, c = r.clip(0, found.grid.rows - 1), c.clip(0, found.grid.cols - 1)
+    height = np.where(ok, found.height[r, c], np.nan).astype(np.float64)
+    return Answer(height, found.sigma[r, c].astype(np.float64), ok & found.trusted[r, c])
+
+
+def batch(shots: Shots, points: Points) -> Answer:
+    """Alight's batch."""
+    views = [s[0] for s in shots]
+    lane = lane_of(views)
+    lane.build(views, lambda share: None)
+    return on_map(lane, points)
+
+
+def ring(shots: Shots, points: Points) -> Answer:
+    """Alight's recursive step, exposure by exposure."""
+    lane = lane_of([s[0] for s in shots])
+    for shot in shots:
+        lane.step(shot[:1])
+    return on_map(lane, points)
+
+
+def claimless(height: F64, given: Mask) -> Answer:
+    """Of a matcher that knows no sigma."""
+    return Answer(height, np.full(len(height), np.nan), given)
+
+
+def sgbm_motion(shots: Shots, points: Points) -> Answer:
+    """Pairs half the window apart, median of the pairs."""
+    views, half = [s[0] for s in shots], len(shots) // 2
+    starts = range(0, len(views) - half, max(1, half // PAIRS))
+    heights, given = zip(*(by_pair(views[i], views[i + half], points.xyz) for i in starts), strict=True)
+    with np.errstate(all="ignore"):
+        return claimless(np.nanmedian(heights, axis=0), np.mean(given, axis=0) > 0.5)
+
+
+def sgbm_widest(shots: Shots, points: Points) -> Answer:
+    """The first and the last picture."""
+    return claimless(*by_pair(shots[0][0], shots[-1][0], points.xyz))
+
+
+def sgbm_rig(wider: int) -> Matcher:
+    """The middle stereo pair, its pictures `wider` times as wide."""
+
+    def run(shots: Shots, points: Points) -> Answer:
+        left, right = shots[len(shots) // 2][:2]
+        return claimless(*by_pair(left, right, points.xyz, wider))
+
+    return run
+
+
+MATCHERS: dict[str, Matcher] = {
+    "batch": batch, "ring": ring, "SGBM motion, median": sgbm_motion, "SGBM motion, widest": sgbm_widest,
+    "SGBM rig": sgbm_rig(1), "SGBM rig x4": sgbm_rig(4),
+}  # fmt: skip

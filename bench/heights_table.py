@@ -1,0 +1,88 @@
+"""Rows of a table of quantities with what they must be and aim to be, and numbers that are kept between runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+KEPT = ROOT / "out" / "bench-heights"
+# what a measured number hangs on: another source is another number
+SOURCES = (
+    "src/alight/geometry", "src/alight/kernels", "src/alight/parallax", "src/alight/pipeline", "src/alight/simulate",
+    "src/alight/elevation.py", "src/alight/elevation", "src/alight/settings.py", "bench",
+)  # fmt: skip
+WIDTH = 78
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity. Limits are numbers or (low, high); a number is the most allowed."""
+
+    name: str
+    value: float
+    must: float | tuple[float, float] | None = None
+    aim: float | tuple[float, float] | None = None
+
+    @property
+    def verdict(self) -> str:
+        """`aim`, `must` or `MISS`; nothing where nothing was asked."""
+        if self.must is None:
+            return ""
+        if math.isnan(self.value):
+            return "not measured"
+        return "MISS" if not meets(self.value, self.must) else "must" if not meets(self.value, self.aim) else "aim"
+
+    def line(self) -> str:
+        """One line of the table."""
+        return f"{self.name:{WIDTH}s}{said(self.must):>10s}{said(self.aim):>10s}{self.value:10.3f}  {self.verdict}"
+
+
+def meets(value: float, limit: float | tuple[float, float] | None) -> bool:
+    """Whether a value is within a limit."""
+    if limit is None:
+        return True
+    return limit[0] <= value <= limit[1] if isinstance(limit, tuple) else value <= limit
+
+
+def said(limit: float | tuple[float, float] | None) -> str:
+    """A limit in words."""
+    if limit is None:
+        return ""
+    if isinstance(limit, tuple):
+        return f">= {limit[0]:g}" if math.isinf(limit[1]) else f"{limit[0]:g}-{limit[1]:g}"
+    return f"<= {limit:g}"
+
+
+def head(title: str) -> str:
+    """The line above rows."""
+    return f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}"
+
+
+@cache
+def source_hash() -> str:
+    """Of everything that a number hangs on."""
+    digest = hashlib.sha256()
+    for name in SOURCES:
+        path = ROOT / name
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.suffix in (".py", ".yaml") and file.is_file():
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def kept(name: str, work: Callable[[], Any]) -> Any:
+    """What `work` gives, from the last run where the source is the same; numbers and words only."""
+    path = KEPT / source_hash() / (name.replace("/", "-").replace(" ", "_") + ".json")
+    if path.exists():
+        return json.loads(path.read_text())
+    found = json.loads(json.dumps(work()))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(found))
+    return found

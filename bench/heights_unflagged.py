@@ -1,0 +1,121 @@
+"""What the heights stage lets through where heights cannot be had: no texture, light that moves, water.
+
+True poses; the terrain stage, which knows water by its looks, is left out. The scenes lie in `bench/scenes`, one for
+each danger; on the sample flight and on the ladder's lakes the same is asked of the water there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+from doubt import exposures
+from heights_points import OPEN, Mask
+from heights_table import Row, kept
+from numpy.typing import NDArray
+
+from alight import simulate
+from alight.geometry import Grid
+from alight.pipeline.terrain_lane import TerrainLane
+from alight.records import F32, ElevationMap, Flag, Terrain, View
+from alight.settings import Settings
+from alight.simulate.ladder import MOST_SEEDS, rung
+
+SCENES = Path(__file__).parent / "scenes"
+WRONG, DEEP = 0.25, 0.5  # metres: a height that must be flagged; the same on water whose bed shows
+# scenes: whether they are judged on their water (or on open ground), and from where on a height is wrong
+ASKED = {
+    "low_texture": (False, WRONG), "moving_shadow": (False, WRONG), "new_water": (True, WRONG),
+    "clear_water": (True, DEEP),
+}  # fmt: skip
+METHODS = ("batch", "ring")
+Numbers = dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What is true of a flight's ground."""
+
+    height: F32  # (R, C) metres above the origin
+    label: NDArray[np.uint8]
+    grid: Grid
+
+    def at(self, grid: Grid) -> tuple[F32, NDArray[np.uint8]]:
+        """Heights, bilinear, NaN outside, and classes on another grid."""
+        e, n = np.meshgrid(*grid.xy())
+        row, col = (i.astype(np.float32) for i in self.grid.index(e, n))
+        edge = {"borderMode": cv2.BORDER_CONSTANT}
+        height = cv2.remap(self.height.astype(np.float32), col, row, cv2.INTER_LINEAR, borderValue=np.nan, **edge)
+        return height, cv2.remap(self.label, col, row, cv2.INTER_NEAREST, borderValue=0, **edge)
+
+
+def mapped(shots: list[list[View]], method: str, above: float) -> ElevationMap:
+    """The map of the heights stage alone, both cameras."""
+    lane = TerrainLane(Settings())
+    views = [v for shot in shots for v in shot]
+    if not lane.learn(views[:: max(1, len(views) // 16)]):
+        raise SystemExit(lane.reason)
+    if method == "batch":
+        lane.build(views, lambda share: None)
+    else:
+        for shot in shots:
+            lane.step(shot)
+    found = lane.map(above)
+    assert found is not None
+    return found
+
+
+def through(found: ElevationMap, ground: Ground, limit: float, water: bool) -> Numbers:
+    """Percent of cells that are off by more than `limit` and not flagged; on water alone, or on open ground."""
+    height, label = ground.at(found.grid)
+    seen = np.isfinite(height) & ((found.flags & np.uint16(Flag.UNSEEN)) == 0)
+    kind = label == Terrain.WATER if water else np.isin(label, OPEN)
+    given = seen & found.trusted
+    wrong = given & kind & (np.abs(found.height - height) > limit)
+    return {
+        "of what is given out": _share(wrong, given),
+        "of the cells of its kind": _share(wrong, seen & kind),
+        "given out": _share(given & kind, seen & kind),
+    }
+
+
+def _share(part: Mask, whole: Mask) -> float:
+    return 100 * float(part.sum()) / max(float(whole.sum()), 1.0)
+
+
+def _judged(flight: simulate.SimulatedFlight, water: bool, limit: float) -> dict[str, Numbers]:
+    """One flight by both methods."""
+    shots = list(exposures(flight))
+    truth = flight.truth
+    ground = Ground(np.asarray(truth.height, np.float32), truth.label, truth.grid)
+    return {m: through(mapped(shots, m, flight.plan.height), ground, limit, water) for m in METHODS}
+
+
+def scene(name: str, seed: int) -> dict[str, Numbers]:
+    """One of the scenes."""
+    return _judged(simulate.fly(SCENES / f"{name}.yaml", seed), *ASKED[name])
+
+
+def lakes(name: str) -> dict[str, Numbers]:
+    """The water of a rung of the ladder."""
+    return _judged(rung(name).fly(), True, DEEP)
+
+
+def rows(seeds: str) -> list[Row]:
+    """Every scene and the lakes, the mean over the seeds."""
+    flights = {n: [kept(f"{n} {s}", partial(scene, n, int(s))) for s in seeds.split(",")] for n in ASKED}
+    kind = "test" if int(seeds.split(",")[0]) > MOST_SEEDS else "tuning"
+    flights["lakes"] = [kept(f"{n} water", partial(lakes, n)) for n in (f"lakes/{h}m/{kind}-1" for h in (20, 50))]
+    out = []
+    for which, found in flights.items():
+        limit = ASKED[which][1] if which in ASKED else DEEP
+        for m in METHODS:
+            mean = {k: float(np.mean([f[m][k] for f in found])) for k in found[0][m]}
+            name = f"off > {limit} m, not flagged, % of given out: {which}, {m}"
+            out.append(Row(name, mean["of what is given out"], 1.0, 0.1))
+            out.append(Row("... % of its own cells", mean["of the cells of its kind"]))
+            out.append(Row("... its own cells that are given out, %", mean["given out"]))
+    return out
