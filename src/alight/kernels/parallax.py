@@ -25,6 +25,21 @@ ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
+def _normalise_row(grey: F32, mean: F32, norm: F32, floor: np.float32) -> None:
+    for c in range(grey.size):
+        variance = norm[c] - mean[c] * mean[c]
+        sd = np.sqrt(variance if variance > ZERO else ZERO)
+        norm[c] = (grey[c] - mean[c]) / (sd if sd > floor else floor)
+
+
+@parallel_kernel
+def normalise(grey: F32, mean: F32, norm: F32, floor: float) -> None:
+    """Turn the local mean square `norm` (H, W) into the grey level less the local mean over the local sd (eq. 5)."""
+    for r in prange(grey.shape[0]):
+        _normalise_row(grey[r], mean[r], norm[r], np.float32(floor))
+
+
+@kernel
 def _weigh_row(s: F32, median: F32, seen: F32, narrow: np.float32, w: F32, sw: F32, sm: F32, used: F32) -> None:
     for c in range(s.size):
         e = s[c] - median[c]
@@ -233,13 +248,14 @@ def _window_row(h: F32, lam: F32, eta: F32, s2: F32, inverse: F32, sl: F32, se: 
 
 
 @kernel
-def _step_row(sums: F32, h: F32, spread: F32, limit: F32, step: F32, precision: F32, noise: F32) -> None:
+def _step_row(sums: F32, h: F32, spread: F32, limit: float, step: F32, precision: F32, noise: F32) -> None:
     for c in range(h.size):
         good = (sums[3, c] > ZERO) & (h[c] == h[c])
         damping = np.float32(0.02) * sums[2, c] / (spread[c] * spread[c]) + np.float32(1e-9)
         s = sums[1, c] / (sums[0, c] + damping)
-        s = s if s < limit[c] else limit[c]
-        s = s if s > -limit[c] else -limit[c]
+        most = limit * spread[c]
+        s = s if s < most else most
+        s = s if s > -most else -most
         step[c] = s if good else ZERO
         precision[c] = sums[0, c] if good else ZERO
         noise[c] = sums[2, c] / (sums[3, c] if good else ONE) if good else ZERO
@@ -247,7 +263,7 @@ def _step_row(sums: F32, h: F32, spread: F32, limit: F32, step: F32, precision: 
 
 @parallel_kernel
 def solve(
-    lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: F32, step: F32, precision: F32, noise: F32
+    lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: float, step: F32, precision: F32, noise: F32
 ) -> None:
     """Window the normal equations over 5 x 5 cells of like height, fill the step (eq. 11).
 
@@ -274,5 +290,5 @@ def solve(
                 invert_row(spread[r, here], inverse[:width])
                 _window_row(ph[k:], pl[k:], pe[k:], pn[k:], inverse[:width], sums[0], sums[1], sums[2], sums[3])
                 _step_row(
-                    sums, h[r, here], spread[r, here], limit[r, here], step[r, here], precision[r, here], noise[r, here]
+                    sums, h[r, here], spread[r, here], np.float32(limit), step[r, here], precision[r, here], noise[r, here]
                 )  # fmt: skip

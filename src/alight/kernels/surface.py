@@ -4,13 +4,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.kernels.compiler import kernel, parallel_kernel, pixelwise, prange
+from alight.kernels.parallax import invert_row
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-I64 = NDArray[np.int64]
 
-UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
+Two = tuple[np.float32, np.float32]
+
+BAND, CHUNK = 32, 128  # rows and columns of cells that a thread takes at once
+REACH = 3  # cells to the farthest neighbour
+STRIDE = CHUNK + 2 * REACH
+CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
@@ -24,34 +29,46 @@ def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, tru
         trust[c] = np.float32(0.05) + information if known else ZERO
 
 
-@kernel
-def _inverse_row(x: F32, out: F32) -> None:
-    for c in range(x.size):
-        out[c] = ONE / x[c]
-
-
 @pixelwise
-def _pair(
-    h: np.float32, inverse: np.float32, h1: np.float32, h2: np.float32, t1: np.float32, t2: np.float32
-) -> tuple[np.float32, np.float32]:
-    """Weight of two opposite neighbours, and how far the middle between them is above the cell."""
-    above = np.float32(0.5) * (h1 + h2) - h
+def _pair(height: F32, trust: F32, i: int, dx: int, dy: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
+    """Add two opposite neighbours by what both know and by how near the middle between them is to the cell."""
+    ahead = i + np.uintp(CENTRE + dy * STRIDE + dx)
+    behind = i + np.uintp(CENTRE - dy * STRIDE - dx)
+    above = np.float32(0.5) * (height[ahead] + height[behind]) - here
     off = above * inverse
     share = ONE - np.float32(0.5) * off * off
     share = share if share > ZERO else ZERO
-    return t1 * t2 * share * share, above
+    w = trust[ahead] * trust[behind] * share * share
+    return sums[0] + w, sums[1] + w * above
 
 
 @kernel
-def _pairs_row(
-    h: F32, inverse: F32, a1: F32, a2: F32, ta1: F32, ta2: F32, b1: F32, b2: F32, tb1: F32, tb2: F32, sw: F32, sh: F32
-) -> None:
-    """Add two pairs to the sums: at once, because loading and storing the sums costs as much as a pair."""
-    for c in range(h.size):
-        wa, va = _pair(h[c], inverse[c], a1[c], a2[c], ta1[c], ta2[c])
-        wb, vb = _pair(h[c], inverse[c], b1[c], b2[c], tb1[c], tb2[c])
-        sw[c] += wa + wb
-        sh[c] += wa * va + wb * vb
+def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
+    """Sum sixteen pairs of a row of cells; of 7 x 7 neighbours these smooth as well as all twenty-four.
+
+    `height`, `trust`: rows of `STRIDE` from the upper left neighbour on. Unrolled, unsigned and with a stride that the
+    compiler knows: three times as fast as a loop over pairs.
+    """
+    for c in range(inverse.size):
+        i, sums = np.uintp(c), (ZERO, ZERO)
+        here, inv = height[i + np.uintp(CENTRE)], inverse[c]
+        sums = _pair(height, trust, i, 1, 0, here, inv, sums)
+        sums = _pair(height, trust, i, 0, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 2, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 2, here, inv, sums)
+        sums = _pair(height, trust, i, -2, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 2, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 0, here, inv, sums)
+        sums = _pair(height, trust, i, 0, 3, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 3, here, inv, sums)
+        sums = _pair(height, trust, i, -3, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 3, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 3, here, inv, sums)
+        sums = _pair(height, trust, i, -3, 3, here, inv, sums)
+        sw[c], sh[c] = sums
 
 
 @kernel
@@ -65,35 +82,45 @@ def _pull_row(sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32
 
 
 @parallel_kernel
-def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: I64, out: F32) -> None:
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, out: F32) -> None:
     """Pull each height towards the planes of its neighbours (eq. 12); what is unseen stays NaN and unused.
 
-    On a plane the middle between two opposite neighbours is the height, whatever the slope. Pairs are weighted by what
-    both know and by how near that middle is; the pull is `strength` in parallax pixels (through `spread`, metres a
-    pixel), so that it means the same at any height. `pairs` (2 K, 2): offsets (dx, dy) of one neighbour of each pair.
+    On a plane the middle between two opposite neighbours is the height, whatever the slope. The pull is `strength` in
+    parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
     """
     rows, cols = h.shape
-    radius = np.abs(pairs).max()
-    height = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
-    trust = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
-    for r in prange(rows):
-        inner = slice(radius, radius + cols)
-        _known_row(h[r], precision[r], noise[r], spread[r], height[r + radius, inner], trust[r + radius, inner])
-    for r in prange(rows):
-        work, inner = np.zeros((3, cols), np.float32), slice(radius, radius + cols)
-        sw, sh, inverse = work[0], work[1], work[2]
-        _inverse_row(spread[r], inverse)
-        for k in range(0, pairs.shape[0], 2):
-            ax, ay, bx, by = pairs[k, 0], pairs[k, 1], pairs[k + 1, 0], pairs[k + 1, 1]
-            a1, a2 = slice(radius + ax, radius + ax + cols), slice(radius - ax, radius - ax + cols)
-            b1, b2 = slice(radius + bx, radius + bx + cols), slice(radius - bx, radius - bx + cols)
-            ra1, ra2, rb1, rb2 = r + radius + ay, r + radius - ay, r + radius + by, r + radius - by
-            _pairs_row(
-                height[r + radius, inner], inverse,
-                height[ra1, a1], height[ra2, a2], trust[ra1, a1], trust[ra2, a2],
-                height[rb1, b1], height[rb2, b2], trust[rb1, b1], trust[rb2, b2], sw, sh,
-            )  # fmt: skip
-        _pull_row(sw, sh, h[r], precision[r], noise[r], inverse, np.float32(strength), out[r])
+    for band in prange((rows + BAND - 1) // BAND):
+        first, end = band * BAND, min(rows, band * BAND + BAND)
+        size = (BAND + 2 * REACH) * STRIDE
+        height, trust = np.empty(size, np.float32), np.empty(size, np.float32)
+        sw, sh, inverse = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+        for left in range(0, cols, CHUNK):
+            width = min(CHUNK, cols - left)
+            low, high = max(0, left - REACH), min(cols, left + width + REACH)
+            height[:], trust[:] = ZERO, ZERO  # a border that knows nothing
+            for r in range(max(0, first - REACH), min(rows, end + REACH)):
+                k = (r - first + REACH) * STRIDE + low - left + REACH
+                inner, near = slice(k, k + high - low), slice(low, high)
+                _known_row(h[r, near], precision[r, near], noise[r, near], spread[r, near], height[inner], trust[inner])
+            for r in range(first, end):
+                k, here = (r - first) * STRIDE, slice(left, left + width)
+                invert_row(spread[r, here], inverse[:width])
+                _pairs_row(height[k:], trust[k:], inverse[:width], sw, sh)
+                _pull_row(
+                    sw, sh, h[r, here], precision[r, here], noise[r, here], inverse, np.float32(strength), out[r, here]
+                )  # fmt: skip
+
+
+@parallel_kernel
+def block_tops(h: F32, side: int, lowest: float, out: F32) -> None:
+    """Fill `out` with the highest known height of each block of `side` x `side` cells; `lowest` where there is none."""
+    rows, cols = h.shape
+    for i in prange(out.shape[0]):
+        out[i] = np.float32(lowest)
+        for r in range(i * side, min(rows, (i + 1) * side)):
+            for c in range(cols):
+                if h[r, c] > out[i, c // side]:
+                    out[i, c // side] = h[r, c]
 
 
 @parallel_kernel

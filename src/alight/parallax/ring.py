@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
-from alight.parallax import refine
+from alight.parallax import refine, trust
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
 from alight.parallax.views import Buffers, Prepared, maps, prepare
@@ -67,65 +67,77 @@ class Ring:
         """
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
+        seen = refine.sight(fine, grid, known.height)
         ratio = self._carried(grid)
-        start = self._first_look(views, grid, known.height, ratio, low, high)
+        start = self._first_look(views, grid, known.height, self._parallax_enough(seen, grid), ratio, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
-        visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
-        fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers)
-        rgb = self._coloured(views[-1], grid, fit.height, known)
-        return fused(judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        visible = refine.visible_from(fine, grid, start, per_px)
+        fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
+        rgb = self._coloured(views[-1], grid, start, fit.height, known)
+        return fused(judged(fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
 
     def _carried(self, grid: Grid) -> F32:
-        out = np.full(grid.shape, UNKNOWN_RATIO, np.float32)
+        """The ambiguity of 2 x 2 cells of the window."""
+        wide = grid.coarser(COARSE)
+        out = np.full(wide.shape, UNKNOWN_RATIO, np.float32)
         if self._ratio is None:
             return out
-        old, values = self._ratio
-        dr, dc = round((old.north - grid.north) / grid.cell), round((grid.east - old.east) / grid.cell)
-        r = slice(max(0, -dr), min(grid.rows, old.rows - dr))  # rows of the new window that the old one had
-        c = slice(max(0, -dc), min(grid.cols, old.cols - dc))
+        old, values = self._ratio[0].coarser(COARSE), self._ratio[1]
+        dr, dc = round((old.north - wide.north) / wide.cell), round((wide.east - old.east) / wide.cell)
+        r = slice(max(0, -dr), min(wide.rows, old.rows - dr))  # rows of the new window that the old one had
+        c = slice(max(0, -dc), min(wide.cols, old.cols - dc))
         if r.stop > r.start and c.stop > c.start:
             out[r, c] = values[r.start + dr : r.stop + dr, c.start + dc : c.stop + dc]
         return out
 
-    def _parallax_enough(self, views: list[Kept], grid: Grid, before: F32) -> NDArray[np.bool_]:
+    def _parallax_enough(self, seen: refine.Sight, grid: Grid) -> NDArray[np.bool_]:
         """Where at least `LEAST_VIEWS` see the ground over a baseline of `FIRST_LOOK`, (R, C)."""
-        fine = [f for _, f, _ in views]
-        baseline, number = refine.baselines(fine, grid, before)
-        above = views[-1][0].centre[2] - self._ground
-        return np.asarray((baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS))
+        above = self._kept[-1][-1][0].centre[2] - self._ground
+        enough = (seen.baseline >= FIRST_LOOK * above) & (seen.count >= LEAST_VIEWS)
+        return refine.enlarged(enough.view(np.uint8), grid, refine.SEEN_BLOCK).view(np.bool_)
 
-    def _first_look(self, views: list[Kept], grid: Grid, before: F32, ratio: F32, low: float, high: float) -> F32:
+    def _first_look(
+        self, views: list[Kept], grid: Grid, before: F32, enough: NDArray[np.bool_], ratio: F32, low: float, high: float
+    ) -> F32:
         """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity."""
-        fresh = np.isnan(before) & self._parallax_enough(views, grid, before)
+        fresh = np.isnan(before) & enough
         if not fresh.any():
             return before
-        where = box_of(fresh)
+        where = tuple(slice(s.start - s.start % COARSE, s.stop) for s in box_of(fresh))
         part = grid.window(where[0].start, where[1].start, *fresh[where].shape)
         wide = part.coarser(COARSE)
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
         out = before.copy()
         out[where] = np.where(fresh[where], interpolated(found, part), before[where])
-        ratio[where] = np.where(fresh[where], refine.enlarged(ambiguity, part, COARSE), ratio[where])
+        half = tuple(slice(s.start // COARSE, s.start // COARSE + n) for s, n in zip(where, wide.shape, strict=True))
+        some = trust.halved(fresh[where].astype(np.float32)) > 0
+        ratio[half] = np.where(some, ambiguity, ratio[half])
         return out
 
-    def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
+    def _coloured(self, newest: Kept, grid: Grid, start: F32, height: F32, known: ElevationMap) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
         view, fine, _ = newest
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = BELOW * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
-        fresh = np.isnan(known.height) & np.isfinite(height)
-        for where, only in ((box_of(fresh), fresh), (below, np.isfinite(height))):
+        looks: list[tuple[tuple[slice, slice], NDArray[np.bool_] | None]] = [(below, None)]
+        if start is not known.height:
+            fresh = np.isnan(known.height) & np.isfinite(height)
+            looks.insert(0, (box_of(fresh), fresh))
+        for where, only in looks:
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
             if not part.rows * part.cols:
                 continue
             mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
-            take = only[where] & (mapx >= 0)
+            take = mapx >= 0  # not where there is no height
+            if only is not None:
+                take &= only[where]
             out[where][take] = picture_at(view, fine, mapx, mapy)[take]
         return out
 
@@ -152,6 +164,6 @@ def fused(new: Heights, old: ElevationMap, ring: int) -> Heights:
     more than three sigma are not averaged: the new one stands. Where the ring sees a cell much worse than it once did,
     at the edge of its pictures, the map stays as it is.
     """
-    out = replace(new, **{f: getattr(new, f).copy() for f in FUSED})
+    out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
     kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
     return out

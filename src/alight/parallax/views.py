@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Grid, ground_projection
+from alight.kernels.parallax import normalise
 from alight.kernels.projection import project
 from alight.records import F32, F64, View
 
@@ -43,6 +46,7 @@ def grey_of(image: NDArray[np.uint8]) -> F32:
     return np.asarray(grey, dtype=np.float32)
 
 
+@cache
 def radius2_limit(camera: Camera) -> float:
     """Largest squared ideal radius of the image's border, with 2 % to spare."""
     w, h = camera.width - 1.0, camera.height - 1.0
@@ -72,10 +76,9 @@ def prepare(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
     window = (int(NORM_CELLS * max(ratio, 1.0)) | 1,) * 2
-    mean = cv2.blur(grey, window)
-    contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0))
+    norm = cv2.sqrBoxFilter(grey, cv2.CV_32F, window)
+    normalise(grey, cv2.blur(grey, window), norm, NORM_FLOOR)
     H, b = ground_projection(camera, view.world_from_cam)
-    norm = (grey - mean) / np.maximum(contrast, NORM_FLOOR)
     return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera))
 
 
@@ -83,13 +86,13 @@ class Buffers:
     """Arrays that are used again from step to step: the system hands out a fresh one page by page, at a price."""
 
     def __init__(self) -> None:
-        self._flat: dict[str, F32] = {}
+        self._flat: dict[str, NDArray[Any]] = {}
 
-    def get(self, name: str, shape: tuple[int, ...]) -> F32:
+    def get(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> NDArray[Any]:
         """The array of this name, of any content; what it held before is lost."""
         size = math.prod(shape)
         if name not in self._flat or self._flat[name].size < size:
-            self._flat[name] = np.empty(size + size // 8, np.float32)
+            self._flat[name] = np.empty(size + size // 8, dtype)
         return self._flat[name][:size].reshape(shape)
 
 
