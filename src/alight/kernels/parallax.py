@@ -7,7 +7,7 @@ branches, which the compiler turns into vector code: five to twelve times faster
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import kernel, parallel_kernel, pixelwise, prange
+from alight.kernels.compiler import inline, kernel, parallel_kernel, pixelwise, prange
 from alight.kernels.sorting import fill_row, median_row, sort_rows
 
 F32 = NDArray[np.float32]
@@ -20,36 +20,92 @@ BAND = 32  # rows a thread takes at once
 CHUNK = 128  # columns of them
 STRIDE = CHUNK + 4  # with two neighbours on either side
 F = np.float32
+Three = tuple[np.float32, np.float32, np.float32]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
-def _normalise_row(grey: F32, mean: F32, norm: F32, floor: np.float32) -> None:
-    for c in range(grey.size):
-        variance = norm[c] - mean[c] * mean[c]
-        sd = np.sqrt(variance if variance > ZERO else ZERO)
-        norm[c] = (grey[c] - mean[c]) / (sd if sd > floor else floor)
-
-
-@parallel_kernel
-def normalise(grey: F32, mean: F32, norm: F32, floor: float) -> None:
-    """Turn the local mean square `norm` (H, W) into the grey level less the local mean over the local sd (eq. 5)."""
-    for r in prange(grey.shape[0]):
-        _normalise_row(grey[r], mean[r], norm[r], np.float32(floor))
+def _column_sums(row: F32, total: F32, squares: F32) -> None:
+    for c in range(row.size):
+        total[c] += row[c]
+        squares[c] += row[c] * row[c]
 
 
 @kernel
-def _weigh_row(s: F32, median: F32, seen: F32, narrow: np.float32, w: F32, sw: F32, sm: F32, used: F32) -> None:
+def _add_rows(part: F32, squares: F32, total: F32, total2: F32) -> None:
+    for c in range(total.size):
+        total[c] += part[c]
+        total2[c] += squares[c]
+
+
+@kernel
+def _normalise_row(grey: F32, total: F32, total2: F32, share: np.float32, floor: np.float32, norm: F32) -> None:
+    for c in range(grey.size):
+        mean = total[c] * share
+        variance = total2[c] * share - mean * mean
+        sd = np.sqrt(variance if variance > ZERO else ZERO)
+        norm[c] = (grey[c] - mean) / (sd if sd > floor else floor)
+
+
+@parallel_kernel
+def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
+    """Fill `norm` (H, W) with the grey level less its local mean over its local sd, at least `floor` (eq. 5).
+
+    The window has 2 `reach` + 1 pixels; beyond the picture its border goes on.
+    """
+    rows, cols = grey.shape
+    share = np.float32(1.0 / (2 * reach + 1) ** 2)
+    for r in prange(rows):
+        part, squares = np.zeros(cols + 2 * reach, np.float32), np.zeros(cols + 2 * reach, np.float32)
+        inner = slice(reach, reach + cols)
+        for y in range(r - reach, r + reach + 1):
+            _column_sums(grey[min(max(y, 0), rows - 1)], part[inner], squares[inner])
+        part[:reach], part[reach + cols :] = part[reach], part[reach + cols - 1]
+        squares[:reach], squares[reach + cols :] = squares[reach], squares[reach + cols - 1]
+        total, total2 = np.zeros(cols, np.float32), np.zeros(cols, np.float32)
+        for x in range(2 * reach + 1):
+            _add_rows(part[x : x + cols], squares[x : x + cols], total, total2)
+        _normalise_row(grey[r], total, total2, share, np.float32(floor), norm[r])
+
+
+@kernel
+def _no_lone_row(seen: F32, median: F32) -> None:
+    for c in range(seen.size):
+        median[c] = median[c] if seen[c] >= TWO else UNKNOWN  # nothing agrees with that
+
+
+@pixelwise
+def _weigh(s: np.float32, median: np.float32, narrow: np.float32) -> Three:
+    """Weight, weighted sample and 1 of a sample that agrees; nothing of one that does not."""
+    e = s - median
+    share = ONE - narrow * e * e
+    good = share > ZERO  # False for NaN
+    w = share * share if good else ZERO
+    return w, (w * s if good else ZERO), (ONE if good else ZERO)
+
+
+@kernel
+def _weigh_row(s: F32, median: F32, narrow: np.float32, w: F32, sw: F32, sm: F32, used: F32) -> None:
     for c in range(s.size):
-        e = s[c] - median[c]
-        share = ONE - narrow * e * e
-        good = (share > ZERO) & (seen[c] >= TWO)  # False for NaN
-        weight = share * share if good else ZERO
-        w[c] = weight
-        sw[c] += weight
-        sm[c] += weight * s[c] if good else ZERO
-        used[c] += ONE if good else ZERO
+        w[c], wm, one = _weigh(s[c], median[c], narrow)
+        sw[c] += w[c]
+        sm[c] += wm
+        used[c] += one
+
+
+@kernel
+def _weigh_two_rows(
+    s1: F32, s2: F32, median: F32, narrow: np.float32, w1: F32, w2: F32, sw: F32, sm: F32, used: F32
+) -> None:
+    """Two views at once: loading and storing the sums costs as much as a view."""
+    for c in range(s1.size):
+        a, am, one = _weigh(s1[c], median[c], narrow)
+        b, bm, other = _weigh(s2[c], median[c], narrow)
+        w1[c], w2[c] = a, b
+        sw[c] += a + b
+        sm[c] += am + bm
+        used[c] += one + other
 
 
 @kernel
@@ -70,8 +126,13 @@ def _template_row(
         fill_row(samples[i, r], views[i], seen)
     sort_rows(views, pairs)
     median_row(views, seen, median)
-    for i in range(n):
-        _weigh_row(samples[i, r], median, seen, narrow, weights[i], sw, sm, used)
+    _no_lone_row(seen, median)
+    for i in range(0, n - 1, 2):
+        _weigh_two_rows(
+            samples[i, r], samples[i + 1, r], median, narrow, weights[i], weights[i + 1], sw, sm, used
+        )  # fmt: skip
+    if n % 2:
+        _weigh_row(samples[n - 1, r], median, narrow, weights[n - 1], sw, sm, used)
     _mean_row(sw, sm, mean)
 
 
@@ -112,23 +173,48 @@ def _gradient_row(m: F32, up: F32, down: F32, scale: np.float32, gx: F32, gy: F3
         gy[c] = (up[c] - down[c]) * scale  # rows go south
 
 
+@pixelwise
+def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.float32) -> Four:
+    """One sample's w q, w q^2, w q e, w e^2; `g`: gradient times the way to the camera, `drop` below which it is."""
+    used = w > ZERO
+    q, e = (g / drop if used else ZERO), (s - m if used else ZERO)
+    wq = w * q
+    return wq, wq * q, wq * e, w * e * e
+
+
 @kernel
 def _sum_row(
-    s: F32, w: F32, m: F32, h: F32, gx: F32, gy: F32,
-    east: np.float32, cell: np.float32, north: np.float32, up: np.float32, sums: F32,
-) -> None:  # fmt: skip
+    s: F32, w: F32, m: F32, h: F32, gx: F32, gy: F32, place: Three, cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32
+) -> None:
     """Add one view's row to the sums of w q, w q^2, w q e, w e^2; those of w e are zero, m being the mean."""
-    sq, sqq, sqe, see = sums[0], sums[1], sums[2], sums[3]
     for c in range(s.size):
-        used = w[c] > ZERO
-        q = (gx[c] * (east + np.float32(c) * cell) + gy[c] * north) / (up - h[c])
-        e = s[c] - m[c]
-        q, e = (q if used else ZERO), (e if used else ZERO)
-        wq, we = w[c] * q, w[c] * e
-        sq[c] += wq
-        sqq[c] += wq * q
-        sqe[c] += wq * e
-        see[c] += we * e
+        g = gx[c] * (place[0] + np.float32(c) * cell) + gy[c] * place[1]
+        a = _share(s[c], w[c], m[c], g, place[2] - h[c])
+        sq[c] += a[0]
+        sqq[c] += a[1]
+        sqe[c] += a[2]
+        see[c] += a[3]
+
+
+@kernel
+def _sum_two_rows(
+    s1: F32, s2: F32, w1: F32, w2: F32, m: F32, h: F32, gx: F32, gy: F32, place1: Three, place2: Three,
+    cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32,
+) -> None:  # fmt: skip
+    for c in range(s1.size):
+        k = np.float32(c) * cell
+        a = _share(s1[c], w1[c], m[c], gx[c] * (place1[0] + k) + gy[c] * place1[1], place1[2] - h[c])
+        b = _share(s2[c], w2[c], m[c], gx[c] * (place2[0] + k) + gy[c] * place2[1], place2[2] - h[c])
+        sq[c] += a[0] + b[0]
+        sqq[c] += a[1] + b[1]
+        sqe[c] += a[2] + b[2]
+        see[c] += a[3] + b[3]
+
+
+@inline
+def _place(centres: F64, i: int, x: float, y: float) -> Three:
+    """From camera `i` to (x, y), and its height, metres."""
+    return np.float32(x - centres[i, 0]), np.float32(y - centres[i, 1]), np.float32(centres[i, 2])
 
 
 @kernel
@@ -189,10 +275,18 @@ def normal_equations(
             sums[:] = ZERO
             if 0 < r < rows - 1:
                 _gradient_row(m, of_three[(r - 1) % 3, 0], of_three[(r + 1) % 3, 0], scale, gx, gy)
-                for i in range(n):
-                    east, north = np.float32(xs[0] - centres[i, 0]), np.float32(ys[r] - centres[i, 1])
-                    up = np.float32(centres[i, 2])
-                    _sum_row(samples[i, r], weights[r % 3, i], m, h[r], gx, gy, east, np.float32(cell), north, up, sums)
+                w = weights[r % 3]
+                for i in range(0, n - 1, 2):
+                    _sum_two_rows(
+                        samples[i, r], samples[i + 1, r], w[i], w[i + 1], m, h[r], gx, gy,
+                        _place(centres, i, xs[0], ys[r]), _place(centres, i + 1, xs[0], ys[r]), np.float32(cell),
+                        sums[0], sums[1], sums[2], sums[3],
+                    )  # fmt: skip
+                if n % 2:
+                    _sum_row(
+                        samples[n - 1, r], w[n - 1], m, h[r], gx, gy, _place(centres, n - 1, xs[0], ys[r]),
+                        np.float32(cell), sums[0], sums[1], sums[2], sums[3],
+                    )  # fmt: skip
             _normal_row(sums, sw, gx, gy, m, agree, lam[r], eta[r], s2[r])
 
 

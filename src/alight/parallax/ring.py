@@ -138,7 +138,7 @@ class Ring:
             take = mapx >= 0  # not where there is no height
             if only is not None:
                 take &= only[where]
-            out[where][take] = picture_at(view, fine, mapx, mapy)[take]
+            np.copyto(out[where], picture_at(view, fine, mapx, mapy), where=take[..., None])
         return out
 
 

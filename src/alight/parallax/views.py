@@ -75,9 +75,8 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
 def prepare(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
-    window = (int(NORM_CELLS * max(ratio, 1.0)) | 1,) * 2
-    norm = cv2.sqrBoxFilter(grey, cv2.CV_32F, window)
-    normalise(grey, cv2.blur(grey, window), norm, NORM_FLOOR)
+    norm = np.empty_like(grey)
+    normalise(grey, int(NORM_CELLS * max(ratio, 1.0)) // 2, NORM_FLOOR, norm)
     H, b = ground_projection(camera, view.world_from_cam)
     return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera))
 
