@@ -2,7 +2,7 @@
 
     python bench/bench_motion.py                        all of it
     python bench/bench_motion.py nees damage speed      some parts: nees batch damage sample ladder photos speed evo
-    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50
+    python bench/bench_motion.py ladder --scenes meadow,village --heights 20,50 --seeds 3
 
 `nees`, `batch` and `damage` fly without images; `sample` and `photos` need the recordings in ../shared/data (or
 $ALIGHT_DATA) and say so when they are absent.
@@ -20,65 +20,28 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+from motion_common import DATA, SECOND, Row, errors, fly, interpolated, recording, relative_px, ring_px, say
+from motion_ladder import part_ladder
 from motion_scenarios import ALL, DEGRADED, GOOD, OUTAGE, Outcome
+from motion_speed import part_speed
 from point_flight import NOISE, PointFlight, best, error, nees, run
 
 from alight.geometry import Pose, so3_log
 from alight.motion import MotionFilter
-from alight.records import F64, Frame, ImuSample, InputError, Motion, MotionState, NavSample, Rig, Tracks
-from alight.settings import Filter, Settings, load
+from alight.records import Frame, InputError, Motion, MotionState, NavSample
+from alight.settings import Settings, load
 from alight.simulate import ladder
-from alight.simulate.flight import SimulatedFlight
 from alight.sources import Source, open_source
 from alight.tracks import Tracker
-
-SECOND = 1_000_000_000
-DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
-
-
-@dataclass(frozen=True)
-class Row:
-    """One quantity: what was measured, what was asked for. Smaller is better unless `least`."""
-
-    name: str
-    value: float
-    must: float | None = None
-    aim: float | None = None
-    unit: str = ""
-    least: bool = False
-
-    def line(self) -> str:
-        """One line of the table."""
-        sign = ">=" if self.least else "<="
-
-        def meets(limit: float | None) -> bool:
-            return limit is None or (self.value >= limit if self.least else self.value <= limit)
-
-        def wanted(limit: float | None) -> str:
-            return "" if limit is None else f"{sign} {limit:g}"
-
-        verdict = (
-            "" if self.must is None else "MISS" if not meets(self.must) else "must" if not meets(self.aim) else "aim"
-        )
-        limits = f"{wanted(self.must):>10s}{wanted(self.aim):>10s}"
-        return f"{self.name:66s}{self.value:10.3f} {self.unit:6s}{limits}  {verdict}"
-
-
-def say(*rows: Row) -> None:
-    for row in rows:
-        print(row.line(), flush=True)
-
 
 # -- flights without images ----------------------------------------------------------------------------------------
 
@@ -170,73 +133,6 @@ def _point_ladder() -> list[Row]:
 # -- flights with images -------------------------------------------------------------------------------------------
 
 
-@dataclass
-class Flown:
-    """What one pass over a flight gave."""
-
-    rig: Rig
-    online: list[Motion] = field(default_factory=list)
-    rings: list[tuple[Motion, Motion]] = field(default_factory=list)  # oldest and newest keyframe, same posterior
-    smoothed: list[Motion] = field(default_factory=list)
-    events: list[object] = field(default_factory=list)  # tracks in place of frames: to fly again without pictures
-
-
-def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
-    """Run tracks, filter and batch over a recording."""
-    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
-    out = Flown(source.rig)
-    for event in source.events():
-        if isinstance(event, ImuSample):
-            estimator.feed_imu(event)
-        elif isinstance(event, NavSample):
-            estimator.feed_nav(event)
-        elif isinstance(event, Frame):
-            tracks = tracker.feed(event, estimator.predict(event.t_ns))
-            motion, ring = estimator.feed_tracks(tracks), estimator.ring()
-            out.online += [motion] if motion else []
-            if len(ring) >= settings.motion.filter.clones:
-                out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
-        out.events.append(tracks if isinstance(event, Frame) else event)
-    out.smoothed = estimator.smoothed()
-    return out
-
-
-def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, depth: float) -> float:
-    """Mean squared pixels by which points at `depth`, carried from one view to the other, miss."""
-    camera, body_from_cam = rig.cameras[0].camera, rig.cameras[0].body_from_cam
-    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 4))
-    points = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)) * depth
-    said = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
-    true = ((truth(b.t_ns) @ body_from_cam).inverse @ (truth(a.t_ns) @ body_from_cam)).apply(points)
-    miss = camera.fu * (said[:, :2] / said[:, 2:] - true[:, :2] / true[:, 2:])
-    return float((miss**2).sum(axis=1).mean())
-
-
-def ring_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
-    """RMS px from the oldest keyframe within 2 s to the newest of every ring, and their mean distance in s."""
-    px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.rings]
-    return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.rings])) / SECOND
-
-
-def interpolated(source: Source) -> Callable[[int], Pose]:
-    """True body poses by time."""
-    assert source.truth_trajectory is not None
-    t, poses = np.asarray(source.truth_trajectory[0], dtype=np.float64), source.truth_trajectory[1]
-
-    def at(t_ns: int) -> Pose:
-        k = int(np.clip(np.searchsorted(t, t_ns), 1, len(t) - 1))
-        return poses[k - 1].interpolate(poses[k], (t_ns - t[k - 1]) / (t[k] - t[k - 1]))
-
-    return at
-
-
-def errors(motions: Sequence[Motion], truth: Callable[[int], Pose]) -> tuple[F64, F64, float]:
-    """Position errors (N, 3) metres, rotation errors (N, 3) rad, in the world, and the mean NEES."""
-    found = [error(m, truth(m.t_ns)) for m in motions]
-    e = np.array([x for x, _ in found])
-    return e[:, :3], e[:, 3:], float(np.mean([x @ np.linalg.solve(c, x) for x, c in found]))
-
-
 def part_sample(_: argparse.Namespace) -> None:
     """The rendered sample flight, 30 m."""
     source = recording(DATA / "sample", Settings())
@@ -255,48 +151,6 @@ def part_sample(_: argparse.Namespace) -> None:
             Row("... tilt, mean", 1e3 * float(np.linalg.norm(r.mean(axis=0)[:2])), unit="mrad"),
             Row("... NEES (6 expected)", n),
         )
-
-
-def part_ladder(options: argparse.Namespace) -> None:
-    """The standard ladder with pictures: ring, states, and vision alone beside it. A minute or more a rung."""
-    scenes, heights = options.scenes.split(","), [int(h) for h in options.heights.split(",")]
-    live = load("", ["motion.filter.smooth=false"])
-    for r in ladder.ladder("test", scenes=scenes, heights=heights, seeds=1):
-        flight = r.fly()
-        flown = fly(flight, live)
-        px, length = ring_px(flown, flight.pose, float(r.height))
-        lost = sum(m.state is MotionState.LOST for m in flown.online)
-        say(
-            Row(f"{r.name}: consistency of the ring over {length:.2f} s", px, 0.35, 0.15, "px"),
-            Row("... exposures `lost`", lost, 0, 0),
-            Row("... NEES (6 expected)", errors(flown.online, flight.pose)[2]),
-            Row("... GPS/INS off after 1 s: drift of the way", _alone(flown, flight), unit="%"),
-        )
-
-
-def _alone(flown: Flown, flight: SimulatedFlight) -> float:
-    """Percent of the way by which vision and IMU drift when GPS/INS falls silent after the first second."""
-    estimator, motions = MotionFilter(flown.rig, Filter(smooth=False)), []
-    begin = int(flight.frame_times[0]) + SECOND
-    for e in flown.events:
-        if isinstance(e, Tracks):
-            motions += [m] if (m := estimator.feed_tracks(e)) else []
-        elif isinstance(e, NavSample) and e.t_ns < begin:
-            estimator.feed_nav(e)
-        elif isinstance(e, ImuSample):
-            estimator.feed_imu(e)
-    first = next(m for m in motions if m.t_ns >= begin)
-    off = [m.world_from_body.translation - flight.pose(m.t_ns).translation for m in (first, motions[-1])]
-    way = flight.pose(motions[-1].t_ns).translation - flight.pose(first.t_ns).translation
-    return 100 * float(np.linalg.norm(off[1] - off[0]) / np.linalg.norm(way))
-
-
-def recording(folder: Path, settings: Settings) -> Source | None:
-    """A recording, or a line that it is absent."""
-    if not folder.is_dir():
-        print(f"{folder}: absent, left out; set ALIGHT_DATA to the folder of recordings")
-        return None
-    return open_source(folder, settings)
 
 
 def part_photos(_: argparse.Namespace) -> None:
@@ -340,48 +194,7 @@ def _photos(source: Source, attitude: bool) -> list[Motion]:
     return estimator.smoothed()
 
 
-# -- speed, outside tools ------------------------------------------------------------------------------------------
-
-
-def part_speed(_: argparse.Namespace) -> None:
-    """Tracking and filter of the sample flight, 640x480 stereo, in CPU time on one thread: it does not mind neighbours.
-
-    GPS/INS and IMU rows come 20 and 200 times a second whatever the frame rate: they are taken off the second first.
-    """
-    settings = load("", ["tracks.count=140", "motion.filter.smooth=false"])
-    source = recording(DATA / "sample", settings)
-    if source is None:
-        return
-    events, clock = list(source.events()), time.process_time
-    cv2.setNumThreads(1)
-    tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
-    tracking, filtering, rows, counts = list[float](), list[float](), 0.0, list[int]()
-    for e in events:
-        t = clock()
-        if isinstance(e, Frame):
-            prediction = estimator.predict(e.t_ns)
-            u = clock()
-            tracks = tracker.feed(e, prediction)
-            v = clock()
-            estimator.feed_tracks(tracks)
-            tracking.append(v - u)
-            filtering.append(clock() - v + u - t)
-            counts.append(len(tracks.ids))
-            continue
-        if isinstance(e, NavSample):
-            estimator.feed_nav(e)
-        elif isinstance(e, ImuSample):
-            estimator.feed_imu(e)
-        rows += clock() - t
-    a, b, left = np.median(tracking), np.mean(filtering), 1.0 - rows / (len(tracking) / 10.0)
-    name = f"frames a second, {np.mean(counts):.0f} tracks:"
-    say(
-        Row(f"{name} tracking, then filter, on one core", float(left / (a + b)), 50, 100, least=True),
-        Row(f"{name} side by side on two cores", float(min(left / b, 1.0 / a)), 50, 100, least=True),
-        Row("... tracking a frame", 1e3 * float(a), unit="ms"),
-        Row("... filter a frame", 1e3 * float(b), unit="ms"),
-        Row("... GPS/INS and IMU rows a second", 1e3 * (1.0 - float(left)), unit="ms"),
-    )
+# -- outside tools -------------------------------------------------------------------------------------------------
 
 
 def part_evo(_: argparse.Namespace) -> None:
@@ -438,8 +251,9 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("parts", nargs="*", default=list(PARTS), choices=list(PARTS))
-    parser.add_argument("--scenes", default="meadow", help="of the ladder, with commas between")
+    parser.add_argument("--scenes", default=",".join(ladder.SCENES), help="of the ladder, with commas between")
     parser.add_argument("--heights", default="20,50,100,150", help="of the ladder, metres")
+    parser.add_argument("--seeds", type=int, default=1, help="of the ladder, flights of each scene and height")
     options = parser.parse_args()
     logging.basicConfig(level=logging.ERROR)
     print(f"{'':66s}{'measured':>10s} {'':6s}{'must':>10s}{'aim':>10s}")

@@ -47,6 +47,7 @@ class PointFlight:
     sigma_attitude: tuple[float, float, float] = (0.0087, 0.0087, 0.026)  # rad
     sigma_velocity: float = 0.05  # m/s
     mounting: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, rotation from the INS to what the rig says
+    time_offset: float = 0.0  # s that the exposures' stamps are ahead
     moving: float = 0.0  # share of the points that drift over the ground
     _streams: dict[str, np.random.Generator] = field(default_factory=dict, compare=False)
 
@@ -78,8 +79,8 @@ class PointFlight:
         return Pose(R[0], p[0])
 
     def truth(self, t_ns: int) -> Pose:
-        """True world_from_body."""
-        return self.pose((t_ns - START) * 1e-9)
+        """True world_from_body at an instant of GPS/INS, or at an exposure of that stamp."""
+        return self.pose((t_ns - START) * 1e-9 - self.time_offset)
 
     @staticmethod
     def seconds_of(e: Event | Tracks) -> float:
@@ -101,6 +102,8 @@ class PointFlight:
         force = np.einsum("nji,nj->ni", R, (self._velocity(t + 1e-3) - self._velocity(t - 1e-3)) / 2e-3 + UP)
         gyro = self._rates(t) + _bias(rng, len(t), 0.25 * n.gyro_bias_sigma, n.gyro_walk)
         force = force + _bias(rng, len(t), 0.5 * n.accelerometer_bias_sigma, n.accelerometer_walk)
+        turn = so3_exp(self.mounting)  # the IMU is the INS's
+        gyro, force = gyro @ turn.T, force @ turn.T
         gyro += n.gyro_noise * np.sqrt(200) * rng.normal(size=gyro.shape)
         force += n.accelerometer_noise * np.sqrt(200) * rng.normal(size=gyro.shape)
         return [ImuSample(_ns(a), w, f) for a, w, f in zip(t, gyro, force, strict=True)]
@@ -164,7 +167,7 @@ class PointFlight:
             names[who[missed]] = names.max() + 1 + np.arange(int(missed.sum()))
             seen = seen[~missed] + rng.normal(0.0, self.noise.pixel_sigma, seen[~missed].shape)
             normalised = (seen - [319.5, 239.5]) / 480.0
-            out.append(Tracks(_ns(a), names[who[~missed]].astype(np.int64), seen, normalised))
+            out.append(Tracks(_ns(a + self.time_offset), names[who[~missed]].astype(np.int64), seen, normalised))
         return out
 
     @cached_property

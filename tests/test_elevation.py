@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.elevation import FIELDS, Elevation, cropped
+from alight.elevation import FIELDS, Elevation, Forgotten
 from alight.geometry import Grid
+from alight.outputs import Spill
 from alight.records import REFUSED, Flag, Heights
 
 CELL, SIDE = 0.25, 16
@@ -55,6 +58,11 @@ def fused(*steps: Heights) -> float:
     for h in steps:
         e.add(h)
     return float(e.read(steps[0].grid).height[0, 0])
+
+
+def held(e: Elevation) -> int:
+    """Tiles in memory."""
+    return sum(len(layer._near) for layer in e._layers.values())
 
 
 # -- the raster
@@ -185,11 +193,11 @@ def test_rolling_packs_and_unpacks_without_loss() -> None:
     for e in (rolled, still):
         e.add(rough)
     rolled.roll((0.0, 0.0), 5.0)
-    assert 0 < len(rolled._near) < len(still._near)  # some are packed, those near the vehicle are not
+    assert 0 < held(rolled) < held(still)  # some are packed, those near the vehicle are not
     same(rolled.read(grid), still.read(grid))
     rolled.roll((1e4, 1e4), 5.0)
-    assert not rolled._near
-    assert len(rolled._far) == len(still._near)
+    assert not held(rolled)
+    assert len(rolled._far) == held(still)
     same(rolled.read(grid), still.read(grid))
     a, b = rolled.snapshot(), still.snapshot()
     assert a is not None
@@ -241,4 +249,192 @@ def test_nothing_seen_is_no_snapshot() -> None:
     assert e.snapshot() is None
     e.add(heights(aligned(0, 0, 3, 3), flags=int(Flag.UNSEEN)))
     assert e.snapshot() is None
-    assert cropped(e.read(aligned(0, 0, 3, 3))) is None
+
+
+# -- cells of several sizes
+
+
+def at_level(level: int, south: int, north: int, west: int, east: int) -> Grid:
+    """Cells by number, both ends included."""
+    cell = CELL * 2.0**level
+    return Grid((west + 0.5) * cell, (north + 0.5) * cell, cell, north - south + 1, east - west + 1)
+
+
+def slanted(grid: Grid, **changes: Any) -> Heights:
+    """Heights of one plane, whatever the grid; sigma in proportion to the cell."""
+    x, y = np.meshgrid(*grid.xy())
+    return heights(grid, height=0.3 * x - 0.2 * y, **({"sigma": 0.1 * grid.cell, "flags": 0} | changes))
+
+
+def off_plane(m: Any) -> np.ndarray:
+    """Heights less the plane, NaN where nothing is."""
+    x, y = np.meshgrid(*m.grid.xy())
+    return np.asarray(m.height - (0.3 * x - 0.2 * y).astype(np.float32))
+
+
+def by_cell(fine: Any, level: int) -> dict[tuple[int, int], list[tuple[int, int]]]:
+    """The cells of a grid by the number of the coarser cell that they lie in: plain integers."""
+    out: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    x, y = fine.grid.xy()
+    for r, c in np.ndindex(fine.grid.shape):
+        key = (int(np.floor(y[r] / CELL / 2.0**level)), int(np.floor(x[c] / CELL / 2.0**level)))
+        out.setdefault(key, []).append((r, c))
+    return out
+
+
+@given(index, index, size, size)
+@settings(derandomize=True, database=None, deadline=None, max_examples=25)
+def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, rows: int, cols: int) -> None:
+    """Cell by cell in plain Python: anywhere on the raster, over tile borders."""
+    grid = aligned(col, row, rows, cols)
+    rng = np.random.default_rng([col + 100, row + 100])
+    fine = heights(grid, flags=rng.choice([0, int(Flag.MOVING), int(Flag.UNSEEN), int(Flag.STEP)], grid.shape))
+    e = Elevation(CELL, SIDE)
+    e.window((0, 0), (0, 0), level=1)
+    e.add(fine)
+    for (north, east), cells in by_cell(fine, 1).items():
+        got = e.read(at_level(1, north, north, east, east))
+        seen = [k for k in cells if not fine.flags[k] & Flag.UNSEEN]
+        if len(seen) < 3:
+            assert got.flags[0, 0] == np.uint16(Flag.UNSEEN)
+            assert np.isnan(got.height[0, 0])
+            continue
+        good = [k for k in seen if not fine.flags[k] & np.uint16(REFUSED)]
+        used = good if len(good) >= 2 else seen
+        assert got.height[0, 0] == pytest.approx(np.mean([fine.height[k] for k in used]), abs=1e-5)
+        assert got.sigma[0, 0] == pytest.approx(np.sqrt(np.mean([fine.sigma[k] ** 2 for k in used])), abs=1e-6)
+        assert got.trusted[0, 0] == (len(good) >= 2)
+        assert got.views[0, 0] == max(fine.views[k] for k in used)
+        assert got.flags[0, 0] == np.bitwise_or.reduce([fine.flags[k] for k in used])
+        assert got.residual[0, 0] == pytest.approx(np.mean([fine.residual[k] for k in used]), abs=1e-6)
+        assert_allclose(got.rgb[0, 0], np.mean([fine.rgb[k] for k in used], axis=0), atol=0.51)
+
+
+@given(index, index, st.integers(-3, 3), st.integers(-4, 2))
+@settings(derandomize=True, database=None, deadline=None, max_examples=40)
+def test_a_plane_is_the_same_plane_at_every_cell_size(col: int, row: int, written: int, coarser: int) -> None:
+    """No shift by half a cell: what was added at one level reads as the same plane at any other."""
+    e = Elevation(CELL, SIDE)
+    e.add(slanted(at_level(written, row, row + 23, col, col + 31)))
+    asked, scale = written + coarser, 0.5**coarser
+    south, west = (int(np.ceil(k * scale)) for k in (row + 2, col + 2))
+    north, east = (int(np.floor(k * scale)) for k in (row + 22, col + 30))
+    got = e.read(at_level(asked, south, north - 1, west, east - 1))
+    assert got.trusted.all()
+    assert_allclose(off_plane(got), 0.0, atol=2e-5)
+    expected = 0.1 * CELL * 2.0**written * 1.5 ** max(0, -coarser)
+    assert_allclose(got.sigma, expected, rtol=1e-5)
+
+
+def test_the_finer_stands_and_the_coarser_shows_around_it() -> None:
+    """A patch seen from near in what was seen from afar: one map, no gap and no step between them."""
+    e = Elevation(CELL, SIDE)
+    e.add(slanted(at_level(2, -10, 10, -10, 10)))
+    e.add(slanted(at_level(-1, -20, 20, -20, 20), sigma=0.01), replace_all=True)
+    got = e.read(at_level(-1, -60, 60, -60, 60))
+    assert got.trusted.all()
+    assert_allclose(off_plane(got), 0.0, atol=2e-5)
+    patch = np.zeros(got.grid.shape, bool)
+    patch[40:81, 40:81] = True
+    assert (got.sigma[patch] == np.float32(0.01)).all()
+    assert (got.sigma[~patch] > 0.1).all()
+    assert (e.read(at_level(2, -1, 0, -1, 0)).sigma == np.float32(0.01)).all()  # the coarse cells know it too
+
+
+def test_a_coarser_layer_that_comes_later_knows_what_is_there() -> None:
+    """A climb: packed tiles count as well."""
+    e = Elevation(CELL, SIDE)
+    fine = slanted(at_level(0, -40, 39, -40, 39))
+    e.add(fine)
+    e.roll((1e3, 1e3), 1.0)
+    got = e.read(at_level(3, -5, 4, -5, 4))
+    assert got.trusted.all()
+    assert_allclose(off_plane(got), 0.0, atol=1e-5)
+    same(e.read(fine.grid), fine)
+
+
+def test_refused_cells_do_not_leak_into_their_neighbours() -> None:
+    """Interpolation goes between trusted cells only; beside others a cell keeps its own value."""
+    e = Elevation(CELL, SIDE)
+    coarse = at_level(1, 0, 3, 0, 3)
+    flags = np.zeros((4, 4), np.uint16)
+    flags[1, 1] = int(Flag.AMBIGUOUS)
+    height = np.where(flags > 0, 1e3, 1.0)
+    e.add(heights(coarse, height=height, flags=flags))
+    got = e.read(at_level(0, 0, 7, 0, 7))
+    assert (got.height[got.trusted] == 1.0).all()
+    assert got.trusted.sum() == 60
+
+
+def test_batch_at_a_finer_cell_keeps_what_is_better_known_coarsely() -> None:
+    e = Elevation(CELL, SIDE)
+    e.add(heights(at_level(1, 0, 3, 0, 3), height=1.0, sigma=0.02, flags=0))
+    e.add(heights(at_level(0, 0, 7, 0, 3), height=2.0, sigma=0.01, flags=int(Flag.MOVING)))
+    e.add(heights(at_level(0, 0, 7, 4, 7), height=3.0, sigma=0.01, flags=0))
+    got = e.read(at_level(0, 0, 7, 0, 7))
+    assert got.trusted.all()
+    assert (got.height[:, :3] == 1.0).all()
+    assert (got.height[:, 3] <= 1.5).all()  # half way between the coarse cells
+    assert (got.height[:, 4:] == 3.0).all()
+
+
+def test_a_snapshot_is_as_fine_as_the_finest_and_no_larger_than_asked() -> None:
+    e = Elevation(CELL, SIDE)
+    e.add(slanted(at_level(0, -30, 29, -40, 39)))
+    e.add(slanted(at_level(-2, 0, 15, 0, 15)), replace_all=True)
+    whole = e.snapshot()
+    assert whole is not None
+    assert whole.grid == at_level(-2, -120, 119, -160, 159)
+    small = e.snapshot(20_000)
+    assert small is not None
+    assert small.grid == at_level(-1, -60, 59, -80, 79)
+    tiny = e.snapshot(1300)
+    assert tiny is not None
+    assert tiny.grid == at_level(1, -15, 14, -20, 19)
+    for m in (whole, small, tiny):
+        assert m.trusted.all()
+        inner = off_plane(m)[4:-4, 4:-4]
+        assert_allclose(inner, 0.0, atol=2e-5)
+
+
+def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
+    """A long way at two cell sizes: what is held does not grow, and no coarse cell is left of what is forgotten."""
+    e = Elevation(CELL, SIDE, Forgotten())
+    e.window((0, 0), (0, 0), level=2)
+    most = []
+    for k in range(60):
+        e.add(slanted(aligned(8 * k, 8, 16, 16)))
+        e.roll(((8 * k + 8) * CELL, 0.0), 2 * SPAN)
+        most.append(held(e))
+    assert max(most[30:]) <= max(most[:30])
+    assert all(not layer._left for layer in e._layers.values())
+    assert not e.read(aligned(0, 8, 8, 8)).trusted.any()
+    assert e.read(aligned(8 * 59, 8, 8, 8)).trusted.all()
+
+
+def test_a_spilled_map_is_the_map(tmp_path: Path) -> None:
+    grid = aligned(-50, 60, 100, 120)
+    rough, more = heights(grid, 1), heights(grid, 2)
+    with closing(Spill(tmp_path)) as far:
+        kept, spilled = Elevation(CELL, SIDE), Elevation(CELL, SIDE, far)
+        for e in (kept, spilled):
+            e.add(rough)
+            e.roll((1e4, 0.0), 5.0)
+            e.add(more)
+            e.roll((1e4, 0.0), 5.0)
+        assert len(far) == held(kept) + len(kept._far) > 30
+        assert not held(spilled)
+        same(spilled.read(grid), kept.read(grid))
+    assert not list(tmp_path.iterdir())  # nameless: nothing is left, however a run ends
+
+
+def test_a_spill_is_a_mapping_and_takes_no_room_twice(tmp_path: Path) -> None:
+    with closing(Spill(tmp_path)) as far:
+        for size in (100, 80, 100, 120, 90):
+            far[0, 1, 2] = bytes(size)
+            far[0, -1, 2] = bytes([7]) * 50
+            assert far[0, 1, 2] == bytes(size)
+            assert far.pop((0, -1, 2)) == bytes([7]) * 50
+        assert list(far) == [(0, 1, 2)]
+        assert (0, -1, 2) not in far
+        assert far._file.seek(0, 2) == 100 + 50 + 120

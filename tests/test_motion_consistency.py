@@ -13,7 +13,7 @@ from alight.geometry import Pose, so3_exp
 from alight.motion.ring import refine
 from alight.motion.state import CORE, State
 from alight.motion.vision import project
-from alight.motion.window import Poses, Sights, as_rows, eliminate, linearise, meet
+from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
 from alight.records import F64, Motion
 
 FLIGHTS = 50
@@ -82,7 +82,7 @@ def test_turning_and_moving_everything_is_not_seen(seed: int, turn: tuple[float,
     """The gauge: a rigid motion of all poses (about any axis) leaves every eliminated row as it is."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
-    found = eliminate(linearise(seen_from(poses, x, rng, 1e-3), poses, CAMS, x))
+    found = eliminate(seen_from(poses, x, rng, 1e-3), poses, CAMS, x)
     A, b = found.information(np.ones(len(x)))
     move = np.concatenate(
         [np.concatenate([turn, np.cross(turn, p) + np.array([0.1, -0.2, 0.3])]) for p in poses.first_p]
@@ -101,9 +101,9 @@ def test_eliminated_rows_agree_with_differences() -> None:
         e = d.reshape(-1, 6)
         R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
         moved = Poses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-        return float(eliminate(linearise(sights, moved, CAMS, meet(sights, moved, CAMS))).misfit.sum())
+        return float(eliminate(sights, moved, CAMS, meet(sights, moved, CAMS)).misfit.sum())
 
-    _, b = eliminate(linearise(sights, poses, CAMS, meet(sights, poses, CAMS))).information(np.ones(6))
+    _, b = eliminate(sights, poses, CAMS, meet(sights, poses, CAMS)).information(np.ones(6))
     h = 1e-6
     numeric = np.array([(misfit(h * e) - misfit(-h * e)) / (2 * h) for e in np.eye(18)])
     np.testing.assert_allclose(-2.0 * b, numeric, rtol=1e-3, atol=2e-3 * np.abs(b).max())
@@ -141,7 +141,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
     for k in range(4):  # the first is known, the others are off by what the prior says
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
-        state.add_clone()
+        state.add_clone(k)
         at = state.clone_at(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))

@@ -25,7 +25,7 @@ def loose_state(seed: int, count: int = 5) -> tuple[State, object, np.ndarray]:
     for k in range(count):
         off = rng.normal(size=6) * np.repeat([2e-3, 0.1], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
-        state.add_clone()
+        state.add_clone(k)
         at = state.clone_at(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 1e-2], 3))

@@ -10,10 +10,12 @@ import pytest
 
 from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
+from alight.pipeline.navigation import FilterLane
 from alight.pipeline.terrain_lane import nice_cell
-from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, NavSample, Rig, RigCamera
+from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load
 from alight.simulate import SimulatedFlight, default_rig, fly
+from alight.simulate.faults import Faults
 
 LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 FORWARD = Pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # optical axis along the nose
@@ -252,3 +254,38 @@ def test_given_poses_replace_what_navigation_says() -> None:
 @pytest.mark.parametrize(("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.55, 1.0)])
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
     assert nice_cell(sampling) == cell
+
+
+# -- damaged streams through the lane
+
+
+def navigated(faults: Faults) -> tuple[FilterLane, SimulatedFlight, list[Motion]]:
+    """A flight with faults through tracker and filter."""
+    rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
+    f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
+    lane = FilterLane(f.rig, load("", ["tracks.count=60", "motion.filter.points=16"]))
+    for e in f.events():
+        lane.feed(e)
+    return lane, f, lane.finish(lambda share: None)
+
+
+def test_late_frames_are_used() -> None:
+    """A third of the exposures arrives up to a second late, rightly stamped: every one has its motion, in its place."""
+    lane, f, motions = navigated(Faults(late=0.35, late_by=0.2))
+    stamps = f.exposures.stamp_ns
+    assert (np.diff(stamps[f.exposures.order]) < 0).any()
+    assert [m.t_ns for m in motions] == sorted(stamps.tolist())
+    assert motions[-1].state is MotionState.GOOD
+    off = [m.world_from_body.translation - f.pose(m.t_ns).translation for m in motions]
+    assert np.abs(np.std(off, axis=0)).max() < 0.15
+    assert not [w for w in lane.warnings if "left out" in w]
+
+
+def test_of_frames_with_one_stamp_the_first_is_used() -> None:
+    """As the log's reader has it: what comes again under a stamp is left out, and said."""
+    lane, f, motions = navigated(Faults(repeated=0.25))
+    single = np.unique(f.exposures.stamp_ns)
+    assert len(single) < len(f.exposures.stamp_ns)
+    assert [m.t_ns for m in motions] == single.tolist()
+    assert [w for w in lane.warnings if f"{len(f.exposures.stamp_ns) - len(single)} exposures" in w]
+    assert motions[-1].state is MotionState.GOOD

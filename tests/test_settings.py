@@ -6,7 +6,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from alight.settings import Settings, load
+from alight.settings import IMU_MARGIN, Settings, load, with_imu
 
 
 def test_nothing_needs_to_be_set() -> None:
@@ -142,3 +142,13 @@ def test_every_key_says_what_it_means() -> None:
         return out
 
     assert not bare(Settings)
+
+
+def test_the_imu_of_a_recording_is_as_noisy_as_it_says() -> None:
+    """Its numbers replace defaults, with a margin; what the user has set, and what is no noise, stays."""
+    noise = {"gyroscope_noise_density": 2e-3, "accelerometer_noise_density": 8e-3, "gyroscope_random_walk": 0.0}
+    found = with_imu(load("", ["motion.filter.accelerometer_noise=0.02"]), noise).motion.filter
+    assert found.gyro_noise == pytest.approx(IMU_MARGIN * 2e-3)
+    assert found.accelerometer_noise == 0.02
+    assert found.gyro_walk == load().motion.filter.gyro_walk
+    assert with_imu(load(), {}) == load()

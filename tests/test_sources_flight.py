@@ -203,6 +203,34 @@ def test_time_going_backwards_and_repeated(flight: Path, stream: str) -> None:
     assert "first: line 4: time goes backwards" in warning
 
 
+@pytest.mark.parametrize("stream", ["nav0", "imu0", "cam0"])
+def test_rows_that_came_late_are_put_in_their_place(flight: Path, stream: str) -> None:
+    """Right stamps in the order of arrival, as a radio link writes them: nothing is lost."""
+    path = flight / "mav0" / stream / "data.csv"
+    whole = [e.t_ns for e in opened(flight).events()]
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], lines[3], lines[4], lines[2], *lines[5:]]) + "\n")
+    source = opened(flight)
+    assert [e.t_ns for e in source.events()] == whole
+    assert not source.warnings
+
+
+def test_of_images_with_one_stamp_the_first_is_used(flight: Path) -> None:
+    """In both cameras: the others were exposed at another time, which nobody knows."""
+    for cam in ("cam0", "cam1"):
+        folder = flight / "mav0" / cam
+        first = (folder / "data.csv").read_text().splitlines()[3]
+        other = folder / "data" / "other.png"
+        d.picture(99, grey=cam == "cam0").save(other)
+        lines = (folder / "data.csv").read_text().splitlines()
+        (folder / "data.csv").write_text("\n".join([*lines[:4], f"{first.split(',')[0]},other.png", *lines[4:]]) + "\n")
+    source = opened(flight)
+    names = [e.name for e in of_kind(source, Frame)]
+    assert "other.png" not in names
+    assert len(names) == 6
+    assert "the time is repeated" in source.warnings[0]
+
+
 def test_one_wild_time_costs_one_row(flight: Path) -> None:
     d.change_field(flight / "mav0/nav0/data.csv", 3, 0, str(d.T0 * 2))
     source = opened(flight)

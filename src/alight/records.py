@@ -144,6 +144,15 @@ class PoseRing:
 
 
 @dataclass(frozen=True, eq=False)
+class Gauge:
+    """What all heights of a map share: how far its plane may be off, beside the sigma of each cell."""
+
+    east: float  # metres, of the centre about which it tilts
+    north: float
+    covariance: F64  # (3, 3): offset up [m], rise per metre towards east and towards north [rad]
+
+
+@dataclass(frozen=True, eq=False)
 class View:
     """One image with its pose: what parallax works on."""
 
@@ -214,6 +223,7 @@ class Heights:
     views: U8  # (R, C) views that saw the cell
     rgb: U8  # (R, C, 3) what the cameras saw
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
+    gauge: Gauge | None = None  # None: not known, as for poses that came without covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +237,7 @@ class ElevationMap:
     views: U8
     rgb: U8
     residual: F32
+    gauge: Gauge | None = None
 
     @property
     def trusted(self) -> NDArray[np.bool_]:

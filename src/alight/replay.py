@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
-from alight.outputs import prepare, write_run
+from alight.elevation import Far
+from alight.outputs import Spill, prepare, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import InputError, RunResult
-from alight.settings import Settings
+from alight.settings import Settings, with_imu
 from alight.sources import Source, open_source, read_tum
 
 __all__ = ["find", "given_poses", "replay", "write_run"]
@@ -36,7 +38,11 @@ def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
 
 
 def replay(
-    source: Source, settings: Settings, poses: str | None = None, tell: Tell = lambda stage, share: None
+    source: Source,
+    settings: Settings,
+    poses: str | None = None,
+    tell: Tell = lambda stage, share: None,
+    far: Far | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -45,11 +51,13 @@ def replay(
         settings: all of them.
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         tell: called with the stage and the share of it that is done.
+        far: where the map puts what the flight has left behind; None: memory.
 
     Raises:
         InputError: nothing in the recording can be used.
     """
-    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter)
+    settings = with_imu(settings, source.notes.get("imu_noise", {}))
+    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter, far)
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
     for event in source.events():
@@ -65,7 +73,7 @@ def replay(
     return result_of(source, settings, decision, pipeline.timings)
 
 
-def result_of(source: Source, settings: Settings, d: Decision, timings: dict[str, list[float]]) -> RunResult:
+def result_of(source: Source, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
     """Everything that the output folder and the report are made of."""
     return RunResult(
         source_name=source.name,
@@ -102,4 +110,5 @@ def find(
     """
     source = open_source(path, settings)
     prepare(out, overwrite)
-    return replay(source, settings, poses, tell)
+    with closing(Spill(out)) as far:
+        return replay(source, settings, poses, tell, far)

@@ -6,7 +6,7 @@ YAML in and out; `--set parallax.cell=0.1` on the command line; unknown keys and
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from itertools import combinations
 from typing import Annotated, Any, Literal
 
@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
@@ -81,10 +82,26 @@ class Filter(_Model):
     mounting_sigma: NonNegative | None = Field(
         None, description="rad, camera mounting against the INS; 0 holds it; None: 0.03 for photos, held in flights"
     )
+    time_offset: Finite = Field(
+        0.0, description="s that the cameras' stamps are ahead of the clock of GPS/INS and IMU, as far as known"
+    )
+    time_offset_sigma: NonNegative = Field(0.0, description="s, 1-sigma of what is unknown of it; 0 holds it")
+    lateness: NonNegative = Field(
+        1.0, description="s by which exposures and GPS/INS rows may come late; later ones are left out"
+    )
     gate: Fraction = Field(0.995, description="probability inside the Mahalanobis gate of a measurement")
     coast: Positive = Field(2.0, description="s without any support after which the motion is LOST")
     smooth: bool = Field(True, description="refine recorded flights by a batch over all exposures")
     track_span: int = Field(15, ge=4, description="longest piece of a track the batch uses as one, exposures")
+
+
+IMU_MARGIN = 1.25  # of the sample flight's ring, 0.140 px with it and 0.135 without; village at 20 m 0.156 and 0.173
+_IMU_KEYS = {  # of imu0/sensor.yaml: of the filter
+    "gyroscope_noise_density": "gyro_noise",
+    "gyroscope_random_walk": "gyro_walk",
+    "accelerometer_noise_density": "accelerometer_noise",
+    "accelerometer_random_walk": "accelerometer_walk",
+}
 
 
 class Bundle(_Model):
@@ -115,6 +132,10 @@ class MotionSettings(_Model):
     )
     filter: Filter = Filter()
     bundle: Bundle = Bundle()
+    given_position_sigma: NonNegative = Field(
+        0.0, description="m, 1-sigma of poses from outside; above 0 the ring refines them with the map"
+    )
+    given_attitude_sigma: NonNegative = Field(0.0, description="rad, the same of their attitude")
 
 
 class Parallax(_Model):
@@ -136,6 +157,9 @@ class Elevation(_Model):
 
     tile: int = Field(384, ge=64, description="cells a side")
     max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 1 % of the height")
+    most_cells: int = Field(
+        16_000_000, ge=10_000, description="of the rasters of a run; where finer ones were used they are averaged"
+    )
 
 
 class TerrainSettings(_Model):
@@ -271,6 +295,18 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
         if not isinstance(tree, dict):
             raise ValueError(f"{key}: {part} is not a group of settings")
     tree[last] = yaml.safe_load(value)
+
+
+def with_imu(settings: Settings, noise: Mapping[str, float]) -> Settings:
+    """The settings with the noise that a recording states for its IMU (keys of imu0/sensor.yaml).
+
+    What the user has set stays; numbers that are not above zero say nothing. Makers state the noise of a unit at rest:
+    an aircraft's is taken as `IMU_MARGIN` times as much.
+    """
+    given = settings.motion.filter.model_fields_set
+    found = {ours: IMU_MARGIN * noise[theirs] for theirs, ours in _IMU_KEYS.items() if noise.get(theirs, 0.0) > 0.0}
+    new = settings.motion.filter.model_copy(update={k: v for k, v in found.items() if k not in given})
+    return settings.model_copy(update={"motion": settings.motion.model_copy(update={"filter": new})})
 
 
 def load(text: str = "", assignments: Iterable[str] = ()) -> Settings:

@@ -136,6 +136,22 @@ def _template_row(
     _mean_row(sw, sm, mean)
 
 
+@parallel_kernel
+def template(samples: F32, pairs: I64, tau: float, weights: F32, mean: F32) -> None:
+    """Fill the weights (N, R, C) of the samples and their robust mean m (eq. 8): biweights, nothing beyond 4 tau.
+
+    `pairs`: the sorting network of N.
+    """
+    n, rows, cols = samples.shape
+    narrow = np.float32(1.0 / (16.0 * tau * tau))
+    for r in prange(rows):
+        views, work = np.empty((n, cols), np.float32), np.empty((n, cols), np.float32)
+        rest = np.empty((5, cols), np.float32)
+        _template_row(samples, r, pairs, narrow, views, rest[0], rest[1], work, rest[2], mean[r], rest[3], rest[4])
+        for i in range(n):
+            weights[i, r] = work[i]
+
+
 @kernel
 def _reach_row(s: F32, east: np.float32, north: np.float32, box: F32) -> None:
     """Widen the box (east, west, north, south, number) of the centres that see each cell."""
@@ -184,7 +200,18 @@ def _share(s: np.float32, w: np.float32, m: np.float32, g: np.float32, drop: np.
 
 @kernel
 def _sum_row(
-    s: F32, w: F32, m: F32, h: F32, gx: F32, gy: F32, place: Three, cell: np.float32, sq: F32, sqq: F32, sqe: F32, see: F32
+    s: F32,
+    w: F32,
+    m: F32,
+    h: F32,
+    gx: F32,
+    gy: F32,
+    place: Three,
+    cell: np.float32,
+    sq: F32,
+    sqq: F32,
+    sqe: F32,
+    see: F32,
 ) -> None:
     """Add one view's row to the sums of w q, w q^2, w q e, w e^2; those of w e are zero, m being the mean."""
     for c in range(s.size):

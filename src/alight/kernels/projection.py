@@ -38,9 +38,7 @@ def _pinhole_row(p: F32, step: F32, b: F32, r2_max: np.float32, lens: F32, h: F3
 
 
 @kernel
-def _radtan_row(
-    p: F32, step: F32, b: F32, r2_max: np.float32, lens: F32, k: F32, h: F32, mapx: F32, mapy: F32
-) -> None:
+def _radtan_row(p: F32, step: F32, b: F32, r2_max: np.float32, lens: F32, k: F32, h: F32, mapx: F32, mapy: F32) -> None:
     k1, k2, p1, p2, k3 = k[0], k[1], k[2], k[3], k[4]
     for c in range(h.size):
         x, y, z = _ideal(p, step, b, np.float32(c), h[c])

@@ -72,7 +72,9 @@ def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
 
 
 @kernel
-def _pull_row(sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32, strength: np.float32, out: F32) -> None:
+def _pull_row(
+    sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32, strength: np.float32, out: F32
+) -> None:
     """Pull each height to the mean of its pairs."""
     for c in range(h.size):
         share = sw[c] if sw[c] < ONE else ONE

@@ -41,10 +41,24 @@ def _heights(a: np.float32, b: np.float32, c: np.float32, d: np.float32) -> Four
 
 
 @kernel
-def _pool_row(h0: F32, h1: F32, m0: F32, m1: F32, fill: np.float32, low: F32, high: F32, mid: F32, off: F32, mean: F32, square: F32) -> None:
+def _pool_row(
+    h0: F32,
+    h1: F32,
+    m0: F32,
+    m1: F32,
+    fill: np.float32,
+    low: F32,
+    high: F32,
+    mid: F32,
+    off: F32,
+    mean: F32,
+    square: F32,
+) -> None:
     for c in range(low.size):
         i, j = np.uintp(2 * c), np.uintp(2 * c + 1)
-        low[c], high[c], mid[c], off[c] = _heights(_or(h0[i], fill), _or(h0[j], fill), _or(h1[i], fill), _or(h1[j], fill))
+        low[c], high[c], mid[c], off[c] = _heights(
+            _or(h0[i], fill), _or(h0[j], fill), _or(h1[i], fill), _or(h1[j], fill)
+        )
         a, b, d, e = _or(m0[i], ZERO), _or(m0[j], ZERO), _or(m1[i], ZERO), _or(m1[j], ZERO)
         mean[c] = QUARTER * ((a + b) + (d + e))
         square[c] = QUARTER * (a * a + b * b + d * d + e * e)
@@ -110,8 +124,8 @@ def judge(
     px2, floor2 = np.float32(floor_px * floor_px), np.float32(floor * floor)
     for r in prange(h.shape[0]):
         _judge_row(
-            near[r // 2], rough2[r // 2], share[r // 2], h[r], seen[r], used[r], noise[r], precision[r], per_px[r], px2, floor2,
-            np.float32(low), np.float32(high), bits, sigma[r], residual[r], flags[r],
+            near[r // 2], rough2[r // 2], share[r // 2], h[r], seen[r], used[r], noise[r], precision[r], per_px[r],
+            px2, floor2, np.float32(low), np.float32(high), bits, sigma[r], residual[r], flags[r],
         )  # fmt: skip
 
 

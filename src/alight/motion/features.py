@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from alight.motion.points import Gate, measure, take_up
 from alight.motion.ring import Refined, refine
 from alight.motion.state import POS, State
 from alight.motion.vision import sight_sigma
-from alight.motion.window import Poses, Sights, as_rows, eliminate, linearise, meet
+from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
 from alight.records import F64, Tracks
 from alight.settings import Filter
 
@@ -23,6 +24,7 @@ Mask = NDArray[np.bool_]
 
 _MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
 _LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
+_SPARE = 2  # rows beyond the three that make a point, to tell whether its sights agree
 _STALE = 0.04  # rad between a pose held and its first estimate from which Jacobians are no longer good
 
 
@@ -38,6 +40,10 @@ class Features:
         """Start the pictures anew: no point, no pose is held; the motion stays as it is."""
         state.drop(range(len(state.clones)), range(len(state.points)))
         self._waiting = Sights.none(len(self._cams))
+
+    def copy(self) -> Features:
+        """One that changes of this one leave as it is."""
+        return copy(self)  # what it holds is replaced, never changed
 
     def ring(self, state: State) -> Refined:
         """The poses held, refined with the sights that wait."""
@@ -57,7 +63,7 @@ class Features:
         votes = self._use_up(state, ids, gone)
         lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
         state.drop(clones=gone, points=lost)
-        state.add_clone()
+        state.add_clone(tracks.t_ns)
         votes += measure(state, ids, seen, sigma, self._cams, self._gate)
         new = ~np.isin(ids, [x.id for x in state.points])
         self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
@@ -92,7 +98,7 @@ class Features:
             return Votes()
         poses, columns = Poses.of(state.clones), state.clone_columns()
         x = meet(sights, poses, self._cams)
-        found = eliminate(linearise(sights, poses, self._cams, x))
+        found = eliminate(sights, poses, self._cams, x)
         known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
         distance, freedom = found.distances(state.P[np.ix_(columns, columns)]), np.maximum(found.freedom, 1)
         inside = known & (distance <= self._gate.limits(freedom))
@@ -119,14 +125,15 @@ class Features:
         ready = ready[np.argsort(-poses[ready], kind="stable")][: 2 * free]
         held = Poses.of(state.clones)
         x = meet(w.rows(ready), held, self._cams)
-        found = eliminate(linearise(w.rows(ready), held, self._cams, x))
-        taken, tried = [], np.flatnonzero(self._known(found.point_covariance, x, state, s.depth_share))[:free]
-        for i in tried:
-            one = ready[i : i + 1]
-            if take_up(state, w.rows(one), x[i : i + 1], self._cams, self._gate):
-                taken.append(int(one[0]))
-        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), taken))
-        return Votes(len(taken), len(tried) - len(taken), 1.0)
+        found = eliminate(w.rows(ready), held, self._cams, x)
+        known = self._known(found.point_covariance, x, state, s.depth_share) & (found.freedom >= _SPARE)
+        tried = np.flatnonzero(known)[:free]
+        if not len(tried):
+            return Votes()
+        chosen = ready[tried]
+        passed = take_up(state, w.ids[chosen], x[tried], found.rows(tried), self._gate)
+        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), chosen[passed]))
+        return Votes(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
 def _contains(ids: Ints, id_: int) -> bool:

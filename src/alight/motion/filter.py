@@ -9,7 +9,10 @@ from __future__ import annotations
 import logging
 from bisect import bisect_left
 from collections import deque
-from dataclasses import replace
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -27,13 +30,14 @@ from alight.motion.dynamics import (
     spread,
 )
 from alight.motion.features import Features
+from alight.motion.forecast import Forecast, instant, summed
 from alight.motion.health import Health, Votes, vague
-from alight.motion.inertial import Preintegral, preintegrate, segments
+from alight.motion.inertial import Preintegral
 from alight.motion.navigation import initial_state, measurements, rate_measurement, sigmas
 from alight.motion.points import Gate
 from alight.motion.ring import Refined
 from alight.motion.smoother import Recording, smooth
-from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, VEL, State
+from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, TIME, VEL, State
 from alight.records import F64, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig, Tracks
 from alight.settings import Filter
 
@@ -43,10 +47,23 @@ _JUMP = (
     5.0  # s of GPS positions outside their gate after which they are taken as a jump, and not as a fault that passes
 )
 _FRESH = 0.2  # s between a GPS position and the exposure that it is taken for
-_KEEP_NS = 1_000_000_000  # ns of IMU samples kept
+_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond what may come late
+_RATE_NS, _RATE_SAMPLES = 15_000_000, 7  # ns about an instant over which the angular velocity is averaged
+_NEVER = -(1 << 62)  # ns
 _DOUBT = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added to a state that the pictures contradict
 _PLACE_FIRST = np.array([3, 4, 5, 0, 1, 2])  # the order of what goes out, of a clone's rows
 _HOPELESS = 3  # doubts in a row without a good exposure between, after which the state is made anew
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A filter at one moment."""
+
+    t_ns: int
+    state: State | None
+    parts: dict[str, Any]  # the other attributes
+    exposures: int  # that had been recorded
+    rows: int
 
 
 class MotionFilter:
@@ -60,11 +77,12 @@ class MotionFilter:
         self._features = Features(self._camera, self._cams, settings)
         self._health = Health(settings.coast)
         self._imu: deque[ImuSample] = deque()
+        self._keep_ns = _KEEP_NS + round(settings.lateness * 1e9)
         self._inertial = False
         self._state: State | None = None
         self._first: Step | None = None  # the state as last predicted: where Jacobians are taken
         self._nav_sigma = np.ones(9)
-        self._last_exposure_ns = -(1 << 62)
+        self._last_exposure_ns = _NEVER
         self._doubts = 0  # in a row
         self._map, self._lost = 0, False
         self._sum: Preintegral | None = None
@@ -86,7 +104,7 @@ class MotionFilter:
             self._inertial = True
             if self._state is not None:
                 self._start_biases(self._state)
-        while self._imu[0].t_ns < sample.t_ns - _KEEP_NS:
+        while self._imu[0].t_ns < sample.t_ns - self._keep_ns:
             self._imu.popleft()
 
     def feed_nav(self, sample: NavSample) -> None:
@@ -110,18 +128,18 @@ class MotionFilter:
 
     def feed_tracks(self, tracks: Tracks) -> Motion | None:
         """Take the features of one exposure and return the motion; None: no GPS/INS row yet, or out of order."""
-        if tracks.t_ns <= self._last_exposure_ns or (self._state is not None and tracks.t_ns < self._state.t_ns):
+        if tracks.t_ns <= self._last_exposure_ns or self.time_of(tracks) < self.time_ns:
             return None
         self._last_exposure_ns = tracks.t_ns
         self._orient(tracks)
         state = self._state
         if state is None:
             return None
-        self._propagate(state, tracks.t_ns)
+        self._propagate(state, self.time_of(tracks))
         votes = self._features.see(state, tracks) if len(tracks.ids) else Votes()
         if self._health.look(tracks.t_ns, votes):
             self._doubt(state)
-        motion = self._motion(state, votes.inside)
+        motion = self._motion(state, tracks.t_ns, votes.inside)
         if self._recording:
             self._recording.exposures.append((motion, tracks, self._snapshot(state)))
         return motion
@@ -174,14 +192,21 @@ class MotionFilter:
         cams = tuple(rig @ x for x in self._cams)
         return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, map=self._map)
 
-    def predict(self, t_ns: int) -> tuple[Pose, ...] | None:
-        """Where the cameras will be at `t_ns`, world_from_cam each; None before the first GPS/INS row."""
+    def predict(self, stamp_ns: int) -> tuple[Pose, ...] | None:
+        """Where the cameras will be at an exposure, world_from_cam each; None before the first GPS/INS row."""
         s = self._state
         if s is None:
             return None
-        step, _ = self._step(s, max(t_ns, s.t_ns))
-        rig = Pose(step.R @ so3_exp(s.core[MOUNT]), step.position)
-        return tuple(rig @ c for c in self._cams)
+        step, _ = self._step(s, max(instant(stamp_ns, s.core), s.t_ns))
+        return self.forecast_of(s).placed(step)
+
+    def forecast(self) -> Forecast | None:
+        """What can be said of later exposures now; None before the first GPS/INS row."""
+        return None if self._state is None else self.forecast_of(self._state)
+
+    def forecast_of(self, state: State) -> Forecast:
+        """What a state of this filter says of later exposures."""
+        return Forecast.of(state, self._cams, self._inertial, self._settings)
 
     def smoothed(self) -> list[Motion]:
         """The motions of all exposures so far, refined together (docs/method-motion.md, M18-M22).
@@ -189,6 +214,36 @@ class MotionFilter:
         Empty when `smooth` is off in the settings; the filter's own where a batch is not possible.
         """
         return smooth(self._recording) if self._recording else []
+
+    @property
+    def time_ns(self) -> int:
+        """Of the state, by the clock of GPS/INS."""
+        return self._state.t_ns if self._state is not None else _NEVER
+
+    def time_of(self, event: NavSample | Tracks) -> int:
+        """When an event was, by the clock of GPS/INS."""
+        if isinstance(event, NavSample) or self._state is None:
+            return event.t_ns
+        return instant(event.t_ns, self._state.core)
+
+    @property
+    def imu(self) -> Sequence[ImuSample]:
+        """The last inertial measurements."""
+        return self._imu
+
+    def snapshot(self) -> Snapshot:
+        """The filter as it is now; inertial measurements and the recording are not copied."""
+        parts = {k: v for k, v in vars(self).items() if k not in ("_imu", "_recording", "_state")}
+        parts |= {"_health": copy(self._health), "_features": self._features.copy()}
+        r, state = self._recording, self._state.copy() if self._state is not None else None
+        return Snapshot(self.time_ns, state, parts, len(r.exposures) if r else 0, len(r.nav) if r else 0)
+
+    def restore(self, earlier: Snapshot) -> None:
+        """Go back; a snapshot serves once."""
+        vars(self).update(earlier.parts)
+        self._state = earlier.state
+        if self._recording:
+            del self._recording.exposures[earlier.exposures :], self._recording.nav[earlier.rows :]
 
     # -- time ------------------------------------------------------------------------------------------------------
 
@@ -202,6 +257,7 @@ class MotionFilter:
             log.warning(
                 "motion: started anew from GPS/INS in map %d, which poses from before do not belong to", self._map
             )
+            state.core[TIME], state.P[TIME, TIME] = self._state.core[TIME], self._state.P[TIME, TIME]
         self._state, self._nav_sigma, self._doubts = state, sigma, 0
         self._features.forget(state)
         self._health.restart(sample.t_ns)
@@ -230,9 +286,7 @@ class MotionFilter:
         """The IMU from the state to `t_ns`; what was predicted a moment ago is not summed again."""
         key = (state.t_ns, t_ns, self._imu[-1].t_ns, *state.core[GYRO], *state.core[ACC])
         if self._summed_for != key or self._sum is None:
-            start = max(bisect_left(self._imu, state.t_ns, key=lambda s: s.t_ns) - 1, 0)
-            pieces = segments([self._imu[i] for i in range(start, len(self._imu))], state.t_ns, t_ns)
-            self._sum = preintegrate(pieces, state.core[GYRO], state.core[ACC], self._settings)
+            self._sum = summed(self._imu, state.t_ns, t_ns, state.core, self._settings)
             self._summed_for = key
         return self._sum
 
@@ -258,7 +312,17 @@ class MotionFilter:
         state.R, state.core[POS], state.core[VEL] = after.R, after.position, after.velocity
         state.core[15:24] *= decay
         state.t_ns = t_ns
+        state.rate, state.rate_variance = self._rate(state)
         self._first = self._here(state)
+
+    def _rate(self, state: State) -> tuple[F64, float]:
+        """(3,) rad/s in the body about now, the mean of some samples, and its variance."""
+        if not self._inertial:
+            return state.core[GYRO].copy(), float(state.P[GYRO, GYRO].diagonal().max())
+        first = bisect_left(self._imu, state.t_ns - _RATE_NS, key=lambda s: s.t_ns)
+        some = [self._imu[i].angular_velocity_body for i in range(first, len(self._imu))][:_RATE_SAMPLES]
+        mean = np.mean(some or [self._imu[-1].angular_velocity_body], axis=0)
+        return mean - state.core[GYRO], self._settings.gyro_noise**2 / (2e-9 * _RATE_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
 
@@ -301,7 +365,7 @@ class MotionFilter:
 
     # -- what goes out ---------------------------------------------------------------------------------------------
 
-    def _motion(self, state: State, support: int) -> Motion:
+    def _motion(self, state: State, stamp_ns: int, support: int) -> Motion:
         judged, why = self._health.judge(state)
         self._doubts = 0 if judged is MotionState.GOOD else self._doubts
         if self._lost and judged is not MotionState.LOST:
@@ -312,7 +376,7 @@ class MotionFilter:
         self._lost = judged is MotionState.LOST
         rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
         return Motion(
-            state.t_ns,
+            stamp_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
             state.in_world(state.P[np.ix_(order, order)], state.P[order, OFFSET]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from alight.geometry import so3_exp, so3_log
-from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, OFFSET, POS, VEL, State
+from alight.motion.state import ATT, CORE, GYRO, NAV_ATT, NAV_POS, NAV_VEL, OFFSET, POS, TIME, VEL, State
 from alight.records import F64, NavSample
 from alight.settings import Filter
 
@@ -58,6 +58,7 @@ def initial_state(sample: NavSample, sigma: F64, noise: Filter) -> State | None:
     if mounting is None:
         mounting = 0.0 if sample.velocity_world is not None else GIMBAL
     P[range(24, 27), range(24, 27)] = mounting**2
+    core[TIME], P[TIME, TIME] = noise.time_offset, noise.time_offset_sigma**2
     return State(sample.t_ns, np.array(sample.world_from_body), core, P)
 
 

@@ -13,7 +13,7 @@ from alight.geometry import Pose
 from alight.motion.health import Votes
 from alight.motion.state import Clone, Point, State
 from alight.motion.vision import depths, jacobians, project
-from alight.motion.window import Poses, Sights, linearise
+from alight.motion.window import Reduced, as_rows
 from alight.records import F64
 
 Mask = NDArray[np.bool_]
@@ -136,36 +136,25 @@ def _correct(state: State, clone: int, index: Ints, rows: PointRows) -> None:
     state.correct(rows.residual.ravel()[seen], H.reshape(n * m, -1)[seen], columns)
 
 
-def take_up(state: State, feature: Sights, x: F64, cams: Sequence[Pose], gate: Gate) -> bool:
-    """Move one feature (N = 1) from the window into the state if its sights agree (M17).
+def take_up(state: State, ids: Ints, x: F64, found: Reduced, gate: Gate) -> Mask:
+    """Move N features from the window into the state, those whose sights agree (M17); (N,) which of them.
 
-    Delayed initialisation: the rows of the sights are rotated so that three determine the point and the others only
-    the clones. The others are a measurement of the poses, used and gated; the three give the point with its exact
-    covariance with everything. No sight is used twice.
+    Delayed initialisation: what the sights say is split in two. The part that no place of the point can change is a
+    measurement of the poses, gated and used; the other gives the point with its exact covariance with everything. No
+    sight is used twice.
     """
-    rows = linearise(feature, Poses.of(state.clones), cams, x)
-    used = np.abs(rows.by_point[0]).sum(axis=3) > 0  # (K, C, 2)
-    if used.sum() < 5:
-        return False
-    k = np.nonzero(used)[0]
     columns = state.clone_columns()
-    Hx, r = rows.by_point[0][used], rows.residual[0][used]
-    Hc = np.zeros((len(r), len(state.clones), 6))
-    Hc[np.arange(len(r)), k] = rows.by_pose[0][used]
-    return _initialise(state, int(feature.ids[0]), x[0], (r, Hc.reshape(len(r), -1), Hx), columns, gate)
-
-
-def _initialise(state: State, id_: int, x: F64, rows: tuple[F64, F64, F64], columns: Ints, gate: Gate) -> bool:
-    r, Hc, Hx = rows
-    Q, R = np.linalg.qr(Hx, mode="complete")
-    if np.abs(np.diag(R)).min() < 1e-6:
-        return False
-    r, Hc, T = Q.T @ r, Q.T @ Hc, np.linalg.inv(R[:3])
-    P = state.P[np.ix_(columns, columns)]
-    if not gate.passes(r[3:], Hc[3:] @ P @ Hc[3:].T + np.eye(len(r) - 3)):
-        return False
-    cross = -T @ Hc[:3] @ state.P[columns]
-    own = T @ (Hc[:3] @ P @ Hc[:3].T + np.eye(3)) @ T.T
-    state.add_point(Point(id_, x + T @ r[:3], x), cross, own)  # x is where the Jacobians were taken
-    state.correct(r[3:], Hc[3:], columns)
-    return True
+    P = state.P[columns]
+    passed = found.distances(P[:, columns]) <= gate.limits(found.freedom)
+    if not passed.any():
+        return passed
+    found, x = found.rows(passed), x[passed]
+    G = found.by_poses().reshape(-1, len(columns))  # negated
+    own = G @ P[:, columns] @ G.T
+    for i, covariance in enumerate(found.point_covariance):
+        own[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += covariance
+    best = x + found.step
+    points = [Point(int(k), best[i], x[i]) for i, k in enumerate(ids[passed])]  # x is where the Jacobians were taken
+    state.add_points(points, -G @ P, own)
+    state.correct(*as_rows(*found.information(np.ones(len(x)))), columns)
+    return passed

@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.geometry import Pose, so3_exp
 from alight.motion.state import OFFSET, State
-from alight.motion.window import Poses, Reduced, Sights, eliminate, linearise, meet
+from alight.motion.window import Poses, Reduced, Sights, eliminate, meet
 from alight.records import F64
 
 _ITERATIONS = 2
@@ -36,7 +36,7 @@ def refine(state: State, sights: Sights, cams: Sequence[Pose], share: float) -> 
     sights = sights.rows(sights.where.sum(axis=1) >= 2)
     for _ in range(_ITERATIONS if len(sights.ids) else 0):
         x = meet(sights, poses, cams)
-        found = eliminate(linearise(sights, poses, cams, x))
+        found = eliminate(sights, poses, cams, x)
         A, b = found.information(weights(found, x, poses, share))
         gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
         error = P @ gain @ (b + A @ error)

@@ -23,6 +23,7 @@ from alight.motion.dynamics import (
     inertial_transition,
     nav_decay,
 )
+from alight.motion.forecast import instant
 from alight.motion.inertial import Preintegral, corrected, preintegrate, segments
 from alight.motion.navigation import sigmas, whites
 from alight.motion.sights import Sights
@@ -79,7 +80,7 @@ class _Batch:
 
     def __init__(self, r: Recording) -> None:
         self._settings, self._motions = r.settings, [m for m, _, _ in r.exposures]
-        self._t = [m.t_ns for m in self._motions]
+        self._t = [instant(m.t_ns, r.exposures[-1][2]) for m in self._motions]
         self._R = np.array([m.world_from_body.rotation for m in self._motions])
         self._x = np.array([core[:_SIZE] for _, _, core in r.exposures])  # (K, 24); ATT is zero
         self._x[:, POS] += r.exposures[-1][2][OFFSET]

@@ -6,11 +6,13 @@ Errors live in the world: `R = exp(theta) R_hat`, `p = p_hat + dp`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.linalg.blas import dtrsm
 
 from alight.geometry import so3_exp
 from alight.motion.turns import exps
@@ -26,7 +28,9 @@ NAV_ATT = slice(18, 21)  # rad, of its attitude, in the world
 NAV_VEL = slice(21, 24)  # m/s, of its velocity
 MOUNT = slice(24, 27)  # rad, rotation from the INS body to the body that the cameras are calibrated to
 OFFSET = slice(27, 30)  # m, from the map, where the start is exact, to the world: what GPS/INS was off by then, negated
-CORE = 30
+TIME = slice(30, 31)  # s that the cameras' stamps are ahead of the clock of GPS/INS and IMU
+CORE = 31
+_CHANGE = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 CLONE = 6  # (rotation, position)
 POINT = 3
 
@@ -35,7 +39,7 @@ POINT = 3
 class Clone:
     """The pose of the rig at an earlier exposure, with the value at which Jacobians are taken (first estimate)."""
 
-    t_ns: int
+    t_ns: int  # its stamp
     R: F64  # (3, 3) world_from_rig
     p: F64  # (3,) m
     first_R: F64  # noqa: N815
@@ -58,10 +62,17 @@ class State:
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
-    core: F64  # (30,) values of the slices; ATT stays zero, R holds the attitude
+    core: F64  # (31,) values of the slices; ATT stays zero, R holds the attitude
     P: F64  # (n, n)
     clones: list[Clone] = field(default_factory=list)
     points: list[Point] = field(default_factory=list)
+    rate: F64 = field(default_factory=lambda: np.zeros(3))  # rad/s, body: how fast it turns now
+    rate_variance: float = 0.0  # (rad/s)^2 of it
+
+    def copy(self) -> State:
+        """A state that changes of this one leave as it is."""
+        clones, points = [copy(c) for c in self.clones], [copy(x) for x in self.points]
+        return replace(self, core=self.core.copy(), P=self.P.copy(), clones=clones, points=points)
 
     @property
     def rig(self) -> F64:
@@ -107,19 +118,33 @@ class State:
         for x in self.points:
             x.first_x = x.x
 
-    def add_clone(self) -> None:
-        """Copy the present rig pose into the state behind the other clones."""
+    def add_clone(self, t_ns: int) -> None:
+        """Copy the present rig pose into the state behind the other clones, as that of an exposure stamped `t_ns`.
+
+        A stamp that is ahead by more than assumed means an earlier pose (M27).
+        """
         J = np.zeros((CLONE, len(self.P)))
         J[0:3, ATT], J[0:3, MOUNT], J[3:6, POS] = np.eye(3), self.R, np.eye(3)
+        J[0:3, TIME], J[3:6, TIME] = -(self.R @ self.rate)[:, None], -self.core[VEL][:, None]
         at = CORE + CLONE * len(self.clones)
-        self.P = _insert(self.P, at, J @ self.P, J @ self.P @ J.T)
+        self.P = _insert(self.P, at, J @ self.P, J @ self.P @ J.T + self._unknown_time())
         R, p = self.rig, self.core[POS].copy()
-        self.clones.append(Clone(self.t_ns, R, p, R, p))
+        self.clones.append(Clone(t_ns, R, p, R, p))
 
-    def add_point(self, point: Point, cross: F64, covariance: F64) -> None:
-        """Append a point: `cross` (3, n) is its covariance with the state, `covariance` (3, 3) its own."""
+    def _unknown_time(self) -> F64:
+        """(6, 6) what M27 misses of a pose while the time is unknown: errors of the rates, and their change.
+
+        Without it a gyro's noise (7 mrad/s a sample) passes for the vehicle's, and a wrong offset is believed.
+        """
+        time, velocity = float(self.P[TIME, TIME][0, 0]), float(self.P[VEL, VEL].diagonal().max())
+        turn = time * self.rate_variance + (0.5 * time * _CHANGE[0]) ** 2
+        way = time * velocity + (0.5 * time * _CHANGE[1]) ** 2
+        return np.diag(np.repeat([turn, way], 3))
+
+    def add_points(self, points: Sequence[Point], cross: F64, covariance: F64) -> None:
+        """Append m points: `cross` (3m, n) is their covariance with the state, `covariance` (3m, 3m) their own."""
         self.P = _insert(self.P, len(self.P), cross, covariance)
-        self.points.append(point)
+        self.points.extend(points)
 
     def drop(self, clones: Sequence[int] = (), points: Sequence[int] = ()) -> None:
         """Marginalise clones and points by index."""
@@ -140,10 +165,9 @@ class State:
         S = HP[:, columns] @ H.T
         S[np.diag_indices(len(S))] += 1.0
         L = np.linalg.cholesky(S)
-        both = solve_triangular(L, np.column_stack([HP, residual]), lower=True, check_finite=False)
-        half, whitened = both[:, :-1], both[:, -1]  # S^-1/2 H P, S^-1/2 r
-        self.P -= half.T @ half  # symmetric by construction
-        self._correct(half.T @ whitened)
+        half = dtrsm(1.0, L.T, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
+        self.P -= half @ half.T  # symmetric by construction
+        self._correct(half @ solve_triangular(L, residual, lower=True, check_finite=False))
 
     def update(self, residual: F64, H: F64, noise: F64) -> None:
         """Correct by a measurement `residual = H error + noise` over all unknowns; `noise` (m,) variances."""

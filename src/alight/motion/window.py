@@ -7,14 +7,14 @@ left measures the poses. No sight is used twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Pose
+from alight.kernels.sights import condense, triangulate
 from alight.motion.state import Clone
-from alight.motion.turns import skews
 from alight.records import F64
 
 Ints = NDArray[np.int64]
@@ -86,60 +86,19 @@ class Poses:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Linearised sights in units of their sigma; zero where not seen."""
-
-    residual: F64  # (N, K, C, 2)
-    by_pose: F64  # (N, K, C, 2, 6)
-    by_point: F64  # (N, K, C, 2, 3)
-
-
-def _in_cameras(R: F64, p: F64, cams: Sequence[Pose], x: F64) -> F64:
-    """(N, K, C, 3): points (N, 3) in each camera at each pose."""
-    rig = np.einsum("kji,nkj->nki", R, x[:, None] - p)
-    return np.stack([(rig - c.translation) @ c.rotation for c in cams], axis=2)
-
-
-def linearise(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> Rows:
-    """Residuals at the estimates, Jacobians at the first ones (M11)."""
-    now = _in_cameras(poses.R, poses.p, cams, x)
-    first = _in_cameras(poses.first_R, poses.first_p, cams, x)
-    ok = np.isfinite(sights.seen[..., 0]) & (now[..., 2] > _NEAR) & (first[..., 2] > _NEAR)
-    weight = np.where(ok, 1.0 / sights.sigma[..., None], 0.0)
-    now, first = np.where(ok[..., None], now, 1.0), np.where(ok[..., None], first, 1.0)
-    residual = np.where(ok[..., None], sights.seen - now[..., :2] / now[..., 2:], 0.0) * weight[..., None]
-    w = weight / first[..., 2]
-    J = np.zeros((*ok.shape, 2, 3))
-    J[..., 0, 0] = J[..., 1, 1] = w
-    J[..., 0, 2], J[..., 1, 2] = -w * first[..., 0] / first[..., 2], -w * first[..., 1] / first[..., 2]
-    turn = np.stack([(R @ c.rotation).T for R in poses.first_R for c in cams]).reshape(*ok.shape[1:], 3, 3)
-    by_point = J @ turn
-    by_pose = np.concatenate([by_point @ skews(x[:, None] - poses.first_p)[:, :, None], -by_point], axis=-1)
-    return Rows(residual, by_pose, by_point)
+def _cameras(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:
+    """(K, C, 3, 3), (K, C, 3): world_from_cam of every camera at every pose."""
+    turns = np.array([c.rotation for c in cams])
+    places = np.array([c.translation for c in cams])
+    return R[:, None] @ turns, (R[:, None] @ places[..., None])[..., 0] + p[:, None]
 
 
 def meet(sights: Sights, poses: Poses, cams: Sequence[Pose]) -> F64:
     """(N, 3) points by least squares (M12): the place nearest to the rays, then Gauss-Newton."""
-    rays = np.concatenate([sights.seen, np.ones((*sights.seen.shape[:-1], 1))], axis=-1)
-    turn = np.stack([R @ c.rotation for R in poses.R for c in cams]).reshape(*rays.shape[1:3], 3, 3)
-    origin = np.stack([poses.R @ c.translation + poses.p for c in cams], axis=1)  # (K, C, 3)
-    u = np.nan_to_num(np.einsum("kcij,nkcj->nkci", turn, rays))
-    u /= np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-12)
-    seen = np.isfinite(sights.seen[..., 0])
-    A = np.where(seen[..., None, None], np.eye(3) - u[..., :, None] * u[..., None, :], 0.0)
-    N = A.sum(axis=(1, 2)) + _REGULAR * np.eye(3)
-    x = np.linalg.solve(N, np.einsum("nkcij,kcj->ni", A, origin)[..., None])[..., 0]
-    level = replace(poses, first_R=poses.R, first_p=poses.p)
-    for _ in range(_ITERATIONS):
-        x = x + _point_step(linearise(sights, level, cams, x))
-    return np.asarray(x)
-
-
-def _point_step(rows: Rows) -> F64:
-    V = np.einsum("nkcdi,nkcdj->nij", rows.by_point, rows.by_point) + _REGULAR * np.eye(3)
-    g = np.einsum("nkcdi,nkcd->ni", rows.by_point, rows.residual)
-    return np.asarray(np.linalg.solve(V, g[..., None])[..., 0])
+    x = np.empty((len(sights.ids), 3))
+    turn, origin = _cameras(poses.R, poses.p, cams)
+    triangulate(sights.seen, sights.sigma, turn, origin, _ITERATIONS, _NEAR, _REGULAR, x)
+    return x
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +110,18 @@ class Reduced:
     b: F64  # (N, K, 6)
     misfit: F64  # (N,) squared residual that no place of the point takes away
     freedom: Ints  # (N,) rows less three
+    root: F64  # (N, 3, 3), root root' is the covariance of the point
     point_covariance: F64  # (N, 3, 3) for exact poses, m^2
+    step: F64  # (N, 3) m to the best place of the point for the poses as they are
+
+    def rows(self, which: Mask | Ints) -> Reduced:
+        """Those of some of the features."""
+        return Reduced(*(getattr(self, f.name)[which] for f in fields(self)))
+
+    def by_poses(self) -> F64:
+        """(N, 3, 6K): the derivative of the point's best place by the errors of the poses, negated."""
+        n = len(self.V)
+        return np.asarray((self.V @ self.root[:, None].transpose(0, 1, 3, 2)).reshape(n, -1, 3).transpose(0, 2, 1))
 
     def information(self, weight: F64) -> tuple[F64, F64]:
         """Sum over the features, each times its weight: (6K, 6K) and (6K,)."""
@@ -175,19 +145,25 @@ class Reduced:
         return np.asarray(self.misfit - np.einsum("ni,ij,nj->n", b, P, y))
 
 
-def eliminate(rows: Rows) -> Reduced:
-    """Take the points out of the rows (M21)."""
-    e, P, X = rows.residual, rows.by_pose, rows.by_point
-    V = np.einsum("nkcdi,nkcdj->nij", X, X) + _REGULAR * np.eye(3)
-    inverse = np.linalg.inv(V)
-    inverse = 0.5 * (inverse + inverse.transpose(0, 2, 1))
-    L = np.linalg.cholesky(inverse)
-    g = np.einsum("nji,nj->ni", L, np.einsum("nkcdi,nkcd->ni", X, e))
-    own = np.einsum("nkcdi,nkcdj->nkij", P, P)
-    W = np.einsum("nkcdi,nkcdj->nkij", P, X) @ L[:, None]
-    b = np.einsum("nkcdi,nkcd->nki", P, e) - np.einsum("nkij,nj->nki", W, g)
-    freedom = 2 * (np.abs(X).sum(axis=(3, 4)) > 0).sum(axis=(1, 2)) - 3
-    return Reduced(own, W, b, (e**2).sum(axis=(1, 2, 3)) - (g**2).sum(axis=1), freedom, inverse)
+def eliminate(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> Reduced:
+    """Residuals at the estimates, Jacobians at the first ones (M11), the (N, 3) points taken out (M21)."""
+    n, k = sights.sigma.shape
+    out = Reduced(
+        A=np.empty((n, k, 6, 6)),
+        V=np.empty((n, k, 6, 3)),
+        b=np.empty((n, k, 6)),
+        misfit=np.empty(n),
+        freedom=np.empty(n, np.int64),
+        root=np.empty((n, 3, 3)),
+        point_covariance=np.empty((n, 3, 3)),
+        step=np.empty((n, 3)),
+    )
+    now, first = _cameras(poses.R, poses.p, cams), _cameras(poses.first_R, poses.first_p, cams)
+    condense(
+        sights.seen, sights.sigma, x, *now, *first, poses.first_p, _NEAR, _REGULAR,
+        out.A, out.V, out.b, out.misfit, out.freedom, out.root, out.point_covariance, out.step,
+    )  # fmt: skip
+    return out
 
 
 def as_rows(A: F64, b: F64) -> tuple[F64, F64]:

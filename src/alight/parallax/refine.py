@@ -85,7 +85,7 @@ def sight(prepared: list[Prepared], grid: Grid, height: F32) -> Sight:
 def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
     """The values of blocks of `factor` x `factor` cells on the cells of the grid."""
     size = (values.shape[1] * factor, values.shape[0] * factor)
-    return cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)[: grid.rows, : grid.cols]
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
 
 
 def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:

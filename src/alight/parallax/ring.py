@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
 from alight.parallax import refine, trust
+from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Buffers, Prepared, maps, prepare
-from alight.records import F32, U8, ElevationMap, Heights, View
+from alight.parallax.views import Buffers, maps, prepare
+from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
 
 FIRST_LOOK = 0.12  # baseline over height that a cell needs to be swept; 0.04 left four times the wrong heights
@@ -28,10 +29,10 @@ SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
 STEPS = 1  # Gauss-Newton steps a keyframe
 UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
+SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
+SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
 BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
-
-Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
 
 class Ring:
@@ -41,18 +42,63 @@ class Ring:
         self._settings = settings
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
-        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window
+        self._unknown = UNKNOWN_RATIO
+        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
+        self._sharper = False  # the cells became smaller: the colours of the map are coarse
         self._buffers = Buffers()
+        self._alignment = Alignment(settings.ring)
 
-    def push(self, views: list[View]) -> None:
-        """Take the images of one exposure; the one that is missed least leaves."""
-        self._kept.append(
-            [(v, prepare(v, self._cell, self._ground), prepare(v, self._cell * COARSE, self._ground)) for v in views]
-        )
+    @property
+    def plane(self) -> F64:
+        """By how much the last step found the map to be off: (3,) up, and rise a metre towards east and north."""
+        return self._alignment.plane
+
+    @property
+    def about(self) -> F64:
+        """The place (2,) east and north where `plane` is what it says upwards."""
+        return self._alignment.about
+
+    def plane_on(self, grid: Grid) -> F32:
+        """The same for the cells of a grid, (R, C) metres."""
+        return self._alignment.on(grid)
+
+    def work_at(self, cell: float, ground: float) -> None:
+        """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
+
+        Pictures that were made ready for another ground stay as they are: the height only says how much to smooth.
+        """
+        self._ground = ground
+        if cell != self._cell:
+            self._sharper = cell < self._cell
+            self._cell = cell
+            if self._ratio is not None:  # the other cells confirm or refute what the sweep found
+                self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
+            self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
+
+    def restart(self) -> None:
+        """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
+        self._kept, self._ratio, self._unknown = [], None, np.float32(np.nan)
+        self._alignment = Alignment(self._settings.ring)
+
+    def _ready(self, view: View) -> Kept:
+        return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)
+
+    def push(self, views: list[View], poses: PoseRing | None = None) -> None:
+        """Take the images of one exposure, late or not; the one that is missed least leaves.
+
+        `poses`: what is known of the keyframes' poses by now, this one's among them; None: they are taken as they are.
+        """
+        if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
+            return  # a repeated time: the same picture twice would agree with itself
+        self._kept.append([self._ready(v) for v in views])
+        self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
         centres = np.array([exposure[0][0].centre for exposure in self._kept])
         above = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / above
         self._kept = [self._kept[i] for i in spread_out(away, self._settings.ring)]
+        if poses is not None:
+            times = {exposure[0][0].t_ns for exposure in self._kept}
+            self._alignment.tell(poses, times, above)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
         """Improve the heights of a window with the ring as it is now (docs/method.md, section 5).
@@ -65,71 +111,81 @@ class Ring:
         Returns:
             The window after the step, or None while no cell has seen enough parallax.
         """
+        ratio = self._carried(grid)
+        self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
+        known = replace(known, height=known.height + self.plane_on(grid))
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
         seen = refine.sight(fine, grid, known.height)
-        ratio = self._carried(grid)
-        start = self._first_look(views, grid, known.height, self._parallax_enough(seen, grid), ratio, low, high)
+        start, wrong = self._first_look(views, grid, known.height, ratio, seen, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
         visible = refine.visible_from(fine, grid, start, per_px)
         fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
-        rgb = self._coloured(views[-1], grid, start, fit.height, known)
-        return fused(judged(fine[-1:], grid, fit, ratio, (low, high), rgb), known, self._settings.ring)
+        rgb = self._coloured(views[-1], grid, fit.height, known)
+        ratio = trust.halved(np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio))
+        if wrong.any():
+            known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
+        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
+        return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:
-        """The ambiguity of 2 x 2 cells of the window."""
-        wide = grid.coarser(COARSE)
-        out = np.full(wide.shape, UNKNOWN_RATIO, np.float32)
-        if self._ratio is None:
-            return out
-        old, values = self._ratio[0].coarser(COARSE), self._ratio[1]
-        dr, dc = round((old.north - wide.north) / wide.cell), round((wide.east - old.east) / wide.cell)
-        r = slice(max(0, -dr), min(wide.rows, old.rows - dr))  # rows of the new window that the old one had
-        c = slice(max(0, -dc), min(wide.cols, old.cols - dc))
-        if r.stop > r.start and c.stop > c.start:
-            out[r, c] = values[r.start + dr : r.stop + dr, c.start + dc : c.stop + dc]
+        out = np.full(grid.shape, self._unknown, np.float32)
+        if self._ratio is not None:
+            old, values = self._ratio
+            x, y = grid.xy()
+            row, col = (np.rint(i).astype(int) for i in old.index(x, y))
+            r, c = (row >= 0) & (row < old.rows), (col >= 0) & (col < old.cols)
+            out[np.ix_(r, c)] = values[np.ix_(row[r], col[c])]
         return out
 
-    def _parallax_enough(self, seen: refine.Sight, grid: Grid) -> NDArray[np.bool_]:
-        """Where at least `LEAST_VIEWS` see the ground over a baseline of `FIRST_LOOK`, (R, C)."""
-        above = self._kept[-1][-1][0].centre[2] - self._ground
-        enough = (seen.baseline >= FIRST_LOOK * above) & (seen.count >= LEAST_VIEWS)
-        return refine.enlarged(enough.view(np.uint8), grid, refine.SEEN_BLOCK).view(np.bool_)
-
     def _first_look(
-        self, views: list[Kept], grid: Grid, before: F32, enough: NDArray[np.bool_], ratio: F32, low: float, high: float
-    ) -> F32:
-        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity."""
-        fresh = np.isnan(before) & enough
+        self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: refine.Sight, low: float, high: float
+    ) -> tuple[F32, NDArray[np.bool_]]:
+        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity.
+
+        First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
+        differ by more than `SAME_PX`; what was not looked at yet is left out of the step.
+
+        Returns:
+            Where to start from, (R, C) metres, and where what the map has is wrong.
+        """
+        above = views[-1][0].centre[2] - self._ground
+        anew, wrong = np.isnan(ratio), np.zeros(grid.shape, np.bool_)
+        enough = (seen.baseline >= FIRST_LOOK * above) & (seen.count >= LEAST_VIEWS)
+        fresh = (np.isnan(before) | anew) & refine.enlarged(enough.view(np.uint8), grid, refine.SEEN_BLOCK).view(
+            np.bool_
+        )
+        start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
-            return before
-        where = tuple(slice(s.start - s.start % COARSE, s.stop) for s in box_of(fresh))
-        part = grid.window(where[0].start, where[1].start, *fresh[where].shape)
+            return start, wrong
+        where = box_of(fresh)
+        here, known = fresh[where], before[where]
+        part = grid.window(where[0].start, where[1].start, *here.shape)
         wide = part.coarser(COARSE)
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
-        out = before.copy()
-        out[where] = np.where(fresh[where], interpolated(found, part), before[where])
-        half = tuple(slice(s.start // COARSE, s.start // COARSE + n) for s, n in zip(where, wide.shape, strict=True))
-        some = trust.halved(fresh[where].astype(np.float32)) > 0
-        ratio[half] = np.where(some, ambiguity, ratio[half])
-        return out
+        new = interpolated(found, part)
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)[where]
+        told, off = known + shift_of((new - known)[here], per_px[here]), here & np.isfinite(known)
+        same = np.abs(new - told) < SAME_PX * per_px
+        start[where] = np.where(here, np.where(same, told, new), start[where])
+        wrong[where] = off & (start[where] != known) & np.isfinite(new)
+        ratio[where] = np.where(here, refine.enlarged(ambiguity, part, COARSE), ratio[where])
+        return start, wrong
 
-    def _coloured(self, newest: Kept, grid: Grid, start: F32, height: F32, known: ElevationMap) -> U8:
+    def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
         view, fine, _ = newest
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = BELOW * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
-        looks: list[tuple[tuple[slice, slice], NDArray[np.bool_] | None]] = [(below, None)]
-        if start is not known.height:
-            fresh = np.isnan(known.height) & np.isfinite(height)
-            looks.insert(0, (box_of(fresh), fresh))
-        for where, only in looks:
+        fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
+        self._sharper = False
+        for where, only in ((box_of(fresh), fresh), (below, None)):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
             if not part.rows * part.cols:
@@ -140,6 +196,15 @@ class Ring:
                 take &= only[where]
             np.copyto(out[where], picture_at(view, fine, mapx, mapy), where=take[..., None])
         return out
+
+
+def shift_of(apart: F32, per_px: F32) -> np.float32:
+    """What a sweep and a map differ by as a whole, metres; 0 where that is little, or nothing in common."""
+    both = np.isfinite(apart)
+    if not both.any():
+        return np.float32(0)
+    shift = np.median(apart[both])
+    return np.float32(shift if abs(shift) > SHIFT_PX * np.median(per_px[both]) else 0)
 
 
 def spread_out(away: NDArray[np.float64], count: int) -> list[int]:

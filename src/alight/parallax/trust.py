@@ -91,7 +91,7 @@ def evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
     near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
     return {
         "ambiguity": np.clip(_box(ratio, NEAR), 1e-2, 1e3),
-        "sigma": np.clip(np.sqrt(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), NEAR)), 5e-2, 50.0),
+        "sigma": np.sqrt(np.clip(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), NEAR), 2.5e-3, 25.0)),
         "residual": np.clip(_box(seen.residual, NEAR), 1e-2, 1.0),
         "drop": np.clip((seen.high - cv2.erode(seen.low, near)) / seen.metres_per_px, 5e-2, 50.0),
         "rise": np.clip((cv2.dilate(seen.high, near) - seen.low) / seen.metres_per_px, 5e-2, 50.0),

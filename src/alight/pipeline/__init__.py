@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -10,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from alight import hazards, route, sites, terrain
+from alight.elevation import Far
 from alight.geometry import Grid
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
@@ -22,6 +24,7 @@ from alight.records import (
     HazardMap,
     Motion,
     MotionState,
+    PoseRing,
     Rig,
     Route,
     Sites,
@@ -36,6 +39,8 @@ log = logging.getLogger(__name__)
 __all__ = ["Decision", "Pipeline", "TimedPoses"]
 
 Tell = Callable[[str, float], None]  # stage, share done
+LAST_STEPS = 1000  # whose times are kept in flight
+FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
 KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
 
 
@@ -62,6 +67,9 @@ class Pipeline:
         kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may say otherwise.
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
+        far: where the map puts what the vehicle has left behind: a file's mapping, `Forgotten`, or by default memory.
+        history: keep what `finish` needs of a recording. Without it a flight may last for ever: the motions are
+            those that were given out in flight, and none older than the keyframes that are held.
     """
 
     def __init__(
@@ -71,20 +79,23 @@ class Pipeline:
         settings: Settings,
         poses: TimedPoses | None = None,
         clock: Callable[[], float] = lambda: 0.0,
+        far: Far | None = None,
+        history: bool = True,
     ) -> None:
         self._settings = settings
         self._clock = clock
-        self._navigation = _lane(rig, kind, settings, poses)
+        self._history = history
+        self._navigation = _lane(rig, kind, settings, poses, history)
         self._everything = isinstance(self._navigation, BundleLane)
         self._recursive = settings.parallax.method == "ring" and not self._everything
-        self._terrain = TerrainLane(settings)
+        self._terrain = TerrainLane(settings, far)
         self._store = FrameStore()
         self._motions: dict[int, Motion] = {}
-        self.timings: dict[str, list[float]] = {}
+        self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
 
     def _timed(self, stage: str, since: float) -> float:
         now = self._clock()
-        self.timings.setdefault(stage, []).append(now - since)
+        self.timings.setdefault(stage, deque(maxlen=None if self._history else LAST_STEPS)).append(now - since)
         return now
 
     def feed(self, event: Event) -> Motion | None:
@@ -104,23 +115,37 @@ class Pipeline:
         elif motion is not None and motion.state is not MotionState.LOST:
             above = FIRST_STEP if self._terrain.ground is None else self._step(motion)
             if self._store.offer(frame, motion, above):
-                self._grow(frame)
+                self._grow()
             if self._store.bytes > self._settings.parallax.store_mb * 1_000_000:
                 self._make_room()
 
-    def _grow(self, frame: Frame) -> None:
+    def _grow(self) -> None:
         """Find the ground first; then, in the recursive way, step the map with every keyframe."""
+        frames = self._store.frames
         if self._terrain.ground is None:
-            if len(self._store.frames) % 8 == 0:
-                self._terrain.learn(self._views())
-        elif self._recursive:
-            start = self._clock()
-            self._terrain.step(views_of([frame], self._motions, self._navigation.rig))
-            self._timed("heights", start)
+            if self._store.taken % FIND_EVERY or not self._terrain.learn(self._views()):
+                frames = []
+        else:
+            frames = frames[-1:]
+        if self._recursive:
+            self._advance(frames)
             self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
+            if not self._history:
+                held = {f.t_ns for f in self._store.frames}
+                self._motions = {t: m for t, m in self._motions.items() if t in held}
+
+    def _advance(self, frames: list[Frame]) -> None:
+        for frame in frames:
+            start = self._clock()
+            motion, poses = self._motions[frame.t_ns], self._navigation.posterior()
+            if poses is not None and frame.t_ns not in {m.t_ns for m in poses.motions}:
+                poses = PoseRing((motion,), motion.covariance)  # held before the ground was found
+            self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
+            self._timed("heights", start)
 
     def _step(self, motion: Motion) -> float:
-        above = motion.world_from_body.translation[2] - (self._terrain.ground or 0.0)
+        ground = self._terrain.ground if self._terrain.below is None else self._terrain.below
+        above = motion.world_from_body.translation[2] - (ground or 0.0)
         return float(self._settings.parallax.keyframe_baseline * max(above, 1.0))
 
     def _views(self) -> list[View]:
@@ -178,7 +203,7 @@ class Pipeline:
         self, motions: list[Motion], above: float, warnings: list[str], notes: dict[str, Any], tell: Tell
     ) -> Decision:
         s, start = self._settings, self._clock()
-        elevation = self._terrain.map(above)
+        elevation = self._terrain.map()
         if elevation is None:
             return Decision(
                 Sites((), "no height could be measured: no place was seen by two views"),
@@ -210,10 +235,10 @@ def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> Elevatio
     return replace(elevation, flags=elevation.flags | wet)
 
 
-def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None) -> Lane:
+def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> Lane:
     if poses is not None:
-        return GivenLane(rig, poses)
+        return GivenLane(rig, poses, settings.motion, history)
     method = settings.motion.method
     if method == "bundle" or (method == "auto" and kind == "photos"):
         return BundleLane(rig, settings)
-    return FilterLane(rig, settings)
+    return FilterLane(rig, settings, history)

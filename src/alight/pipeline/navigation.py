@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Callable
 from typing import Any, Protocol
 
@@ -10,16 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Pose
-from alight.motion import MotionFilter
+from alight.motion import LateFilter
 from alight.motion.bundle import adjust
 from alight.motion.bundle_match import colmap
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig
-from alight.settings import Settings
+from alight.settings import MotionSettings, Settings
 from alight.tracks import Tracker
 
 Progress = Callable[[float], None]
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
-GIVEN_SIGMA = 1e-3  # metres and radians: poses from outside are taken as they are
+GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
+_STAMPS = 256  # of exposures that are remembered, to find those that come twice
 LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
 
 
@@ -33,19 +35,29 @@ class Lane(Protocol):
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion as soon as it can be known."""
 
+    def posterior(self) -> PoseRing | None:
+        """What is known of the last keyframes' poses, for a refinement with the map; None: take them as given out."""
+
     def finish(self, progress: Progress) -> list[Motion]:
         """All motions, refined with everything that came."""
 
 
 class FilterLane:
-    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording."""
+    """Feature tracks and the structure-from-motion filter, smoothed at the end of a recording.
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    Without `history` nothing is kept for that end: memory does not grow with the flight.
+    """
+
+    def __init__(self, rig: Rig, settings: Settings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._tracker = Tracker(rig, settings.tracks)
         self._settings = settings.motion.filter
-        self._filter = MotionFilter(rig, self._settings)
-        self._motions: list[Motion] = []
+        if not history:
+            self._settings = self._settings.model_copy(update={"smooth": False})
+        self._filter = LateFilter(rig, self._settings)
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
+        self._stamps: deque[int] = deque(maxlen=_STAMPS)
+        self._repeated = 0
 
     def feed(self, event: Event) -> Motion | None:
         """Track, predict, update (docs/method-motion.md)."""
@@ -53,17 +65,26 @@ class FilterLane:
             self._filter.feed_nav(event)
         elif isinstance(event, ImuSample):
             self._filter.feed_imu(event)
+        elif event.t_ns in self._stamps:  # nobody knows when it was; the first one is taken, as the log's reader does
+            self._repeated += 1
         else:
-            tracks = self._tracker.feed(event, self._filter.predict(event.t_ns))
-            motion = self._filter.feed_tracks(tracks)
-            if motion is not None:
-                self._motions.append(motion)
-            return motion
+            self._stamps.append(event.t_ns)
+            return self._see(event)
         return None
+
+    def _see(self, frame: Frame) -> Motion | None:
+        tracks = self._tracker.feed(frame, self._filter.predict(frame.t_ns))
+        motion = self._filter.feed_tracks(tracks)
+        if motion is not None:
+            self._motions.append(motion)
+        return motion
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The smoothed motions; a warning where the filter was lost."""
-        motions = self._filter.smoothed() or self._motions
+        motions = self._filter.smoothed() or sorted(self._motions, key=lambda m: m.t_ns)
+        for count, what in ((self._repeated, "have the stamp of an earlier one"), (self._filter.too_late, "came late")):
+            if count:
+                self.warnings.append(f"motion: {count} exposures or GPS/INS rows {what} and are left out")
         lost = sum(m.state is MotionState.LOST for m in motions)
         if lost:
             self.warnings.append(f"motion: lost in {lost} of {len(motions)} exposures, which are not used for the map")
@@ -74,22 +95,20 @@ class FilterLane:
         self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions
 
-    def ring(self) -> tuple[Motion, ...]:
-        """The last keyframes from one posterior: for the recursive map, whose views must agree with each other."""
-        return self._filter.ring()
-
     def posterior(self) -> PoseRing:
         """The ring with the joint covariance of its poses: what a refinement with the map starts from."""
         return self._filter.posterior()
 
 
 class GivenLane:
-    """Poses from outside, for evaluation."""
+    """Poses from outside, for evaluation; each has errors of its own as large as the settings say, or none."""
 
-    def __init__(self, rig: Rig, poses: TimedPoses) -> None:
+    def __init__(self, rig: Rig, poses: TimedPoses, settings: MotionSettings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
+        sigma = np.repeat([settings.given_position_sigma, settings.given_attitude_sigma], 3)
+        self._covariance, self._exact = np.diag(np.maximum(sigma, GIVEN_SIGMA) ** 2), not sigma.any()
         self._t, self._poses = [int(t) for t in poses[0]], poses[1]
-        self._motions: list[Motion] = []
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._missed = 0
 
     def _at(self, t_ns: int) -> Pose | None:
@@ -111,15 +130,19 @@ class GivenLane:
             self._missed += 1
             return None
         cams = tuple(pose @ c.body_from_cam for c in self.rig.cameras)
-        self._motions.append(Motion(event.t_ns, pose, cams, np.eye(6) * GIVEN_SIGMA**2))
+        self._motions.append(Motion(event.t_ns, pose, cams, self._covariance))
         return self._motions[-1]
+
+    def posterior(self) -> PoseRing | None:
+        """The last pose by itself."""
+        return None if self._exact or not self._motions else PoseRing((self._motions[-1],), self._covariance)
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The motions given out before."""
         if self._missed:
             self.warnings.append(f"poses: none for {self._missed} exposures, which are not used")
         self.notes["motion"] = "given poses, not estimated"
-        return self._motions
+        return list(self._motions)
 
 
 class BundleLane:
@@ -140,6 +163,10 @@ class BundleLane:
         elif isinstance(event, Frame):
             self._frames.append(event)
             self._nav.append(self._last if self._last is not None and self._last.t_ns == event.t_ns else None)
+        return None
+
+    def posterior(self) -> PoseRing | None:
+        """None: all poses come at the end."""
         return None
 
     def finish(self, progress: Progress) -> list[Motion]:

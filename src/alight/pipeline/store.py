@@ -18,6 +18,7 @@ class FrameStore:
     def __init__(self) -> None:
         self.frames: list[Frame] = []
         self.bytes = 0
+        self.taken = 0  # frames that were ever kept
         self._last: Motion | None = None
 
     def offer(self, frame: Frame, motion: Motion | None, step: float | None) -> bool:
@@ -25,6 +26,7 @@ class FrameStore:
         if step is not None and motion is not None and self._last is not None and not self._moved(motion, step):
             return False
         self.frames.append(frame)
+        self.taken += 1
         self.bytes += sum(i.nbytes for i in frame.images if i is not None)
         self._last = motion or self._last
         return True

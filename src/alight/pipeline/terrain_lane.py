@@ -1,17 +1,18 @@
-"""The terrain lane of a recording: views -> heights tile by tile -> one map."""
+"""The terrain lane: views -> heights, tile by tile or keyframe by keyframe -> one map."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.elevation import FIELDS, Elevation
+from alight.elevation import FIELDS, Elevation, Far
 from alight.geometry import Grid
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.records import F64, ElevationMap, Flag, Heights, View
+from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View
 from alight.settings import Settings
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
@@ -19,6 +20,9 @@ STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are
 LEAST_POINTS = 20
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 CELL_OVER_PIXEL = 1.8
+SLACK = 0.15  # octaves that the cell may be off beyond the half before it changes: a level is not left by a gust
+MOST_POINTS = 20_000  # that say where the ground is
+LEAST_KNOWN = 400  # heights of the map that say it better
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 Progress = Callable[[float], None]
@@ -32,6 +36,12 @@ def nice_cell(sampling: float) -> float:
     return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / target)))], 6))
 
 
+def level_for(sampling: float, cell: float, now: int) -> int:
+    """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while it will do."""
+    exact = math.log2(CELL_OVER_PIXEL * sampling / cell)
+    return now if abs(exact - now) <= 0.5 + SLACK else round(exact)
+
+
 def looking_down(views: Sequence[View]) -> list[View]:
     """The views whose optical axis is at most 75 degrees from straight down."""
     return [v for v in views if -v.world_from_cam.rotation[2, 2] > STEEPEST]
@@ -41,7 +51,7 @@ def core(heights: Heights, margin: int) -> Heights:
     """The heights without their margin."""
     inner = slice(margin, -margin)
     grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
-    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})
+    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
 
 
 def footprint(view: View, height: float) -> NDArray[np.float64]:
@@ -56,13 +66,18 @@ def footprint(view: View, height: float) -> NDArray[np.float64]:
 
 @dataclass(eq=False)
 class TerrainLane:
-    """Matches every tile that at least two views see."""
+    """Matches every tile that at least two views see, or steps the map with every keyframe."""
 
     settings: Settings
+    far: Far | None = None  # where tiles go that the vehicle has left behind; None: memory
     elevation: Elevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general
+    below: float | None = None  # the same under the newest keyframe
     reason: str = ""  # why there is no map
+    gauge: Gauge | None = None  # what all heights under the newest keyframe share
     _ring: Ring | None = None
+    _level: int = 0  # of the newest keyframe's cells
+    _map: int | None = None  # the number of the poses that the ring holds
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
 
     def learn(self, views: Sequence[View]) -> bool:
@@ -79,70 +94,133 @@ class TerrainLane:
             )
             return False
         self._points = np.concatenate([self._points, below])
+        self._points = self._points[:: -(-len(self._points) // MOST_POINTS)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
             sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
-            self.elevation = Elevation(self.settings.parallax.cell or nice_cell(sampling), self.settings.elevation.tile)
+            cell = self.settings.parallax.cell or nice_cell(sampling)
+            self.elevation = Elevation(cell, self.settings.elevation.tile, self.far)
         return True
 
-    def _range(self, grid: Grid, camera: float) -> tuple[float, float]:
+    def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
+        """Heights to search: what the map knows there already counts as points, beside those near it."""
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
-        return height_range(self._points, camera, near)
+        low, high = height_range(self._points, camera, near)
+        heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
+        if len(heights) < LEAST_KNOWN:
+            return low, high
+        return height_range(np.column_stack([heights, heights, heights]), camera)
+
+    def _levels(self, views: Sequence[View], ground: float) -> Iterator[tuple[int, list[View], list[View]]]:
+        """Coarse to fine: a level, the views that ask for it, and with them those of the levels beside it."""
+        assert self.elevation is not None
+        level, of = 0, []
+        for v in views:
+            if self.settings.parallax.cell is None:
+                level = level_for(ground_sampling(v, ground), self.elevation.cell, level)
+            of.append(level)
+        for k in sorted(set(of), reverse=True):
+            asking = [v for v, its in zip(views, of, strict=True) if its == k]
+            yield k, asking, [v for v, its in zip(views, of, strict=True) if abs(its - k) <= 1]
 
     def build(self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True) -> int:
-        """Match all tiles under `views` for which `only` holds; return how many."""
+        """Match all tiles under `views` for which `only` holds, at the cells that they ask for; return how many."""
         views = looking_down(views)
         if self.elevation is None or self.ground is None or not views:
             return 0
-        images = Images(views, self.elevation.cell, self.ground)
-        corners = np.concatenate([footprint(v, self.ground) for v in views])
-        camera = float(np.median([v.centre[2] for v in views]))
-        keys = list(
-            self.elevation.cover((corners[:, 0].min(), corners[:, 0].max()), (corners[:, 1].min(), corners[:, 1].max()))
-        )
+        levels = list(self._levels(views, self.ground))
+        done = 0
+        for n, (level, asking, beside) in enumerate(levels):
+            done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
+        return done
+
+    def _match(
+        self, level: int, asking: list[View], views: list[View], only: Callable[[Grid], bool], progress: Progress
+    ) -> int:
+        assert self.elevation is not None
+        assert self.ground is not None
+        images = Images(views, self.elevation.cell_at(level), self.ground)
+        corners = np.concatenate([footprint(v, self.ground) for v in asking])
+        (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+        camera = float(np.median([v.centre[2] for v in asking]))
+        keys = list(self.elevation.cover((west, east), (south, north), level))
         done = 0
         for n, key in enumerate(keys):
-            grid = self.elevation.tile_grid(key, MARGIN)
+            grid = self.elevation.tile_grid(key, MARGIN, level)
             if only(grid):
                 heights = match(images, grid, *self._range(grid, camera), self.settings.parallax)
                 if heights is not None:
-                    self.elevation.add(core(heights, MARGIN))
+                    self.elevation.add(self._without_vague(core(heights, MARGIN), camera))
                     self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
                     done += 1
             progress((n + 1) / len(keys))
         return done
 
-    def step(self, views: Sequence[View]) -> bool:
-        """Recursive parallax: take a keyframe into the ring and improve the map; False without a baseline yet."""
-        if self.elevation is None or self.ground is None:
-            return False
-        if self._ring is None:
-            self._ring = Ring(self.settings.parallax, self.elevation.cell, self.ground)
+    def step(self, views: Sequence[View], of_map: int = 0, poses: PoseRing | None = None) -> bool:
+        """Recursive parallax: take a keyframe into the ring and improve the map; False without a baseline yet.
+
+        `of_map` is the number of the motion's map: poses of another one do not belong with those that the ring holds.
+        `poses`: what is known of the last keyframes' poses; they are refined with the map. None: they are exact.
+        """
         down = looking_down(views)
-        if not down:
+        if self.elevation is None or self.ground is None or not down:
             return False
-        self._ring.push(down)
-        corners = np.concatenate([footprint(v, self.ground) for v in down])
+        if self.below is None:
+            self.below = self.ground
+        newest = down[0]
+        if self.settings.parallax.cell is None:
+            self._level = level_for(ground_sampling(newest, self.below), self.elevation.cell, self._level)
+        cell = self.elevation.cell_at(self._level)
+        if self._ring is None:
+            self._ring = Ring(self.settings.parallax, cell, self.below)
+        if self._map is not None and of_map != self._map:
+            self._ring.restart()
+        self._map = of_map
+        self._ring.work_at(cell, self.below)
+        self._ring.push(down, poses)
+        return self._improve(down)
+
+    def _improve(self, down: list[View]) -> bool:
+        assert self.elevation is not None
+        assert self._ring is not None
+        assert self.below is not None
+        corners = np.concatenate([footprint(v, self.below) for v in down])
         low, high = corners.min(axis=0), corners.max(axis=0)
-        grid = self.elevation.window((low[0], high[0]), (low[1], high[1]))
-        known = self.elevation.read(grid)
-        found = self._ring.step(grid, known, *self._range(grid, float(down[0].centre[2])))
+        grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self._level)
+        known, up = self.elevation.read(grid), float(down[0].centre[2])
+        found = self._ring.step(grid, known, *self._range(grid, up, known))
+        if self._ring.plane.any():
+            self.elevation.lean(self._ring.plane, self._ring.about)
+            known = replace(known, height=known.height + self._ring.plane_on(grid))
         if found is None:
             return False
-        self.elevation.add(found, replace_all=True)
+        self.gauge = found.gauge
+        found = self._without_vague(found, up)
+        heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
+        if len(heights) >= LEAST_KNOWN // 4:
+            self.below = float(np.median(heights))
+        self.elevation.add(changed(found, known), replace_all=True)
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
-    def map(self, height_above_ground: float) -> ElevationMap | None:
-        """The map so far, with heights of too large a sigma refused."""
-        found = self.elevation.snapshot() if self.elevation else None
-        if found is None:
-            return None
-        limit = self.settings.elevation.max_sigma or 0.01 * height_above_ground
-        vague = found.sigma > limit
-        return replace(
-            found, flags=np.where(vague, found.flags | np.uint16(Flag.UNSURE), found.flags).astype(np.uint16)
-        )
+    def _without_vague(self, heights: Heights, camera: float) -> Heights:
+        """Refuse heights of too large a sigma; what that is goes with the camera's height above the ground."""
+        ground = self.ground if self.below is None else self.below
+        limit = self.settings.elevation.max_sigma or 0.01 * max(camera - (ground or 0.0), 1.0)
+        flags = np.where(heights.sigma > limit, heights.flags | np.uint16(Flag.UNSURE), heights.flags)
+        return replace(heights, flags=flags.astype(np.uint16))
+
+    def map(self) -> ElevationMap | None:
+        """The map so far."""
+        found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        return None if found is None else replace(found, gauge=self.gauge)
+
+
+def changed(found: Heights, known: ElevationMap) -> Heights:
+    """What a step changed; what it left as it was need not be written, and is not taken for seen at this cell size."""
+    same = (found.height == known.height) & (found.sigma == known.sigma) & (found.flags == known.flags)
+    same &= (found.rgb == known.rgb).all(axis=2)
+    return replace(found, flags=np.where(same, np.uint16(Flag.UNSEEN), found.flags).astype(np.uint16))

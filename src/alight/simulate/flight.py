@@ -129,6 +129,7 @@ class SimulatedFlight:
             "nav": True,
             "imu": True,
             "scene": self.world.description,
+            "imu_noise": self.imu.densities,
         }
 
     # -- time

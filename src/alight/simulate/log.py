@@ -117,8 +117,7 @@ def _write_sensors(flight: SimulatedFlight, root: Path) -> None:
     local, imu = flight.local, flight.imu
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     _dump(root / "nav0" / "sensor.yaml", {"sensor_type": "nav", "rate_hz": flight.nav.rate_hz, "origin": origin})
-    densities = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
-    numbers = {"rate_hz": imu.rate_hz} | {k: float(getattr(imu, k)) for k in densities}
+    numbers = {"rate_hz": imu.rate_hz} | imu.densities
     _dump(root / "imu0" / "sensor.yaml", {"sensor_type": "imu", "T_BS": _transform(Pose()), **numbers})
     _dump(
         root / "state_groundtruth_estimate0" / "sensor.yaml",

@@ -71,6 +71,12 @@ class ImuErrors(Section):
     accelerometer_scale: float = Field(0.0, ge=0, le=0.2, description="standard deviation of the scale of each axis")
     misalignment_deg: float = Field(0.0, ge=0, le=10, description="degrees, standard deviation between the axes")
 
+    @property
+    def densities(self) -> dict[str, float]:
+        """What a maker states, by the keys of imu0/sensor.yaml."""
+        names = [f"{s}_{n}" for s in ("gyroscope", "accelerometer") for n in ("noise_density", "random_walk")]
+        return {k: float(getattr(self, k)) for k in names}
+
 
 class Sensors(Section):
     """What measures besides the cameras."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from alight.sources.source import Findings
 
 Times = NDArray[np.int64]
+LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
 Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
 
 
@@ -51,15 +52,31 @@ def rising(times: list[int]) -> list[bool]:
 
 
 def _in_order(rows: list[Row], group: str, findings: Findings) -> list[Row]:
+    """The rows by time; of repeated times the first, of times that go backwards those that only came late."""
     times = [t for _, t, _ in rows]
     if all(a < b for a, b in pairwise(times)):
         return rows
-    keep = rising(times)
-    used = {t for t, kept in zip(times, keep, strict=True) if kept}
-    for kept, (number, t, _) in zip(keep, rows, strict=True):
-        if not kept:
-            findings.lose(group, f"line {number}", "the time is repeated" if t in used else "time goes backwards")
-    return [row for row, kept in zip(rows, keep, strict=True) if kept]
+    first = {t: number for number, t, _ in reversed(rows)}
+    single = [row for row in rows if first[row[1]] == row[0]]
+    used = [row for row, kept in zip(single, rising([t for _, t, _ in single]), strict=True) if kept]
+    good = {number for number, _, _ in used} | _late(single, used)
+    for number, t, _ in rows:
+        if number not in good:
+            findings.lose(
+                group, f"line {number}", "the time is repeated" if first[t] != number else "time goes backwards"
+            )
+    return sorted((row for row in rows if row[0] in good), key=lambda row: row[1])
+
+
+def _late(rows: list[Row], rising: list[Row]) -> set[int]:
+    """Lines of rows that fall between the rising ones and came at most `LATE_NS` after a later one."""
+    begin, newest, found = rising[0][1], 0, set()
+    kept = {number for number, _, _ in rising}
+    for number, t, _ in rows:
+        newest = t if number in kept else newest
+        if number not in kept and begin < t and 0 < newest - t <= LATE_NS:
+            found.add(number)
+    return found
 
 
 def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:

@@ -18,12 +18,13 @@ def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, 
         (N,) inverse depth [1/m], negative where the rays diverge; (N,) length of its derivative's inverse, so that
         the sigma of the inverse depth is the sigma of a normalised coordinate over it.
     """
-    ones = np.ones((len(first), 1))
-    a = np.hstack([first, ones]) @ other_from_first.rotation.T
-    x = np.hstack([other, ones])
-    arm = np.cross(np.broadcast_to(other_from_first.translation, x.shape), x)
-    square = np.maximum((arm * arm).sum(axis=1), 1e-18)
-    return -(np.cross(a, x) * arm).sum(axis=1) / square, np.sqrt(square)
+    R, t = other_from_first.rotation, other_from_first.translation
+    a = first @ R[:, :2].T + R[:, 2]
+    u, v = other[:, 0], other[:, 1]
+    arm = np.stack([t[1] - t[2] * v, t[2] * u - t[0], t[0] * v - t[1] * u])  # t x (u, v, 1)
+    off = np.stack([a[:, 1] - a[:, 2] * v, a[:, 2] * u - a[:, 0], a[:, 0] * v - a[:, 1] * u])
+    square = np.maximum((arm * arm).sum(axis=0), 1e-18)
+    return -(off * arm).sum(axis=0) / square, np.sqrt(square)
 
 
 def epipolar_distance(first: F64, other: F64, other_from_first: Pose) -> F64:

@@ -24,13 +24,15 @@ from alight.tracks.whole import TURNS, agreement, common_shift, factor_of, found
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
 Poses = tuple[Pose, ...]
+Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
+_STOP_BACK = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # half a pixel is all that is asked back
 _FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
 _FEW = 0.1  # share of the features found below which the prediction is doubted
 _PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
 _SWEEP_STEP = 0.12  # of the logarithm of depth
-_EXPECTED = 2  # pyramid levels when it is known where to look
+_CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
 
 
 def grey(image: U8) -> U8:
@@ -58,6 +60,7 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
+        self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
         self._next_id = 0
         self._memory: _Memory | None = None
 
@@ -103,7 +106,7 @@ class Tracker:
 
     def _matched(self, m: _Memory, image: U8, guess: F32, expected: bool = False) -> tuple[F32, Mask]:
         then, start = turned(m.image, m.pixels, guess)
-        return self._match(then, image, start, guess, self._cameras[0], expected)
+        return self._match(then, image, start, guess, 0, expected)
 
     def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
         """One depth for all features when none is known: the plane across the view that makes the pictures agree (M1c).
@@ -131,9 +134,9 @@ class Tracker:
         points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
         return np.asarray(now_from_then.apply(points)[:, 2])
 
-    def _flow(self, a: U8, b: U8, pixels: F32, guess: F32, levels: int) -> tuple[F32, Mask]:
+    def _flow(self, a: U8, b: U8, pixels: F32, guess: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
-        options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": _STOP}
+        options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": stop}
         there, ok, _ = cv2.calcOpticalFlowPyrLK(
             a, b, pixels, guess.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
@@ -148,18 +151,19 @@ class Tracker:
         out = other.project(other_from_first.apply(points)).astype(np.float32)
         return np.where(np.isfinite(out), out, pixels)
 
-    def _match(self, a: U8, b: U8, pixels: F32, guess: F32, camera: Camera, expected: bool = False) -> tuple[F32, Mask]:
-        """Lucas-Kanade from `a` to `b` and back; good where both agree, near the guess and inside the image.
+    def _match(self, a: U8, b: U8, pixels: F32, guess: F32, cam: int, expected: bool = False) -> tuple[F32, Mask]:
+        """Lucas-Kanade from `a` to `b` (of camera `cam`) and back; good where both agree, near the guess and inside.
 
         Args:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
         """
-        s = self._settings
-        there, ok = self._flow(a, b, pixels, guess, min(s.levels, _EXPECTED) if expected else s.levels)
-        back, ok_back = self._flow(b, a, there, pixels, 1)  # from where it must end: a wrong one slides away
-        good = ok & ok_back & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
-        good &= np.linalg.norm(there - guess, axis=1) < s.search_px
-        return there, good & _inside(there, camera)
+        s, near = self._settings, 1 if self._off[cam] < _CLOSE else 2
+        there, ok = self._flow(a, b, pixels, guess, min(s.levels, near) if expected else s.levels, _STOP)
+        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_BACK)  # from where it must end: wrong ones slide away
+        good, off = ok & ok_back & _inside(there, self._cameras[cam]), np.linalg.norm(there - guess, axis=1)
+        good &= (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px) & (off < s.search_px)
+        self._off[cam] = float(np.sort(off[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
+        return there, good
 
     @property
     def _cell(self) -> float:
@@ -192,7 +196,7 @@ class Tracker:
         """Match along the epipolar line from the expected disparity on; pixels (N, 2) and depth (N,), NaN = none."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
         guess = self._transfer(pixels, depth, pose, camera)
-        there, good = self._match(left, right, pixels, guess, camera, bool(np.isfinite(depth).any()))
+        there, good = self._match(left, right, pixels, guess, i, bool(np.isfinite(depth).any()))
         found = np.where(good[:, None], there.astype(np.float64), np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -28,11 +28,8 @@ def turned(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
         return image, pixels
     ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
     affine = np.linalg.lstsq(ones, guess.astype(np.float64), rcond=None)[0].T
-    back = np.linalg.inv(np.vstack([affine, [0.0, 0.0, 1.0]]))[:2].astype(np.float32)
-    y, x = np.arange(image.shape[0], dtype=np.float32)[:, None], np.arange(image.shape[1], dtype=np.float32)
-    u, v = (row[0] * x + (row[1] * y + row[2]) for row in back)
-    # linear as the matching itself samples: cubic doubles the drift; cv2.warpAffine rounds places to 1/32 px
-    warped = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    size = (image.shape[1], image.shape[0])  # linear as the matching itself samples: cubic doubles the drift
+    warped = cv2.warpAffine(image, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 

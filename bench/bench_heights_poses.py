@@ -1,0 +1,181 @@
+"""Rows of poses with errors: what a refinement with the map makes of the heights, and whether what it claims is true.
+
+    python bench/bench_heights_poses.py            # about twenty minutes of CPU
+    python bench/bench_heights_poses.py meadow/40m/test-1
+
+True poses of the ladder's rungs are disturbed by 5 cm and 0.2 degrees (1 sigma an axis), three ways: `white` is new at
+each exposure, `drift` grows evenly along the flight (random signs, the same rms), `constant` is one for the flight.
+`white` and `drift` are claimed to be white, each pose by itself, as a navigation solution claims them; `constant` with
+the joint covariance that it has. `none`: true poses with the claims of `white`: good poses must be left alone. The
+ring's heights are compared with those of perfect poses; shape is the NMAD on open ground less a plane.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from doubt import exposures
+from heights_points import Points, points_of
+from heights_table import Row, head, kept
+
+from alight.evaluate.report import nmad
+from alight.geometry import Pose, so3_exp
+from alight.pipeline.terrain_lane import TerrainLane
+from alight.records import F64, ElevationMap, Motion, PoseRing, View
+from alight.settings import Settings
+from alight.simulate.ladder import rung
+
+RUNGS = ("meadow/40m/test-1", "farmland/40m/test-1", "village/40m/test-1", "quarry/40m/test-1")
+COUNT = 20  # exposures
+KINDS = ("none", "white", "drift", "constant")
+SEEDS = 3  # a kind and rung
+CLAIM_SEEDS = 20  # for what is claimed of offset and tilt
+SIGMA = np.repeat([0.05, np.radians(0.2)], 3)
+SHARE = 1e-3  # of the constant error's variance that is white all the same
+CHI2 = 7.815  # 95 % of three
+HELD = 16  # poses that are told of together
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What is flown, as it truly was."""
+
+    shots: list[list[View]]
+    bodies: list[Pose]
+    points: Points
+
+
+@lru_cache(1)
+def _flown(name: str) -> Shown:
+    flight = rung(name).fly()
+    shots = list(exposures(flight))
+    start = (len(shots) - COUNT) // 2
+    some = shots[start : start + COUNT]
+    return Shown(some, [flight.pose(s[0].t_ns) for s in some], points_of(flight, some))
+
+
+def errors(kind: str, seed: int) -> F64:
+    """(N, 6) position and rotation errors."""
+    rng = np.random.default_rng(seed)
+    shape = {
+        "none": lambda: np.zeros((COUNT, 6)),
+        "white": lambda: rng.normal(size=(COUNT, 6)),
+        "drift": lambda: np.sqrt(3) * np.linspace(-1, 1, COUNT)[:, None] * rng.choice([-1.0, 1.0], 6),
+        "constant": lambda: np.repeat(rng.normal(size=(1, 6)), COUNT, axis=0),
+    }[kind]()
+    return np.asarray(shape * SIGMA)
+
+
+def disturbed(shot: list[View], body: Pose, error: F64) -> tuple[list[View], Motion]:
+    """The views of an exposure and its motion with an error of the body's pose."""
+    turn = so3_exp(error[3:])
+    by = Pose(turn, body.translation + error[:3] - turn @ body.translation)
+    views = [replace(v, world_from_cam=by @ v.world_from_cam) for v in shot]
+    cams = tuple(v.world_from_cam for v in views)
+    return views, Motion(shot[0].t_ns, by @ body, cams, np.diag(SIGMA**2))
+
+
+def told(motions: list[Motion], kind: str) -> PoseRing:
+    """What the ring hears at the newest of these motions."""
+    if kind != "constant":
+        return PoseRing((motions[-1],), motions[-1].covariance)
+    last = motions[-HELD:]
+    joint = np.kron(np.full((len(last),) * 2, 1 - SHARE) + SHARE * np.eye(len(last)), np.diag(SIGMA**2))
+    return PoseRing(tuple(last), joint)
+
+
+def fly(name: str, kind: str, seed: int, refine: bool) -> dict[str, float]:
+    """Shape, offset and tilt of the ring's map, and how far off it is in the measure that it claims."""
+    flown = _flown(name)
+    moved = [disturbed(s, b, e) for s, b, e in zip(flown.shots, flown.bodies, errors(kind, seed), strict=True)]
+    lane = TerrainLane(Settings())
+    if not lane.learn([views[0] for views, _ in moved[::3]]):
+        raise SystemExit(lane.reason)
+    for k, (views, _) in enumerate(moved):
+        lane.step(views[:1], poses=told([m for _, m in moved[: k + 1]], kind) if refine else None)
+    found = lane.map()
+    assert found is not None
+    return judged(found, flown.points)
+
+
+def judged(found: ElevationMap, points: Points) -> dict[str, float]:
+    """The map's errors on open ground: `shape` in % of the height, the plane's in metres and mrad, and chi squared."""
+    r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
+    ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)
+    r, c = r.clip(0, found.grid.rows - 1), c.clip(0, found.grid.cols - 1)
+    ok &= found.trusted[r, c]
+    use = ok & points.open
+    e, xy = (found.height[r, c] - points.xyz[:, 2])[use], points.xyz[use, :2]
+    middle = xy.mean(axis=0) if found.gauge is None else np.array([found.gauge.east, found.gauge.north])
+    plane = robust_plane(xy - middle, e)
+    rest = e - np.c_[np.ones(len(e)), xy - middle] @ plane
+    out = {
+        "shape": 100 * nmad(rest) / points.above, "offset": plane[0], "tilt": 1e3 * float(np.hypot(*plane[1:])),
+        "given": 100 * float(ok.mean()), "bad": 100 * float((np.abs(rest) > 0.01 * points.above).mean()),
+    }  # fmt: skip
+    if found.gauge is not None:
+        out["chi2"] = float(plane @ np.linalg.solve(found.gauge.covariance, plane))
+        out["offset sigma"] = float(np.sqrt(found.gauge.covariance[0, 0]))
+        out["tilt sigma"] = 1e3 * float(np.sqrt(np.trace(found.gauge.covariance[1:, 1:])))
+    return {k: float(v) for k, v in out.items()}
+
+
+def robust_plane(xy: F64, height: F64) -> F64:
+    """Offset and slopes (3,), outliers left out by Geman-McClure weights."""
+    A, root = np.c_[np.ones(len(xy)), xy], np.ones(len(xy))
+    plane = np.zeros(3)
+    for _ in range(20):
+        plane = np.linalg.lstsq(A * root[:, None], height * root, rcond=None)[0]
+        e = height - A @ plane
+        root = 1 / (1 + (e / (2.97 * np.median(np.abs(e)) + 1e-9)) ** 2)
+    return np.asarray(plane)
+
+
+def measure(name: str, kind: str, seeds: int) -> list[dict[str, float]]:
+    """All seeds of a kind, each with the ratio of its shape to that of perfect poses."""
+    perfect = kept(f"poses {name} perfect", lambda: fly(name, "none", 0, False))
+    out = []
+    for seed in range(1, 1 + (1 if kind == "none" else seeds)):
+        found = kept(f"poses {name} {kind} {seed}", lambda seed=seed: fly(name, kind, seed, True))  # type: ignore[misc]
+        out.append(found | {"ratio": found["shape"] / perfect["shape"]})
+    return out
+
+
+def rows(names: tuple[str, ...] = RUNGS) -> list[Row]:
+    """Shape against perfect poses, and what is claimed of offset and tilt against what they are."""
+    out = []
+    for kind in KINDS:
+        runs = [r for name in names for r in measure(name, kind, SEEDS)]
+        ratios = [r["ratio"] for r in runs]
+        must, aim = (1.02, 1.02) if kind == "none" else (1.25, 1.05)
+        said = "true poses, claimed to be off by 5 cm and 0.2 deg" if kind == "none" else f"{kind} 5 cm and 0.2 deg"
+        out.append(Row(f"shape over that of perfect poses, {said}: median", float(np.median(ratios)), must, aim))
+        out.append(
+            Row(f"... worst of {len(ratios)}; given out {min(r['given'] for r in runs):.0f} % or more", max(ratios))
+        )
+    for kind in ("white", "constant"):
+        runs = measure(names[0], kind, CLAIM_SEEDS)
+        inside = 100 * float(np.mean([r["chi2"] < CHI2 for r in runs]))
+        offset, tilt = (float(np.sqrt(np.mean([r[k] ** 2 for r in runs]))) for k in ("offset", "tilt"))
+        claim = (
+            f"rms {offset:.2f} m, {tilt:.1f} mrad; claimed {runs[-1]['offset sigma']:.2f}, {runs[-1]['tilt sigma']:.1f}"
+        )
+        out.append(Row(f"offset and tilt within 95 % of what is claimed, {kind} ({claim})", inside, (95.0, np.inf)))
+    good = [r for name in names for r in measure(name, "none", 1)]
+    out.append(
+        Row(
+            "true poses: offset in its claimed sigma, largest",
+            max(abs(r["offset"]) / r["offset sigma"] for r in good),
+            1.0,
+        )
+    )
+    return out
+
+
+if __name__ == "__main__":
+    print(head("Poses with errors"))
+    for row in rows(tuple(sys.argv[1:]) or RUNGS):
+        print(row.line())

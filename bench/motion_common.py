@@ -1,0 +1,138 @@
+"""What the parts of bench_motion.py share: rows of the table, and one pass over a flight."""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads that wait for each other cost eight times the work here
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+from point_flight import error
+
+from alight.geometry import Pose
+from alight.motion import LateFilter
+from alight.records import F64, Frame, ImuSample, Motion, NavSample, Rig
+from alight.settings import Settings, with_imu
+from alight.simulate.flight import SimulatedFlight
+from alight.sources import Source, open_source
+from alight.tracks import Tracker
+
+SECOND = 1_000_000_000
+DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One quantity: what was measured, what was asked for. Smaller is better unless `least`."""
+
+    name: str
+    value: float
+    must: float | None = None
+    aim: float | None = None
+    unit: str = ""
+    least: bool = False
+
+    def line(self) -> str:
+        """One line of the table."""
+        sign = ">=" if self.least else "<="
+
+        def meets(limit: float | None) -> bool:
+            return limit is None or (self.value >= limit if self.least else self.value <= limit)
+
+        def wanted(limit: float | None) -> str:
+            return "" if limit is None else f"{sign} {limit:g}"
+
+        verdict = (
+            "" if self.must is None else "MISS" if not meets(self.must) else "must" if not meets(self.aim) else "aim"
+        )
+        limits = f"{wanted(self.must):>10s}{wanted(self.aim):>10s}"
+        return f"{self.name:66s}{self.value:10.3f} {self.unit:6s}{limits}  {verdict}"
+
+
+def say(*rows: Row) -> None:
+    for row in rows:
+        print(row.line(), flush=True)
+
+
+@dataclass
+class Flown:
+    """What one pass over a flight gave."""
+
+    rig: Rig
+    online: list[Motion] = field(default_factory=list)
+    rings: list[tuple[Motion, Motion]] = field(default_factory=list)  # oldest and newest keyframe, same posterior
+    smoothed: list[Motion] = field(default_factory=list)
+    events: list[object] = field(default_factory=list)  # tracks in place of frames: to fly again without pictures
+
+
+def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
+    """Run tracks, filter and batch over a recording."""
+    settings = with_imu(settings, source.notes.get("imu_noise", {}))
+    tracker, estimator = Tracker(source.rig, settings.tracks), LateFilter(source.rig, settings.motion.filter)
+    out = Flown(source.rig)
+    for event in source.events():
+        if isinstance(event, ImuSample):
+            estimator.feed_imu(event)
+        elif isinstance(event, NavSample):
+            estimator.feed_nav(event)
+        elif isinstance(event, Frame):
+            tracks = tracker.feed(event, estimator.predict(event.t_ns))
+            motion, ring = estimator.feed_tracks(tracks), estimator.ring()
+            out.online += [motion] if motion else []
+            if len(ring) >= settings.motion.filter.clones:
+                out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
+        out.events.append(tracks if isinstance(event, Frame) else event)
+    out.smoothed = estimator.smoothed()
+    return out
+
+
+def relative_px(a: Motion, b: Motion, truth: Callable[[int], Pose], rig: Rig, depth: float) -> float:
+    """Mean squared pixels by which points at `depth`, carried from one view to the other, miss."""
+    camera, body_from_cam = rig.cameras[0].camera, rig.cameras[0].body_from_cam
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 5), np.linspace(0, camera.height - 1, 4))
+    points = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2)) * depth
+    said = (b.world_from_cams[0].inverse @ a.world_from_cams[0]).apply(points)
+    true = ((truth(b.t_ns) @ body_from_cam).inverse @ (truth(a.t_ns) @ body_from_cam)).apply(points)
+    miss = camera.fu * (said[:, :2] / said[:, 2:] - true[:, :2] / true[:, 2:])
+    return float((miss**2).sum(axis=1).mean())
+
+
+def ring_px(flown: Flown, truth: Callable[[int], Pose], depth: float) -> tuple[float, float]:
+    """RMS px from the oldest keyframe within 2 s to the newest of every ring, and their mean distance in s."""
+    px = [relative_px(a, b, truth, flown.rig, depth) for a, b in flown.rings]
+    return float(np.sqrt(np.mean(px))), float(np.mean([b.t_ns - a.t_ns for a, b in flown.rings])) / SECOND
+
+
+def interpolated(source: Source) -> Callable[[int], Pose]:
+    """True body poses by time."""
+    assert source.truth_trajectory is not None
+    t, poses = np.asarray(source.truth_trajectory[0], dtype=np.float64), source.truth_trajectory[1]
+
+    def at(t_ns: int) -> Pose:
+        k = int(np.clip(np.searchsorted(t, t_ns), 1, len(t) - 1))
+        return poses[k - 1].interpolate(poses[k], (t_ns - t[k - 1]) / (t[k] - t[k - 1]))
+
+    return at
+
+
+def errors(motions: Sequence[Motion], truth: Callable[[int], Pose]) -> tuple[F64, F64, float]:
+    """Position errors (N, 3) metres, rotation errors (N, 3) rad, in the world, and the mean NEES."""
+    found = [error(m, truth(m.t_ns)) for m in motions]
+    e = np.array([x for x, _ in found])
+    return e[:, :3], e[:, 3:], float(np.mean([x @ np.linalg.solve(c, x) for x, c in found]))
+
+
+def recording(folder: Path, settings: Settings) -> Source | None:
+    """A recording, or a line that it is absent."""
+    if not folder.is_dir():
+        print(f"{folder}: absent, left out; set ALIGHT_DATA to the folder of recordings")
+        return None
+    return open_source(folder, settings)

@@ -1,0 +1,86 @@
+"""How fast tracker and filter are side by side, as `alight.live` runs them."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+import cv2
+import numpy as np
+from motion_common import DATA, Row, recording, say
+
+from alight.live import SideBySide
+from alight.motion.forecast import Forecast
+from alight.pipeline.side_by_side import Job
+from alight.records import U8, Tracks
+from alight.settings import load
+
+T = TypeVar("T")
+
+
+class Meter:
+    """Calls of a function, and the CPU time of its thread that each took."""
+
+    def __init__(self) -> None:
+        self.ms = list[float]()
+
+    def on(self, call: Callable[..., T]) -> Callable[..., T]:
+        """The same function, measured."""
+
+        def measured(*given: object) -> T:
+            begin = time.thread_time()
+            out = call(*given)
+            self.ms.append(1e3 * (time.thread_time() - begin))
+            return out
+
+        return measured
+
+
+def part_speed(_: argparse.Namespace) -> None:
+    """Tracker and filter on two threads over the sample flight, 640x480 stereo, by the CPU time of each thread.
+
+    CPU time does not mind neighbours much; the yardstick tells how much. GPS/INS and IMU rows come 20 and 200 times a
+    second whatever the frame rate: they are taken off the filter's second first.
+    """
+    settings = load("", ["tracks.count=140", "motion.filter.smooth=false"])
+    source = recording(DATA / "sample", settings)
+    if source is None:
+        return
+    events = list(source.events())
+    cv2.setNumThreads(1)
+    lane, track, see, hear = SideBySide(source.rig, settings, drop=False), Meter(), Meter(), Meter()
+    counts, run, flow, before = list[int](), track.on(lane._tracking.run), Meter(), list[U8]()
+    lane._filtering.see, lane._filtering.hear = see.on(lane._filtering.see), hear.on(lane._filtering.hear)  # type: ignore[method-assign]
+
+    def with_yardstick(job: Job, forecast: Forecast | None) -> Tracks:
+        """What OpenCV takes on the same thread at the same time."""
+        tracks = run(job, forecast)
+        counts.append(len(tracks.ids))
+        if job.frame.images[0] is not None:
+            before.append(cv2.cvtColor(job.frame.images[0], cv2.COLOR_RGB2GRAY))
+            corners = cv2.goodFeaturesToTrack(before[0], 200, 1e-3, 25)
+            flow.on(cv2.calcOpticalFlowPyrLK)(before[0], before[-1], corners, None)
+            del before[:-1]
+        return tracks
+
+    lane._tracking.run = with_yardstick  # type: ignore[method-assign]
+    begin = time.perf_counter()
+    for e in events:
+        lane.feed(e)
+    frames = len(lane.finish())
+    wall, yard = frames / (time.perf_counter() - begin), float(np.median(flow.ms))
+    a, b, left = float(np.median(track.ms)), float(np.mean(see.ms)), 1.0 - sum(hear.ms) / (100.0 * frames)
+    name = f"frames a second, {np.mean(counts):.0f} tracks:"
+    say(
+        Row(f"{name} two threads, the slower one by its CPU time", min(1e3 / a, 1e3 * left / b), 50, 100, least=True),
+        Row(f"{name} in turn on one core", 1e3 * left / (a + b)),
+        Row(f"{name} two threads by the clock, on this machine now", wall),
+        Row("... tracking a frame", a, unit="ms"),
+        Row("... filter a frame", b, unit="ms"),
+        Row("... GPS/INS and IMU rows a second", 1e3 * (1.0 - left), unit="ms"),
+        Row("... yardstick: cv2.calcOpticalFlowPyrLK of 200 points, 4 levels", yard, unit="ms"),
+        Row("... tracking a frame over the yardstick", a / yard),
+        Row("... filter a frame over the yardstick", b / yard),
+    )

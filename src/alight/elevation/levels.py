@@ -1,0 +1,53 @@
+"""From one cell size to the next: what a cell says of the four in it, they of it (docs/method.md, eqs. 16b, 16c)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
+from alight.kernels.levels import halve
+from alight.records import REFUSED, Flag
+
+WHOLE = 3  # of four cells seen: the coarse one is
+ENOUGH = 2  # of four cells trusted: the coarse one is
+# sigma of a coarse cell's height as that of a cell in it, over its own. With 1, tall grass seen from near kept the
+# heights it had from afar, which say less than they claim: 41 % of what was given out at 5 m was off by 0.1 m, with 1.5
+# 6 %, with 2 9 %
+LESS_SURE = np.float32(1.5)
+
+
+def is_trusted(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Where no flag refuses the height."""
+    return np.asarray((flags & np.uint16(REFUSED)) == 0)
+
+
+def halved(fine: Fields) -> Fields:
+    """Means of 2 x 2 cells (eq. 16b); those of the trusted ones where there are two of them or more.
+
+    Sigma is not divided: neighbours share their windows, and so their errors.
+    """
+    rows, cols = fine["flags"].shape
+    out = nothing((rows // 2, cols // 2))
+    whole = (np.ascontiguousarray(fine[k]) for k in FIELDS)
+    halve(*whole, int(Flag.UNSEEN), int(REFUSED), WHOLE, ENOUGH, *(out[k] for k in FIELDS))
+    return out
+
+
+def doubled(coarse: Fields) -> Fields:
+    """The same at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
+
+    Sigma grows by `LESS_SURE`: what is smaller than a coarse cell was not seen.
+    """
+    near = {k: np.repeat(np.repeat(v, 2, axis=0), 2, axis=1) for k, v in coarse.items()}
+    shape = near["flags"].shape[::-1]
+    bad = ~is_trusted(coarse["flags"])
+    near["sigma"] *= LESS_SURE
+    for k, scale in (("height", np.float32(1)), ("sigma", LESS_SURE)):
+        linear = cv2.resize(np.where(bad, np.float32(np.nan), coarse[k] * scale), shape, interpolation=cv2.INTER_LINEAR)
+        np.copyto(near[k], linear, where=np.isfinite(linear))
+    mixed = cv2.resize(coarse["rgb"], shape, interpolation=cv2.INTER_LINEAR)
+    whole = cv2.resize(is_seen(coarse["flags"]).astype(np.float32), shape, interpolation=cv2.INTER_LINEAR) == 1
+    np.copyto(near["rgb"], mixed, where=whole[..., None])
+    return near

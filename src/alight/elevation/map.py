@@ -1,0 +1,155 @@
+"""One map of the ground with cells of `cell * 2**level` metres, as fine at each place as it was ever seen.
+
+A coarse layer holds the means of what the finer ones know, where they know anything; a finer one starts from the
+coarser. So each layer is the best that is known at its cell size, but for places that were only seen coarsely.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.elevation.levels import doubled, halved, is_trusted
+from alight.elevation.tiles import FIELDS, Far, Fields, Key, Layer, is_seen
+from alight.geometry import Grid, box_of
+from alight.records import ElevationMap, Heights
+
+
+def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
+    """Where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
+    new_ok, old_ok = is_trusted(new["flags"]), is_trusted(old["flags"])
+    smaller = ~(np.nan_to_num(new["sigma"], nan=np.inf) >= np.nan_to_num(old["sigma"], nan=np.inf))
+    fresh = ~is_seen(old["flags"])
+    return np.asarray(is_seen(new["flags"]) & (fresh | (new_ok & ~old_ok) | ((new_ok == old_ok) & smaller)))
+
+
+class Elevation:
+    """The map, at every cell size that was asked of it.
+
+    Args:
+        cell: metres, of level 0.
+        side: cells of a tile.
+        far: where tiles go that the vehicle has left behind; a dict where nothing is given.
+    """
+
+    def __init__(self, cell: float, side: int, far: Far | None = None) -> None:
+        self.cell, self.side = cell, side
+        self._far: Far = {} if far is None else far
+        self._layers = {0: Layer(0, cell, side, self._far)}
+
+    # -- rasters
+
+    def cell_at(self, level: int) -> float:
+        """Metres."""
+        return math.ldexp(self.cell, level)
+
+    def _layer_of(self, cell: float) -> Layer:
+        return self._layer(round(math.log2(cell / self.cell)))
+
+    def _layer(self, level: int) -> Layer:
+        """The layer; it and those between it and the others are opened where they are not."""
+        while level < (finest := min(self._layers)):
+            self._open(finest - 1)
+        while level > (coarsest := max(self._layers)):
+            self._open(coarsest + 1)
+            below = self._layers[coarsest]
+            for key in below.keys:
+                self._pass_on(below, below.tile_grid(key))
+        return self._layers[level]
+
+    def _open(self, level: int) -> None:
+        self._layers[level] = Layer(level, self.cell_at(level), self.side, self._far)
+
+    def tile_grid(self, key: Key, margin: int = 0, level: int = 0) -> Grid:
+        """The grid of one tile, `margin` cells wider on every side."""
+        return self._layer(level).tile_grid(key, margin)
+
+    def cover(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Iterator[Key]:
+        """The tiles that a rectangle (metres) touches, southern rows first."""
+        return self._layer(level).cover(east, north)
+
+    def window(self, east: tuple[float, float], north: tuple[float, float], level: int = 0) -> Grid:
+        """The smallest grid of whole cells over a rectangle (metres)."""
+        return self._layer(level).window(east, north)
+
+    # -- what is in them
+
+    def add(self, heights: Heights, replace_all: bool = False) -> None:
+        """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new one wherever it was seen)."""
+        layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
+        take = is_seen(new["flags"]) if replace_all else better(new, self._known(layer, heights.grid))
+        r, c = box_of(take)
+        if r.stop > r.start:
+            grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
+            layer.write(grid, {k: v[r, c] for k, v in new.items()}, take[r, c])
+            while layer.level < max(self._layers):
+                grid = self._pass_on(layer, grid)
+                layer = self._layers[layer.level + 1]
+
+    def _pass_on(self, layer: Layer, grid: Grid) -> Grid:
+        """Give the next coarser layer the means of a grid; returns the coarse cells that they are of."""
+        south, north, west, east = (n // 2 for n in layer.numbers(grid))
+        means = halved(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
+        coarser = self._layers[layer.level + 1]
+        above = coarser.cells(south, north, west, east)
+        coarser.write(above, means, is_seen(means["flags"]))
+        return above
+
+    def _known(self, layer: Layer, grid: Grid) -> Fields:
+        """A layer's own cells, and where it has none the next coarser one's, interpolated."""
+        out = layer.read(grid)
+        seen = is_seen(out["flags"])
+        coarser = self._layers.get(layer.level + 1)
+        if coarser is None or seen.all():
+            return out
+        south, north, west, east = layer.numbers(grid)
+        around = south // 2 - 1, north // 2 + 1, west // 2 - 1, east // 2 + 1
+        coarse = self._known(coarser, coarser.cells(*around))
+        if not is_seen(coarse["flags"]).any():
+            return out
+        from_coarse, r, c = doubled(coarse), 2 * around[1] + 1 - north, west - 2 * around[2]
+        for k, v in from_coarse.items():
+            out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
+        return out
+
+    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane (3,), `plane[0]` metres up at `about` (2,) and rising east and north, to what is near."""
+        for layer in self._layers.values():
+            layer.lean(plane, about)
+
+    def read(self, grid: Grid) -> ElevationMap:
+        """The best that is known on a grid of whole cells of any level, copied."""
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
+
+    def roll(self, centre: tuple[float, float], radius: float) -> None:
+        """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""
+        for layer in self._layers.values():
+            layer.roll(centre, radius)
+
+    def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
+        """Everything that was ever seen, cropped to it; None when nothing was.
+
+        On the raster of the finest cells that were used, or of coarser ones where it would have more than `most_cells`.
+        """
+        boxes = {level: box for level, layer in self._layers.items() if (box := layer.box())}
+        if not boxes:
+            return None
+        level = min(boxes)
+        while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 0:
+            level += 1
+        return self.read(self._layer(level).cells(*_about(boxes, level)))
+
+
+def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
+    """The cells of a level about boxes of several."""
+    scale = {k: 2.0 ** (k - level) for k in boxes}
+    south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))
+    north, east = (max(math.ceil((b[i] + 1) * scale[k]) - 1 for k, b in boxes.items()) for i in (1, 3))
+    return south, north, west, east
+
+
+def _size(box: tuple[int, int, int, int]) -> int:
+    return (box[1] - box[0] + 1) * (box[3] - box[2] + 1)

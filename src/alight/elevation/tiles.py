@@ -1,0 +1,183 @@
+"""Square tiles of one cell size; only those near the vehicle are held as arrays, the others are packed."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, MutableMapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, box_of
+from alight.records import Flag
+
+Key = tuple[int, int]  # (row, column) of a tile; rows count north
+Name = tuple[int, int, int]  # level, row, column
+Far = MutableMapping[Name, bytes]  # packed tiles: a dict, a file, or nothing at all
+Fields = dict[str, NDArray[Any]]  # (R, C) arrays, rgb (R, C, 3), by the names of FIELDS
+Part = tuple[slice, slice]
+
+FIELDS = {
+    "height": (np.float32, np.nan),
+    "sigma": (np.float32, np.nan),
+    "flags": (np.uint16, int(Flag.UNSEEN)),
+    "views": (np.uint8, 0),
+    "rgb": (np.uint8, 0),
+    "residual": (np.float32, np.nan),
+}
+
+
+def _shape(name: str, shape: tuple[int, int]) -> tuple[int, ...]:
+    return (*shape, 3) if name == "rgb" else shape
+
+
+def nothing(shape: tuple[int, int]) -> Fields:
+    """Cells that were never seen."""
+    return {k: np.full(_shape(k, shape), v, t) for k, (t, v) in FIELDS.items()}
+
+
+def pack(tile: Fields) -> bytes:
+    """The tile as bytes."""
+    return zlib.compress(b"".join(tile[k].tobytes() for k in FIELDS), 1)
+
+
+def unpack(packed: bytes, side: int) -> Fields:
+    """The way back."""
+    raw, at, out = zlib.decompress(packed), 0, {}
+    for k, (t, _) in FIELDS.items():
+        shape = _shape(k, (side, side))
+        size = int(np.prod(shape)) * np.dtype(t).itemsize
+        out[k] = np.frombuffer(raw[at : at + size], t).reshape(shape).copy()
+        at += size
+    return out
+
+
+def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    """Where there is something."""
+    return np.asarray((flags & np.uint16(Flag.UNSEEN)) == 0)
+
+
+class Forgotten(dict[Name, bytes]):
+    """Where packed tiles go that nobody wants back: the map ends where the vehicle cannot see."""
+
+    def __setitem__(self, name: Name, packed: bytes) -> None:
+        """Keep nothing."""
+
+
+class Layer:
+    """The map at one cell size. Cell centres lie at (k + 1/2) cells east and north of the origin."""
+
+    def __init__(self, level: int, cell: float, side: int, far: Far) -> None:
+        self.level, self.cell, self.side = level, cell, side
+        self._near: dict[Key, Fields] = {}
+        self._far = far
+        self._left: dict[Key, Part] = {}  # packed tiles, and which of their cells were seen
+
+    # -- the raster
+
+    def tile_grid(self, key: Key, margin: int = 0) -> Grid:
+        """The grid of one tile, `margin` cells wider on every side."""
+        south, west = key[0] * self.side, key[1] * self.side
+        n = self.side + 2 * margin
+        return Grid((west - margin + 0.5) * self.cell, (south + self.side + margin - 0.5) * self.cell, self.cell, n, n)
+
+    def cover(self, east: tuple[float, float], north: tuple[float, float]) -> Iterator[Key]:
+        """The tiles that a rectangle (metres) touches, southern rows first."""
+        span = self.side * self.cell
+        rows, cols = np.floor(np.array(north) / span).astype(int), np.floor(np.array(east) / span).astype(int)
+        for r in range(rows[0], rows[1] + 1):
+            for c in range(cols[0], cols[1] + 1):
+                yield r, c
+
+    def window(self, east: tuple[float, float], north: tuple[float, float]) -> Grid:
+        """The smallest grid of whole cells over a rectangle (metres)."""
+        c0, c1 = (int(np.floor(e / self.cell)) for e in east)
+        r0, r1 = (int(np.floor(n / self.cell)) for n in north)
+        return self.cells(r0, r1, c0, c1)
+
+    def cells(self, south: int, north: int, west: int, east: int) -> Grid:
+        """The grid of the cells between these numbers, all included."""
+        return Grid((west + 0.5) * self.cell, (north + 0.5) * self.cell, self.cell, north - south + 1, east - west + 1)
+
+    def numbers(self, grid: Grid) -> tuple[int, int, int, int]:
+        """The way back: the first and last cell south to north, and west to east."""
+        north, west = round(grid.north / self.cell - 0.5), round(grid.east / self.cell - 0.5)
+        return north - grid.rows + 1, north, west, west + grid.cols - 1
+
+    def _overlaps(self, grid: Grid) -> Iterator[tuple[Key, Part, Part]]:
+        """Tiles under a grid: (key, slices in the tile, slices in the grid)."""
+        south, north, west, east = self.numbers(grid)
+        for r in range(south // self.side, north // self.side + 1):
+            for c in range(west // self.side, east // self.side + 1):
+                first = (r + 1) * self.side - 1  # northernmost cell of the tile
+                a, b = max(north - first, 0), min(north - first + self.side, grid.rows)
+                x, y = max(c * self.side - west, 0), min((c + 1) * self.side - west, grid.cols)
+                dr, dc = first - north, west - c * self.side
+                yield (r, c), (slice(a + dr, b + dr), slice(x + dc, y + dc)), (slice(a, b), slice(x, y))
+
+    # -- what is in it
+
+    def write(self, grid: Grid, fields: Fields, take: NDArray[np.bool_]) -> None:
+        """Put the cells `take` (R, C) of a grid in the place of what was there."""
+        for key, at, here in self._overlaps(grid):
+            if (some := take[here]).any():
+                tile = self._tile(key)
+                for k in FIELDS:
+                    np.copyto(tile[k][at], fields[k][here], where=some[..., None] if k == "rgb" else some)
+
+    def _tile(self, key: Key) -> Fields:
+        if key not in self._near:
+            packed = self._far.pop((self.level, *key)) if self._left.pop(key, None) else None
+            self._near[key] = nothing((self.side, self.side)) if packed is None else unpack(packed, self.side)
+        return self._near[key]
+
+    def read(self, grid: Grid) -> Fields:
+        """The cells of a grid, copied."""
+        out = nothing(grid.shape)
+        for key, at, here in self._overlaps(grid):
+            tile = self._near.get(key)
+            if tile is None and key in self._left:
+                tile = unpack(self._far[self.level, *key], self.side)
+            if tile is not None:
+                for k in FIELDS:
+                    out[k][here] = tile[k][at]
+        return out
+
+    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane to the tiles that are near."""
+        for key, tile in self._near.items():
+            east, north = self.tile_grid(key).xy()
+            across, along = plane[1] * (east - about[0]) + plane[0], plane[2] * (north - about[1])
+            tile["height"] += across.astype(np.float32)[None, :] + along.astype(np.float32)[:, None]
+
+    def roll(self, centre: tuple[float, float], radius: float) -> None:
+        """Pack the tiles farther than `radius` metres from the vehicle."""
+        for key in list(self._near):
+            middle = (np.array(key)[::-1] + 0.5) * self.side * self.cell
+            if np.hypot(*(middle - centre)) > radius + self.side * self.cell:
+                self._pack(key)
+
+    def _pack(self, key: Key) -> None:
+        tile, name = self._near.pop(key), (self.level, *key)
+        self._far[name] = pack(tile)
+        if name in self._far:
+            self._left[key] = box_of(is_seen(tile["flags"]))
+
+    @property
+    def keys(self) -> list[Key]:
+        """All tiles that are held, near and far."""
+        return [*self._near, *self._left]
+
+    def box(self) -> tuple[int, int, int, int] | None:
+        """The rectangle about all cells that were seen, as `numbers`; None where none was."""
+        boxes = self._left | {k: box_of(is_seen(t["flags"])) for k, t in self._near.items()}
+        found = [
+            ((k[0] + 1) * self.side - r.stop, (k[0] + 1) * self.side - 1 - r.start,
+             k[1] * self.side + c.start, k[1] * self.side + c.stop - 1)
+            for k, (r, c) in boxes.items() if r.stop > r.start
+        ]  # fmt: skip
+        if not found:
+            return None
+        south, north, west, east = zip(*found, strict=True)
+        return min(south), max(north), min(west), max(east)

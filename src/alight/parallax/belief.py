@@ -1,0 +1,111 @@
+"""What is believed of the exposures' poses and of the map's plane together: one normal distribution.
+
+The navigation lane tells it of the poses, the pictures correct it (docs/method.md, eqs. 22 to 25).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Pose, so3_exp, so3_log
+from alight.records import F64, PoseRing
+
+PLANE = 3  # offset up [m], rise per metre towards east and towards north [rad]
+POSE = 6  # position [m], rotation vector [rad], world axes
+
+
+def moved(pose: Pose, error: F64) -> Pose:
+    """The pose with an error (6,) taken out."""
+    return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
+
+
+def between(a: Pose, b: Pose) -> F64:
+    """The error (6,) that takes `a` to `b`."""
+    return np.concatenate([b.translation - a.translation, so3_log(b.rotation @ a.rotation.T)])
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """Means and joint covariance; errors are what must be added to the map's plane and to the poses."""
+
+    times: tuple[int, ...]  # t_ns of the exposures
+    poses: tuple[Pose, ...]  # world_from_body
+    covariance: F64  # (3 + 6E, 3 + 6E)
+    plane: F64  # (3,) mean of the map's error
+    start: F64  # (3 + 6E,) error from which to look for the best one: where the last step ended
+
+    @classmethod
+    def none(cls, plane_sigma: F64) -> Belief:
+        """No exposure, and a plane of which only this much is known."""
+        return cls((), (), np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
+
+    def rows(self, times: Collection[int]) -> NDArray[np.int64]:
+        """Where the exposures of these times are."""
+        each = [np.arange(PLANE + POSE * k, PLANE + POSE * (k + 1)) for k, t in enumerate(self.times) if t in times]
+        return np.concatenate([*each, np.empty(0, np.int64)]).astype(np.int64)
+
+    def told(self, ring: PoseRing) -> Belief:
+        """Take over what the navigation lane says of its keyframes (eq. 23).
+
+        Of those that it holds, what was believed is replaced; what was believed of the others and of the plane given
+        these stays, so that they follow. A lane that tells of each exposure once leaves the correction to the pictures.
+        """
+        at = {m.t_ns: k for k, m in enumerate(ring.motions)}
+        shared = [t for t in self.times if t in at]
+        new = [t for t in at if t not in self.times]
+        mine, rest = self.rows(shared), np.setdiff1d(np.arange(len(self.covariance)), self.rows(shared))
+        theirs, theirs_new = (_rows_of([at[t] for t in ts]) for ts in (shared, new))
+        P, Q = self.covariance, ring.covariance
+        gain = np.linalg.lstsq(P[np.ix_(mine, mine)], P[np.ix_(mine, rest)], rcond=1e-12)[0].T
+        out = np.zeros((len(P) + len(theirs_new),) * 2)
+        fresh = np.arange(len(P), len(out))
+        S = Q[np.ix_(theirs, theirs)]
+        out[np.ix_(mine, mine)] = S
+        out[np.ix_(rest, rest)] = P[np.ix_(rest, rest)] + gain @ (S - P[np.ix_(mine, mine)]) @ gain.T
+        out[np.ix_(mine, rest)] = S @ gain.T
+        out[np.ix_(fresh, fresh)] = Q[np.ix_(theirs_new, theirs_new)]
+        out[np.ix_(fresh, mine)] = Q[np.ix_(theirs_new, theirs)]
+        out[np.ix_(fresh, rest)] = Q[np.ix_(theirs_new, theirs)] @ gain.T
+        out[np.ix_(rest, mine)] = out[np.ix_(mine, rest)].T
+        out[: len(P), len(P) :] = out[len(P) :, : len(P)].T
+        poses = dict(zip(self.times, self.poses, strict=True))
+        shift = np.zeros(len(P))
+        for t in shared:
+            shift[self.rows([t])] = between(poses[t], ring.motions[at[t]].world_from_body)
+        shift[rest] = gain @ shift[mine]
+        means = [moved(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
+        means += [ring.motions[at[t]].world_from_body for t in new]
+        lead = np.linalg.lstsq(S, Q[np.ix_(theirs, theirs_new)], rcond=1e-12)[0].T @ (self.start - shift)[mine]
+        return Belief(
+            (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
+            np.concatenate([self.start - shift, lead]),
+        )  # fmt: skip
+
+    def kept(self, times: Collection[int]) -> Belief:
+        """Forget all other exposures."""
+        keep = np.concatenate([np.arange(PLANE), self.rows(times)])
+        pairs = [(t, p) for t, p in zip(self.times, self.poses, strict=True) if t in times]
+        return replace(
+            self, times=tuple(t for t, _ in pairs), poses=tuple(p for _, p in pairs),
+            covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep],
+        )  # fmt: skip
+
+    def corrected(self, error: F64, covariance: F64) -> Belief:
+        """Where the error is this: it is taken out, of the map as well."""
+        poses = tuple(moved(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
+        return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
+
+    def with_plane(self, sigma: F64) -> Belief:
+        """Of the plane only this much is known."""
+        P = self.covariance.copy()
+        P[:PLANE], P[:, :PLANE] = 0.0, 0.0
+        P[:PLANE, :PLANE] = np.diag(sigma**2)
+        return replace(self, covariance=P)
+
+
+def _rows_of(at: list[int]) -> NDArray[np.int64]:
+    return (POSE * np.array(at, np.int64)[:, None] + np.arange(POSE)).ravel()

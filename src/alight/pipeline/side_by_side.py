@@ -1,0 +1,89 @@
+"""Tracking beside filtering: two steps that may run at the same time, and give the same however they are scheduled.
+
+While the filter takes in one exposure the next one is tracked. The tracker predicts from the filter's last exposure but
+one, carried on by the IMU: always from that one, whether or not the last is done, so that what comes out depends on the
+events alone. No thread here: `alight.live` runs the steps on two.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from alight.motion import LateFilter
+from alight.motion.forecast import Forecast
+from alight.records import Event, Frame, ImuSample, Motion, NavSample, Rig, Tracks
+from alight.settings import Settings
+from alight.tracks import Tracker
+
+_IMU_NS = 2_000_000_000  # ns of inertial measurements that a prediction may need
+Heard = NavSample | ImuSample
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One exposure, and what was heard before it."""
+
+    frame: Frame
+    before: tuple[Heard, ...]
+
+    def after(self, dropped: Job) -> Job:
+        """This job when an earlier one is left out: its picture is lost, what was heard is not."""
+        return replace(self, before=dropped.before + self.before)
+
+
+class Desk:
+    """Gathers events into jobs, in the order of arrival."""
+
+    def __init__(self) -> None:
+        self._before: list[Heard] = []
+
+    def take(self, event: Event) -> Job | None:
+        """Take an event; an exposure makes a job."""
+        if not isinstance(event, Frame):
+            self._before.append(event)
+            return None
+        before, self._before = tuple(self._before), []
+        return Job(event, before)
+
+
+def forecast_for(exposure: int) -> int:
+    """Which forecast an exposure (from 0) is tracked by: 0 before the first, k after the k-th has been taken in."""
+    return exposure if exposure < 2 else exposure - 1
+
+
+class TrackingStep:
+    """The tracker, and the inertial measurements that it predicts by."""
+
+    def __init__(self, rig: Rig, settings: Settings) -> None:
+        self._tracker = Tracker(rig, settings.tracks)
+        self._imu: deque[ImuSample] = deque()
+
+    def run(self, job: Job, forecast: Forecast | None) -> Tracks:
+        """Follow the features into one exposure."""
+        t = job.frame.t_ns
+        self._imu.extend(e for e in job.before if isinstance(e, ImuSample))
+        while self._imu and self._imu[0].t_ns < t - _IMU_NS:
+            self._imu.popleft()
+        return self._tracker.feed(job.frame, forecast.cameras(t, self._imu) if forecast else None)
+
+
+class FilterStep:
+    """The filter, and what it lets expect."""
+
+    def __init__(self, rig: Rig, settings: Settings) -> None:
+        self.filter = LateFilter(rig, settings.motion.filter)
+
+    def hear(self, events: Sequence[Heard]) -> Forecast | None:
+        """Take what came before an exposure."""
+        for e in events:
+            if isinstance(e, NavSample):
+                self.filter.feed_nav(e)
+            else:
+                self.filter.feed_imu(e)
+        return self.filter.forecast()
+
+    def see(self, tracks: Tracks) -> tuple[Motion | None, Forecast | None]:
+        """Take the features of an exposure."""
+        return self.filter.feed_tracks(tracks), self.filter.forecast()

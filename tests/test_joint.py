@@ -1,0 +1,333 @@
+"""Poses refined with the map: the kernel and its twin, Jacobians, beliefs, and what becomes of bad and good poses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from ground_views import UP, Scene, Texture, plane
+from numpy.testing import assert_allclose, assert_array_equal
+
+from alight.elevation import Elevation
+from alight.geometry import Grid, Pose, ground_projection, so3_exp
+from alight.kernels import joint as kernels
+from alight.parallax import Ring
+from alight.parallax.belief import PLANE, POSE, Belief, between, moved
+from alight.parallax.joint import plane_on, thinned
+from alight.records import ElevationMap, Gauge, Heights, Motion, PoseRing, View
+from alight.settings import Parallax
+
+CELL = 0.2
+GRID = Grid(-5.9, 4.5, CELL, 46, 60)
+EAST, NORTH = np.meshgrid(*GRID.xy())
+COUNT, SPACING = 9, 0.6
+SIGMA = np.repeat([0.08, np.radians(0.4)], 3)  # of a pose: 1.2 px of this camera
+PX = CELL * UP / (SPACING * (COUNT - 1))
+
+F64 = np.ndarray
+
+
+# -- the normal equations
+
+
+def some_cells(seed: int) -> dict[str, np.ndarray]:
+    """Random samples of five views of three exposures; some weights are nothing, some cells unknown."""
+    rng = np.random.default_rng(seed)
+    n, rows, cols = 5, 4, 7
+    weights = rng.uniform(0.2, 1.0, (n, rows, cols)).astype(np.float32)
+    weights[rng.uniform(size=weights.shape) < 0.2] = 0.0
+    weights[:, 1, 2] = 0.0
+    mean = rng.normal(size=(5, rows, cols)).astype(np.float32)
+    mean[1, 0, 3] = np.nan
+    h = rng.normal(0, 0.5, (rows, cols)).astype(np.float32)
+    samples = rng.normal(size=(n, rows, cols)).astype(np.float32)
+    samples[weights == 0.0] = np.nan
+    return {
+        "samples": samples, "weights": weights, "mean": mean, "owner": np.array([0, 0, 1, 2, 2], np.int64),
+        "centres": np.c_[rng.normal(0, 3, (n, 2)), rng.uniform(18, 22, n)],
+        "pivots": np.c_[rng.normal(0, 3, (3, 2)), [20, 21, 19]], "precision": rng.uniform(5, 20, n),
+        "xs": 1.0 + 0.6 * np.arange(cols), "ys": 2.0 - 0.6 * np.arange(rows), "h": h,
+        "about": np.array([3.0, -1.0]), "arm": 0.2, "kappa": rng.uniform(0.5, 50, (rows, cols)).astype(np.float32),
+    }  # fmt: skip
+
+
+def twin(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
+    """The same by writing down every residual, with the plane, the poses, and each cell's own value and height."""
+    M = PLANE + POSE * len(c["pivots"])
+    A, b = np.zeros((M, M)), np.zeros(M)
+    for r, y in enumerate(c["ys"]):
+        for k, x in enumerate(c["xs"]):
+            m = c["mean"][:, r, k].astype(np.float64)
+            gx, gy = (m[1] - m[2]) / (2 * c["arm"]), (m[3] - m[4]) / (2 * c["arm"])
+            seen = np.flatnonzero(c["weights"][:, r, k] > 0)
+            if not np.isfinite(m[0] + gx + gy) or not len(seen):
+                continue
+            X, phi = np.array([x, y, float(c["h"][r, k])]), np.array([1.0, x - c["about"][0], y - c["about"][1]])
+            J, e, w = np.zeros((len(seen) + 1, M + 2)), np.zeros(len(seen) + 1), np.ones(len(seen) + 1)
+            for row, i in enumerate(seen):
+                C, p = c["centres"][i], c["pivots"][c["owner"][i]]
+                q = (gx * (x - C[0]) + gy * (y - C[1])) / (C[2] - X[2])
+                g = np.array([gx, gy, q])
+                at = PLANE + POSE * c["owner"][i]
+                J[row, at : at + 6] = np.r_[g, np.cross(X - p, g)]
+                J[row, M], J[row, M + 1] = 1.0, -q  # template value, height
+                e[row], w[row] = c["samples"][i, r, k] - m[0], c["weights"][i, r, k] * c["precision"][i]
+            J[-1, :PLANE], J[-1, M + 1], w[-1] = -phi, 1.0, c["kappa"][r, k]  # the height lies about the map's plane
+            N, g = J.T @ (J * w[:, None]), J.T @ (w * e)
+            inner = np.linalg.pinv(N[M:, M:])
+            A += N[:M, :M] - N[:M, M:] @ inner @ N[M:, :M]
+            b += g[:M] - N[:M, M:] @ inner @ g[M:]
+    return A, b
+
+
+def filled(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
+    M, rows = PLANE + POSE * len(c["pivots"]), len(c["ys"])
+    A, b = np.full((rows, M, M), 7.0), np.full((rows, M), 7.0)
+    kernels.normal_equations(*c.values(), A, b)
+    whole = A.sum(axis=0)
+    whole[PLANE:, :PLANE] = whole[:PLANE, PLANE:].T
+    return whole, b.sum(axis=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_normal_equations_are_those_of_all_residuals_written_down(seed: int) -> None:
+    c = some_cells(seed)
+    A, b = filled(c)
+    A_twin, b_twin = twin(c)
+    assert_allclose(A, A_twin, rtol=1e-6, atol=1e-6 * np.abs(A_twin).max())
+    assert_allclose(b, b_twin, rtol=1e-6, atol=1e-6 * np.abs(b_twin).max())
+
+
+def test_a_pose_error_slides_the_ground_as_its_derivative_says() -> None:
+    """A pixel's ray is followed to level ground from the pose as taken and as it is (eq. 18)."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        body = Pose(so3_exp(rng.normal(0, 0.1, 3)) @ np.diag([1.0, -1, -1]), np.array([*rng.normal(0, 2, 2), 20.0]))
+        mount = Pose(so3_exp(rng.normal(0, 0.05, 3)), rng.normal(0, 0.3, 3))
+        X = np.array([*rng.normal(0, 5, 2), rng.normal()])
+        error = rng.normal(0, 1e-5, 6)
+
+        def ground(pose: Pose, ray: F64, level: float) -> F64:
+            d = pose.rotation @ ray
+            return (pose.translation + d * (level - pose.translation[2]) / d[2])[:2]
+
+        cam, true = body @ mount, moved(body, error) @ mount
+        H, b = ground_projection(ANY_CAMERA, cam)
+        ray = H @ [X[0], X[1], 1.0] + X[2] * b
+        slide = ground(true, ray, X[2]) - ground(cam, ray, X[2])
+        for g in np.eye(2):
+            q = g @ (X[:2] - cam.translation[:2]) / (cam.translation[2] - X[2])
+            full = np.array([*g, q])
+            J = np.concatenate([full, np.cross(X - body.translation, full)])
+            assert_allclose(J @ error, g @ slide, atol=1e-8)
+
+
+ANY_CAMERA = Scene().camera
+
+
+# -- beliefs
+
+
+def motions(count: int, seed: int = 0) -> tuple[Motion, ...]:
+    rng = np.random.default_rng(seed)
+    poses = [Pose(so3_exp(rng.normal(0, 0.01, 3)), rng.normal(size=3)) for _ in range(count)]
+    return tuple(Motion(k, p, (p,), np.eye(6)) for k, p in enumerate(poses))
+
+
+def covariance(size: int, seed: int) -> F64:
+    L = np.random.default_rng(seed).normal(size=(size, size))
+    return 1e-4 * (L @ L.T + 0.1 * np.eye(size))
+
+
+def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
+    """Against the joint Gaussian written out: the others keep what they are given those told of (eq. 23)."""
+    ms = motions(4)
+    first = Belief.none(np.array([0.3, 0.02, 0.01])).told(PoseRing(ms[:3], covariance(18, 1)))
+    P = covariance(PLANE + 18, 2)  # pictures have tied the plane and the poses
+    first = first.corrected(np.zeros(len(P)), P)
+    error = np.random.default_rng(3).normal(0, 0.01, 12)
+    again = tuple(
+        replace(m, world_from_body=moved(m.world_from_body, error[6 * k : 6 * k + 6])) for k, m in enumerate(ms[1:3])
+    )
+    Q = covariance(18, 4)
+    then = first.told(PoseRing((*again, ms[3]), Q))
+    shared, rest = np.arange(9, 21), np.arange(9)  # exposures 1 and 2; the plane and exposure 0
+    gain = P[np.ix_(rest, shared)] @ np.linalg.inv(P[np.ix_(shared, shared)])
+    left = P[np.ix_(rest, rest)] - gain @ P[np.ix_(shared, rest)]
+    T = np.zeros((27, 27))
+    T[np.ix_(rest, shared)] = gain @ Q[:12, :12]
+    T[np.ix_(rest, np.arange(21, 27))] = gain @ Q[:12, 12:]
+    T[np.ix_(np.arange(9, 27), np.arange(9, 27))] = Q
+    T[np.ix_(rest, rest)] = left + gain @ Q[:12, :12] @ gain.T
+    T = np.triu(T) + np.triu(T, 1).T
+    assert then.times == (0, 1, 2, 3)
+    assert_allclose(then.covariance, T, atol=1e-12)
+    assert np.linalg.eigvalsh(then.covariance).min() > 0
+    assert_allclose(then.plane, (gain @ error)[:3], atol=1e-9)
+    assert_allclose(between(ms[0].world_from_body, then.poses[0]), (gain @ error)[3:], atol=1e-6)
+    assert_allclose(between(ms[1].world_from_body, then.poses[1]), error[:6], atol=1e-9)
+    kept = then.kept({0, 3})
+    rows = np.r_[0:9, 21:27]
+    assert_array_equal(kept.covariance, then.covariance[np.ix_(rows, rows)])
+    assert kept.times == (0, 3)
+
+
+def test_poses_told_of_one_by_one_are_independent() -> None:
+    ms = motions(2)
+    belief = Belief.none(np.ones(3))
+    for m in ms:
+        belief = belief.told(PoseRing((m,), m.covariance))
+    assert_array_equal(belief.covariance, np.eye(15))
+
+
+def test_some_cells_of_a_grid_are_cells_of_it() -> None:
+    sub, k = thinned(GRID, 100)
+    assert 60 < sub.rows * sub.cols < 160
+    assert_allclose(sub.xy()[0], GRID.xy()[0][k // 2 :: k])
+    assert_allclose(sub.xy()[1], GRID.xy()[1][k // 2 :: k])
+
+
+# -- flights
+
+
+@cache
+def scene() -> Scene:
+    return Scene(surface=plane(0.05, 0.03, 0.1), top=0.8, spacing=SPACING, paint=Texture(1))
+
+
+@cache
+def true_views() -> tuple[View, ...]:
+    return tuple(scene().views(COUNT))
+
+
+def off(errors: F64) -> list[tuple[View, Motion]]:
+    """The views with these (COUNT, 6) errors in their poses."""
+    out = []
+    for v, e in zip(true_views(), errors, strict=True):
+        pose = moved(v.world_from_cam, e)
+        out.append((replace(v, world_from_cam=pose), Motion(v.t_ns, pose, (pose,), np.diag(SIGMA**2))))
+    return out
+
+
+def flown(errors: F64, refine: bool = True, told: Callable[[list[Motion]], PoseRing] | None = None) -> ElevationMap:
+    """The map of a ring that hears of each pose by itself, or of what `told` makes of those so far."""
+    ring, elevation, seen = Ring(Parallax(), CELL, 0.1), Elevation(CELL, 64), list[Motion]()
+    gauge: Gauge | None = None
+    for view, motion in off(errors):
+        seen.append(motion)
+        poses = told(seen) if told else PoseRing((motion,), motion.covariance)
+        ring.push([view], poses if refine else None)
+        found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
+        elevation.lean(ring.plane, ring.about)
+        if found is not None:
+            elevation.add(found, replace_all=True)
+            gauge = found.gauge
+    return replace(elevation.read(GRID), gauge=gauge)
+
+
+def white(seed: int) -> F64:
+    return np.random.default_rng(seed).normal(size=(COUNT, 6)) * SIGMA
+
+
+NOTHING = np.zeros((COUNT, 6))
+
+
+def shape(found: ElevationMap) -> tuple[float, F64]:
+    """Spread of the errors about their plane, and the plane about the gauge's centre."""
+    about = np.zeros(2) if found.gauge is None else np.array([found.gauge.east, found.gauge.north])
+    ok = found.trusted
+    e = (found.height - scene().surface(EAST, NORTH))[ok]
+    A = np.c_[np.ones(len(e)), EAST[ok] - about[0], NORTH[ok] - about[1]]
+    fit = np.linalg.lstsq(A, e, rcond=None)[0]
+    rest = e - A @ fit
+    return float(1.4826 * np.median(np.abs(rest - np.median(rest)))), fit
+
+
+@cache
+def perfect() -> float:
+    return shape(flown(NOTHING, refine=False))[0]
+
+
+def test_bad_poses_are_repaired() -> None:
+    """Each exposure is off by more than a pixel: without refinement the shape is ruined, with it as of true poses."""
+    raw, mended = flown(white(1), refine=False), flown(white(1))
+    assert raw.trusted.mean() < 0.5 or shape(raw)[0] > 3 * perfect()
+    assert mended.trusted.mean() > 0.9
+    assert shape(mended)[0] < 1.25 * perfect() < 0.1 * PX
+
+
+def test_good_poses_are_left_alone() -> None:
+    """True poses, claimed to be off by as much: the shape stays, and the map's plane within what is claimed of it."""
+    found = flown(NOTHING)
+    spread, fit = shape(found)
+    assert found.gauge is not None
+    assert spread < 1.1 * perfect()
+    assert (np.abs(fit) < 0.5 * np.sqrt(np.diag(found.gauge.covariance))).all()
+
+
+def test_exact_poses_do_not_move() -> None:
+    """Told that they are exact to a tenth of a millimetre, the ring gives what it gives when it is told nothing."""
+    exact = flown(NOTHING, told=lambda ms: PoseRing((ms[-1],), 1e-8 * np.eye(6)))
+    plain = flown(NOTHING, refine=False)
+    both = exact.trusted & plain.trusted
+    assert both.mean() > 0.95
+    assert np.percentile(np.abs(exact.height - plain.height)[both], 95) < 0.05 * PX
+    assert shape(exact)[0] < 1.05 * perfect()
+
+
+def test_the_gauge_follows_the_prior() -> None:
+    """What all poses share no picture shows: the map is raised and tilted with them, and the gauge says how far it may.
+
+    An error that all have in common, told of with the joint covariance that says so.
+    """
+    common = np.repeat((2.0 * np.array([0.01, -0.02, 0.05, 0.002, -0.001, 0.001]))[None], COUNT, axis=0)
+
+    def told(ms: list[Motion]) -> PoseRing:
+        n = len(ms)
+        return PoseRing(tuple(ms), np.kron(np.ones((n, n)) + 1e-4 * np.eye(n), np.diag(SIGMA**2)))
+
+    found = flown(common, told=told)
+    spread, fit = shape(found)
+    assert found.gauge is not None
+    assert spread < 1.25 * perfect()
+    assert fit[0] == pytest.approx(common[0, 2], abs=0.05)
+    assert fit @ np.linalg.solve(found.gauge.covariance, fit) < 16.3  # 99.9 % of chi squared of three
+    sigma = np.sqrt(np.diag(found.gauge.covariance))
+    assert SIGMA[0] < sigma[0] < 4 * SIGMA[0]
+    assert 0.5 * SIGMA[3] < sigma[1:].max() < 2 * SIGMA[3]
+
+
+def test_the_gauge_covers_what_the_map_is_off() -> None:
+    for seed in (2, 3, 4):
+        found = flown(white(seed))
+        fit = shape(found)[1]
+        assert found.gauge is not None
+        assert fit @ np.linalg.solve(found.gauge.covariance, fit) < 16.3  # 99.9 %
+
+
+def test_threads_do_not_matter(threads: Callable[[int], None]) -> None:
+    threads(1)
+    one = flown(white(5))
+    threads(2)
+    two = flown(white(5))
+    assert one.height.tobytes() == two.height.tobytes()
+    assert one.gauge is not None
+    assert two.gauge is not None
+    assert_array_equal(one.gauge.covariance, two.gauge.covariance)
+
+
+def test_the_map_leans_where_it_is_held() -> None:
+    elevation = Elevation(CELL, 64)
+    found = flown(NOTHING, refine=False)
+    fields = {k: getattr(found, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual")}
+    elevation.add(Heights(GRID, **fields), replace_all=True)
+    before = elevation.read(GRID).height
+    by, about = np.array([0.2, 0.01, -0.02]), np.array([1.0, 2.0])
+    elevation.lean(by, about)
+    after = elevation.read(GRID)
+    known = np.isfinite(before)
+    assert_allclose(after.height[known], (before + plane_on(GRID, by, about))[known], atol=1e-5)
+    assert np.isnan(after.height[~known]).all()

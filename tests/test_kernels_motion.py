@@ -1,0 +1,103 @@
+"""The tracker's and the filter's kernels against their NumPy twins."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import twins_motion as twins
+from point_flight import DOWN
+
+from alight.geometry import Camera, Pose, so3_exp
+from alight.motion.vision import project
+from alight.motion.window import Poses, Sights, eliminate, meet
+from alight.tracks.corners import corners, strength
+from alight.tracks.lens import Lens
+
+CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
+
+
+def picture(seed: int, height: int = 120, width: int = 160) -> np.ndarray:
+    noise = np.random.default_rng(seed).uniform(0, 255, (height, width)).astype(np.float32)
+    soft = cv2.GaussianBlur(noise, (0, 0), 1.5)
+    return np.clip(128 + (soft - 128) * 4, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("window", [5, 8, 21])
+def test_texture_is_that_of_the_whole_picture(window: int) -> None:
+    """Inside, over the edge (mirrored), and outside (taken at the edge)."""
+    image, rng = picture(0), np.random.default_rng(1)
+    pixels = np.vstack([rng.uniform(0, 1, (200, 2)) * [159, 119], [[-5, 3], [400, 119], [159, 0]]]).astype(np.float32)
+    np.testing.assert_allclose(strength(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
+
+
+def test_corners_are_the_strongest_of_their_boxes() -> None:
+    image, cell = picture(2), 30.0
+    taken = np.array([[45.0, 50.0], [100.5, 20.0]], np.float32)
+    found = corners(image, taken, cell, 1e-6)
+    soft = cv2.GaussianBlur(image, (3, 3), 0)
+    wanted = []
+    for top in range(0, 120, 30):
+        for left in range(0, 160, 30):
+            box = (max(top, 8), min(top + 30, 112), max(left, 8), min(left + 30, 152))
+            empty = not any(left <= x < left + 30 and top <= y < top + 30 for x, y in taken)
+            if empty and box[3] > box[2]:
+                wanted.append(twins.strongest(soft, box, taken, 0.7 * cell)[:2])
+    assert len(wanted) == 22
+    assert {tuple(c) for c in found.astype(int).tolist()} == set(wanted)
+
+
+def test_an_empty_box_has_no_corner() -> None:
+    assert corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
+
+
+def test_the_table_takes_the_lens_out() -> None:
+    camera = Camera(160, 120, 130.0, 131.0, 79.0, 61.0, "radial-tangential", (-0.1, 0.02, 1e-3, -5e-4))
+    pixels = np.random.default_rng(3).uniform(0, 1, (50, 2)) * [159, 119]
+    pixels[7] = np.nan
+    found = Lens(camera).normalise(pixels)
+    assert np.isnan(found[7]).all()
+    keep = np.arange(50) != 7
+    np.testing.assert_allclose(found[keep], twins.rays(camera, pixels[keep]), atol=1e-5)
+    outside = Lens(camera).normalise(np.array([[-50.0, 60.0], [1e6, 60.0]]))
+    np.testing.assert_allclose(outside[0], twins.rays(camera, np.array([[-1.0, 60.0]]))[0], atol=1e-6)
+    assert np.isfinite(outside).all()
+
+
+def scene(seed: int) -> tuple[Sights, Poses]:
+    """Points seen now and then from six poses, one behind the cameras; first estimates are a little off."""
+    rng = np.random.default_rng(seed)
+    R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(6)])
+    p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(6)]) + 0.1 * rng.normal(size=(6, 3))
+    first_R = np.array([so3_exp(rng.normal(size=3) * 1e-3) @ a for a in R])
+    x = np.column_stack([rng.uniform(-8, 8, (30, 2)), rng.uniform(-2, 2, 30)])
+    z = np.array([[[project(a, b, c, q) for c in CAMS] for a, b in zip(R, p, strict=True)] for q in x])
+    z += 1e-3 * rng.normal(size=z.shape)
+    z[rng.random(z.shape[:3]) < 0.3] = np.nan
+    z[0, :, :, :] = -z[0]
+    poses = Poses(R, p, first_R, p + 0.02 * rng.normal(size=p.shape))
+    return Sights(np.arange(30), z, rng.uniform(5e-4, 2e-3, (30, 6))), poses
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
+    sights, poses = scene(seed)
+    x = meet(sights, poses, CAMS)
+    np.testing.assert_allclose(x[1:], twins.meet(sights, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
+    found, wanted = eliminate(sights, poses, CAMS, x), twins.eliminate(sights, poses, CAMS, x)
+    for name in ("b", "misfit", "freedom", "point_covariance", "step"):
+        np.testing.assert_allclose(getattr(found, name), wanted[name], rtol=1e-6, atol=1e-6, err_msg=name)
+    np.testing.assert_allclose(found.by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
+    one = np.zeros(30)
+    one[4] = 1.0
+    np.testing.assert_allclose(found.information(one)[0], wanted["A"][4], rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(found.root @ found.root.transpose(0, 2, 1), wanted["point_covariance"], rtol=1e-9)
+
+
+def test_nothing_seen_is_no_number_but_no_error() -> None:
+    """A feature without a sight, and none at all."""
+    sights, poses = scene(0)
+    blind = Sights(sights.ids[:1], np.full_like(sights.seen[:1], np.nan), sights.sigma[:1])
+    assert np.isfinite(meet(blind, poses, CAMS)).all()
+    assert eliminate(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
+    assert meet(sights.rows(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)

@@ -1,0 +1,331 @@
+"""The recursive map on a descent from 100 m to 5 m, in a hover, after a gap, with lost and late keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from descent_views import descent, level_flight, look, surface
+
+from alight.elevation import FIELDS, Forgotten
+from alight.geometry import Pose
+from alight.pipeline.terrain_lane import TerrainLane, footprint, level_for
+from alight.records import ElevationMap, View
+from alight.settings import Settings, load
+
+SMALL = ["elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
+
+
+@cache
+def down() -> tuple[View, ...]:
+    return tuple(descent(100.0, 5.0))
+
+
+def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> TerrainLane:
+    """A lane that knows where the ground is."""
+    lane = TerrainLane(settings or load("", SMALL), Forgotten() if forget else None)
+    assert lane.learn(list(views)), lane.reason
+    return lane
+
+
+def under(lane: TerrainLane, view: View, level: int | None = None, share: float = 0.7) -> ElevationMap:
+    """The map about the middle of what a view sees."""
+    assert lane.elevation is not None
+    seen = footprint(view, lane.below or 0.0)
+    middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, share * (seen.max(axis=0) - seen.min(axis=0)) / 2
+    (west, south), (east, north) = middle - half, middle + half
+    at = lane._level if level is None else level
+    return lane.elevation.read(lane.elevation.window((west, east), (south, north), at))
+
+
+def errors(m: ElevationMap) -> np.ndarray:
+    """Of the trusted cells, metres; the same order as `m.trusted`."""
+    x, y = np.meshgrid(*m.grid.xy())
+    return np.asarray((m.height - surface(x, y))[m.trusted], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What the map was worth at a height."""
+
+    height: float
+    cell: float
+    known: float  # share of the cells
+    spread: float  # median absolute error over the height
+    worst: float  # 95th percentile of it
+    covered: float  # share within two sigma
+
+
+def stage(lane: TerrainLane, view: View) -> Stage:
+    m = under(lane, view)
+    e, up = np.abs(errors(m)), float(view.centre[2])
+    covered = float((e < 2 * m.sigma[m.trusted]).mean())
+    return Stage(
+        up, m.grid.cell, float(m.trusted.mean()), float(np.median(e)) / up, float(np.percentile(e, 95)) / up, covered
+    )
+
+
+@cache
+def flown() -> tuple[TerrainLane, tuple[Stage, ...], tuple[tuple[float, float], ...]]:
+    """The descent: the map, its worth after every tenth step, and what changes of the cell did to the heights."""
+    lane, stages, jumps, level = lane_of(down()[:10]), [], [], 0
+    assert lane.elevation is not None
+    for k, v in enumerate(down()):
+        before = under(lane, v)
+        lane.step([v])
+        if lane._level != level:
+            after = lane.elevation.read(before.grid)
+            both = after.trusted & before.trusted
+            assert both.mean() > 0.5
+            d = (np.abs(after.height - before.height) / before.sigma)[both]
+            jumps.append((float(np.median(d)), float((d > 2).mean())))
+            level = lane._level
+        if k >= 10 and k % 10 == 0:
+            stages.append(stage(lane, v))
+    stages.append(stage(lane, down()[-1]))
+    return lane, tuple(stages), tuple(jumps)
+
+
+def test_the_error_is_the_same_share_of_the_height_all_the_way_down() -> None:
+    """100 m to 5 m in one map: no stage is worse than another, and sigma stays honest."""
+    _, stages, _ = flown()
+    assert stages[0].height > 60
+    assert stages[-1].height < 5.5
+    for s in stages:
+        assert s.known > 0.65, s
+        assert s.spread < 0.0035, s
+        assert s.worst < 0.03, s
+        assert s.covered > 0.9, s
+    assert np.median([s.known for s in stages]) > 0.95
+    assert stages[-1].spread < 1.5 * stages[0].spread
+
+
+def test_the_cell_follows_the_height() -> None:
+    lane, stages, jumps = flown()
+    pixels = [s.cell * 225.0 / s.height for s in stages]
+    assert min(pixels) > 1.8 * 2**-0.95  # half an octave, the slack, and what a nice cell is off
+    assert max(pixels) < 1.8 * 2**0.95
+    assert stages[0].cell / stages[-1].cell == 16
+    assert len(jumps) == 4
+    assert lane._level == -4
+
+
+def test_no_step_where_the_cell_changes() -> None:
+    """The same place before and after, at the same cell size: apart by less than sigma says."""
+    _, _, jumps = flown()
+    for middle, beyond in jumps:
+        assert middle < 0.5
+        assert beyond < 0.01
+
+
+def test_no_seam_where_levels_meet() -> None:
+    """Across the border of the finest cells the error does not jump by more than the coarser sigma says."""
+    lane, _, _ = flown()
+    assert lane.elevation is not None
+    last = under(lane, down()[-1], -4, share=1.8)
+    own = lane.elevation._layers[-4].read(last.grid)
+    fine = np.isfinite(own["height"])
+    assert 0.2 < fine.mean() < 0.9
+    x, y = np.meshgrid(*last.grid.xy())
+    e = last.height - surface(x, y)
+    both = last.trusted[:, 1:] & last.trusted[:, :-1] & (fine[:, 1:] != fine[:, :-1])
+    assert both.sum() > 30
+    jump = np.abs(np.diff(e, axis=1))[both]
+    sigma = np.maximum(last.sigma[:, 1:], last.sigma[:, :-1])[both]
+    assert np.median(jump / sigma) < 1.0
+    assert (jump < 2 * sigma).mean() > 0.9
+
+
+def test_one_raster_comes_out() -> None:
+    """As fine as the finest, the overview interpolated; coarser where it would have more cells than allowed."""
+    lane, stages, _ = flown()
+    whole = lane.map()
+    assert whole is not None
+    assert whole.grid.cell == stages[-1].cell
+    x, y = np.meshgrid(*whole.grid.xy())
+    e = np.abs(whole.height - surface(x, y))[whole.trusted]
+    assert np.percentile(e, 95) < 0.01 * 60
+    small = load("", [*SMALL, "elevation.most_cells=400000"])
+    lane.settings, before = small, lane.settings
+    coarse = lane.map()
+    lane.settings = before
+    assert coarse is not None
+    assert coarse.grid.rows * coarse.grid.cols <= 400_000
+    assert coarse.grid.cell == 4 * whole.grid.cell
+
+
+def test_the_same_descent_gives_the_same_bits() -> None:
+    a, _, _ = flown()
+    b = lane_of(down()[:10])
+    for v in down():
+        b.step([v])
+    x, y = a.map(), b.map()
+    assert x is not None
+    assert y is not None
+    assert x.grid == y.grid
+    for f in FIELDS:
+        assert getattr(x, f).tobytes() == getattr(y, f).tobytes(), f
+
+
+def test_up_again_keeps_what_was_seen_from_near() -> None:
+    """A climb after the descent: the coarse map about the landing place keeps the finer heights."""
+    views = [v for v in down() if v.centre[2] < 30]
+    lane = lane_of(views[:10])
+    for v in views:
+        lane.step([v])
+    near = under(lane, views[-1])
+    e_near = np.median(np.abs(errors(near)))
+    for v in (replace(v, t_ns=10**12 - v.t_ns) for v in reversed(views[:-1])):
+        lane.step([v])
+    again = under(lane, views[-1], -1)
+    assert np.median(np.abs(errors(again))) < 2 * e_near
+    assert again.trusted.mean() > 0.7
+
+
+def test_a_gust_does_not_change_the_cell() -> None:
+    """Hysteresis: around the border between two levels the cell stays what it is, from either side."""
+    cell = 1.0
+    border = 2**-0.5 / 1.8  # metres a pixel
+    for now in (0, -1):
+        assert {level_for(border * s, cell, now) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
+    assert level_for(border * 0.85, cell, 0) == -1
+    assert level_for(border * 1.15, cell, -1) == 0
+    assert level_for(0.05 / 1.8, cell, 0) == -4
+
+
+def test_a_cell_that_was_asked_for_stays() -> None:
+    lane = lane_of(down()[:10], load("", [*SMALL, "parallax.cell=0.8"]))
+    for v in down()[::3]:
+        lane.step([v])
+    m = lane.map()
+    assert m is not None
+    assert m.grid.cell == 0.8
+
+
+def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
+    views = [v for v in down() if v.centre[2] < 20]
+    lane = lane_of(views[::2], load("", ["elevation.tile=192", "elevation.max_sigma=5"]))
+    lane.build(views[::2], lambda share: None)
+    assert lane.elevation is not None
+    cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
+    assert max(cells.values()) / min(cells.values()) == 4
+    last = lane.elevation.read(
+        lane.elevation.window((views[-1].centre[0] - 1, views[-1].centre[0] + 1), (-1.0, 2.0), min(cells))
+    )
+    assert last.trusted.mean() > 0.8
+    assert np.median(np.abs(errors(last))) < 0.0025 * 5
+    m = lane.map()
+    assert m is not None
+    assert np.median(np.abs(errors(m))) < 0.0025 * 20
+
+
+# -- what goes wrong in a flight
+
+
+UP = 20.0
+
+
+@cache
+def level() -> tuple[View, ...]:
+    return tuple(level_flight(16, UP))
+
+
+def steps(lane: TerrainLane, views: Iterable[View], of_map: int = 0) -> TerrainLane:
+    for v in views:
+        lane.step([v], of_map)
+    return lane
+
+
+def worth(lane: TerrainLane, view: View) -> tuple[float, float, float]:
+    """Share known, median absolute error, share within two sigma."""
+    m = under(lane, view)
+    e = np.abs(errors(m))
+    return float(m.trusted.mean()), float(np.median(e)), float((e < 2 * m.sigma[m.trusted]).mean())
+
+
+def test_a_hover_takes_nothing_away() -> None:
+    """40 keyframes of yawing on the spot: the baseline stays in the ring, the heights stay, and sigma stays honest."""
+    lane = steps(lane_of(level()[:8]), level())
+    at = level()[-1].centre
+    before = worth(lane, level()[-1])
+    for k in range(40):
+        lane.step([look(at + 0.02 * np.array([np.sin(k), np.cos(k), 0.3 * np.sin(0.3 * k)]), 100 + k, yaw=0.16 * k)])
+    after = worth(lane, level()[-1])
+    assert lane._ring is not None
+    centres = np.array([exposure[0][0].centre for exposure in lane._ring._kept])
+    assert np.linalg.norm(centres - at, axis=1).max() > 0.1 * UP
+    assert after[0] > before[0] - 0.02
+    assert after[1] < 1.2 * before[1]
+    assert after[2] > 0.93
+
+
+def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
+    """150 m on: what was mapped stays bit for bit, and the new place is mapped as well as the first."""
+    lane = steps(lane_of(level()[:8]), level())
+    first = under(lane, level()[-1])
+    later = level_flight(16, UP, start=150.0, first=200)
+    steps(lane, later)
+    assert lane.elevation is not None
+    again = lane.elevation.read(first.grid)
+    for f in FIELDS:
+        assert getattr(again, f).tobytes() == getattr(first, f).tobytes(), f
+    known, error, covered = worth(lane, later[-1])
+    assert known > 0.9
+    assert error < 0.0025 * UP
+    assert covered > 0.93
+
+
+def test_poses_of_another_map_do_not_mix() -> None:
+    """The estimator begins anew and is 1.5 m off in height: the ring empties, and the ground is looked at anew.
+
+    Without it views of both maps would be matched with each other.
+    """
+    off = np.array([0.0, 0.0, 1.5])
+    moved = [
+        replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off), t_ns=v.t_ns + 10**11)
+        for v in level_flight(16, UP, start=3.0, first=50)
+    ]
+    lane = steps(lane_of(level()[:8]), level())
+    steps(lane, moved, of_map=1)
+    assert lane._ring is not None
+    assert all(exposure[0][0].t_ns >= 10**11 for exposure in lane._ring._kept)
+    m = under(lane, moved[-1], share=0.5)
+    assert m.trusted.mean() > 0.9
+    assert np.median(errors(m)) == pytest.approx(1.5, abs=0.05)
+    assert np.median(np.abs(errors(m) - 1.5)) < 0.0025 * UP
+    mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without being told
+    m = under(mixed, moved[-1], share=0.5)
+    assert not m.trusted.any() or np.median(np.abs(errors(m) - 1.5)) > 0.0025 * UP
+
+
+def test_lost_late_and_repeated_keyframes() -> None:
+    """Every third is lost, two come in the wrong order, one comes twice: the heights hardly notice."""
+    whole = worth(steps(lane_of(level()[:8]), level()), level()[-1])
+    some = [v for k, v in enumerate(level()) if k % 3 != 1]
+    some[3], some[4] = some[4], some[3]
+    some.insert(7, some[6])
+    lane = steps(lane_of(level()[:8]), some)
+    assert lane._ring is not None
+    times = [exposure[0][0].t_ns for exposure in lane._ring._kept]
+    assert times == sorted(set(times))
+    found = worth(lane, level()[-1])
+    assert found[0] > whole[0] - 0.05
+    assert found[1] < 1.5 * whole[1]
+    assert found[2] > 0.93
+
+
+def test_a_long_way_holds_no_more_than_a_short_one() -> None:
+    """Tiles and keyframes held, after 20 and after 60 keyframes."""
+    lane = lane_of(level()[:8], forget=True)
+    held = []
+    for v in level_flight(60, UP, share=0.2):
+        lane.step([v])
+        assert lane.elevation is not None
+        assert lane._ring is not None
+        held.append((sum(len(x._near) for x in lane.elevation._layers.values()), len(lane._ring._kept)))
+    tiles, keyframes = np.array(held).T
+    assert tiles[20:].max() <= tiles[:20].max() + 1
+    assert keyframes.max() <= 7

@@ -1,0 +1,115 @@
+"""Events that come late, and stamps that are off by a constant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from point_flight import NOISE, RIG, PointFlight, best, error, nees, run, seconds
+
+from alight.motion import LateFilter
+from alight.motion.state import TIME
+from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Tracks
+from alight.settings import Filter
+
+SMALL = NOISE.model_copy(update={"points": 16})
+
+
+def flown(events: list[Event | Tracks], settings: Filter = SMALL) -> tuple[LateFilter, list[Motion]]:
+    """What the filter that takes late events gives out."""
+    f, out = LateFilter(RIG, settings), []
+    for e in events:
+        if isinstance(e, ImuSample):
+            f.feed_imu(e)
+        elif isinstance(e, NavSample):
+            f.feed_nav(e)
+        elif isinstance(e, Tracks):
+            assert f.predict(e.t_ns) is not None
+            m = f.feed_tracks(e)
+            out += [m] if m is not None else []
+    return f, out
+
+
+def delayed(events: list[Event | Tracks], kind: type, by: float, share: float) -> list[Event | Tracks]:
+    """Some events of a kind arrive later than they are stamped."""
+    rng = np.random.default_rng(5)
+
+    def arrival(e: Event | Tracks) -> float:
+        return seconds(e) + (by if isinstance(e, kind) and rng.random() < share and seconds(e) > 0.5 else 0.0)
+
+    return sorted(events, key=arrival)
+
+
+@pytest.mark.parametrize(("kind", "by"), [(Tracks, 0.25), (NavSample, 0.15), (Tracks, 0.72)])
+def test_what_comes_late_is_used_in_its_place(kind: type, by: float) -> None:
+    """A third of the exposures, or of the GPS/INS rows, comes up to 0.7 s late: none is lost, and at the end the filter
+    is where it is with all in order."""
+    f = PointFlight(seed=1, seconds=4.0, count=60)
+    _, whole = flown(f.events)
+    late, motions = flown(delayed(f.events, kind, by, 0.3))
+    assert late.too_late == 0
+    assert {m.t_ns for m in motions} == {m.t_ns for m in whole}
+    a, b = max(whole, key=lambda m: m.t_ns), max(motions, key=lambda m: m.t_ns)
+    assert np.linalg.norm(best(a)[0] - best(b)[0]) < 0.03  # the IMU between two events is known a little better
+    np.testing.assert_allclose(np.diag(a.covariance), np.diag(b.covariance), rtol=0.1)
+    assert nees(b, f.truth(b.t_ns)) < 25.0
+
+
+def test_in_order_nothing_is_different() -> None:
+    f = PointFlight(seed=2, seconds=2.0, count=60)
+    for a, b in zip(flown(f.events)[1], run(f.events, SMALL)[1], strict=True):
+        assert a.world_from_body.matrix.tobytes() == b.world_from_body.matrix.tobytes()
+
+
+def test_what_comes_too_late_is_counted_and_does_no_harm() -> None:
+    f = PointFlight(seed=3, seconds=4.0, count=60)
+    late, motions = flown(delayed(f.events, Tracks, 1.6, 0.2))
+    assert late.too_late > 3
+    assert len(motions) + late.too_late == 40
+    assert max(nees(m, f.truth(m.t_ns)) for m in motions[-5:]) < 25.0
+
+
+def test_the_batch_has_late_exposures_in_their_place() -> None:
+    f = PointFlight(seed=4, seconds=2.0, count=60)
+    settings = SMALL.model_copy(update={"smooth": True})
+    late, _ = flown(delayed(f.events, Tracks, 0.25, 0.3), settings)
+    whole, _ = flown(f.events, settings)
+    a, b = late.smoothed(), whole.smoothed()
+    assert [m.t_ns for m in a] == [m.t_ns for m in b]
+    assert (
+        max(
+            np.linalg.norm(x.world_from_body.translation - y.world_from_body.translation)
+            for x, y in zip(a, b, strict=True)
+        )
+        < 5e-3
+    )
+
+
+@pytest.mark.parametrize("imu", [True, False])
+@pytest.mark.parametrize("offset", [0.04, -0.03])
+def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
+    """The cameras' stamps are 40 ms ahead, or 30 ms behind: as a state the offset is found to within what it claims;
+    poses are those of the exposures, within their sigma; held at zero the same flight is not."""
+    f = PointFlight(seed=5, seconds=8.0, count=60, imu=imu, time_offset=offset)
+    free = SMALL.model_copy(update={"time_offset_sigma": 0.05})
+    found, motions = flown(f.events, free)
+    state = found._filter._state
+    assert state is not None
+    sigma = float(np.sqrt(state.P[TIME, TIME][0, 0]))
+    off = float(state.core[TIME][0]) - offset
+    assert sigma < (0.004 if imu else 0.008)
+    assert abs(off) < 4.0 * sigma
+    assert motions[-1].state is MotionState.GOOD
+    normalised = [np.abs(e / np.sqrt(np.diag(c))).max() for e, c in (error(m, f.truth(m.t_ns)) for m in motions[-20:])]
+    assert max(normalised) < 4.0
+
+
+def test_a_time_offset_that_is_known_needs_no_state() -> None:
+    f = PointFlight(seed=5, seconds=6.0, count=60, time_offset=0.04)
+    known = flown(f.events, SMALL.model_copy(update={"time_offset": 0.04}))[1]
+    ignored = flown(f.events)[1]
+
+    def off(motions: list[Motion]) -> float:
+        return float(np.mean([nees(m, f.truth(m.t_ns)) for m in motions[-20:]]))
+
+    assert off(known) < 12.0
+    assert off(ignored) > 1.5 * off(known)

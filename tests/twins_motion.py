@@ -1,0 +1,101 @@
+"""Plain NumPy twins of the tracker's and the filter's kernels: written from docs/method-motion.md."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from alight.geometry import Camera, Pose
+from alight.motion.turns import skews
+from alight.motion.window import Poses, Sights
+from alight.records import F32, F64, U8
+
+NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
+
+
+def texture(image: U8, pixels: F32, window: int) -> F64:
+    """The Shi-Tomasi response at pixels, out of that of the whole picture."""
+    response = cv2.cornerMinEigenVal(image, window)
+    x, y = np.clip(np.round(pixels).astype(int), 0, np.array(image.shape[::-1]) - 1).T
+    return np.asarray(response[y, x], dtype=np.float64)
+
+
+def strongest(image: U8, box: tuple[int, int, int, int], taken: F32, away: float) -> tuple[int, int, float]:
+    """Column, row and response of the strongest corner in one box (top, bottom, left, right)."""
+    response = cv2.cornerMinEigenVal(image, 5)
+    y, x = np.mgrid[0 : image.shape[0], 0 : image.shape[1]]
+    for u, v in taken:
+        response[(x - u) ** 2 + (y - v) ** 2 < away**2] = -1.0
+    part = response[box[0] : box[1], box[2] : box[3]]
+    row, col = divmod(int(part.argmax()), part.shape[1])
+    return col + box[2], row + box[0], float(part[row, col])
+
+
+def rays(camera: Camera, pixels: F64) -> F64:
+    """Ideal coordinates of pixels."""
+    return np.asarray(camera.rays(pixels)[:, :2])
+
+
+def _in_cameras(R: F64, p: F64, cams: Sequence[Pose], x: F64) -> F64:
+    rig = np.einsum("kji,nkj->nki", R, x[:, None] - p)
+    return np.stack([(rig - c.translation) @ c.rotation for c in cams], axis=2)
+
+
+def linearise(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> tuple[F64, F64, F64]:
+    """Residuals (N, K, C, 2) at the estimates, Jacobians by pose and by point at the first ones (M11)."""
+    now, first = _in_cameras(poses.R, poses.p, cams, x), _in_cameras(poses.first_R, poses.first_p, cams, x)
+    ok = np.isfinite(sights.seen[..., 0]) & (now[..., 2] > NEAR) & (first[..., 2] > NEAR)
+    weight = np.where(ok, 1.0 / sights.sigma[..., None], 0.0)
+    now, first = np.where(ok[..., None], now, 1.0), np.where(ok[..., None], first, 1.0)
+    residual = np.where(ok[..., None], sights.seen - now[..., :2] / now[..., 2:], 0.0) * weight[..., None]
+    w = weight / first[..., 2]
+    J = np.zeros((*ok.shape, 2, 3))
+    J[..., 0, 0] = J[..., 1, 1] = w
+    J[..., 0, 2], J[..., 1, 2] = -w * first[..., 0] / first[..., 2], -w * first[..., 1] / first[..., 2]
+    turn = np.stack([(R @ c.rotation).T for R in poses.first_R for c in cams]).reshape(*ok.shape[1:], 3, 3)
+    by_point = J @ turn
+    by_pose = np.concatenate([by_point @ skews(x[:, None] - poses.first_p)[:, :, None], -by_point], axis=-1)
+    return residual, by_pose, by_point
+
+
+def eliminate(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
+    """The fields of `Reduced` that do not depend on which root is taken, and A of every feature in full (M21)."""
+    e, P, X = linearise(sights, poses, cams, x)
+    n, k = sights.sigma.shape
+    inverse = np.linalg.inv(np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3))
+    g = np.einsum("nkcdi,nkcd->ni", X, e)
+    W = np.einsum("nkcdi,nkcdj->nkij", P, X).reshape(n, 6 * k, 3)
+    A = np.zeros((n, k, 6, k, 6))
+    for i, own in enumerate(np.einsum("nkcdi,nkcdj->knij", P, P)):
+        A[:, i, :, i] = own
+    step = np.einsum("nij,nj->ni", inverse, g)
+    return {
+        "A": A.reshape(n, 6 * k, 6 * k) - W @ inverse @ W.transpose(0, 2, 1),
+        "b": np.einsum("nkcdi,nkcd->nki", P, e) - (W @ step[..., None]).reshape(n, k, 6),
+        "misfit": (e**2).sum(axis=(1, 2, 3)) - (g * step).sum(axis=1),
+        "freedom": 2.0 * (np.abs(X).sum(axis=(3, 4)) > 0).sum(axis=(1, 2)) - 3,
+        "point_covariance": inverse,
+        "step": step,
+        "by_poses": (W @ inverse).transpose(0, 2, 1),
+    }
+
+
+def meet(sights: Sights, poses: Poses, cams: Sequence[Pose]) -> F64:
+    """(N, 3) points by least squares (M12): the place nearest to the rays, then three steps of Gauss-Newton."""
+    rays = np.concatenate([sights.seen, np.ones((*sights.seen.shape[:-1], 1))], axis=-1)
+    turn = np.stack([R @ c.rotation for R in poses.R for c in cams]).reshape(*rays.shape[1:3], 3, 3)
+    origin = np.stack([poses.R @ c.translation + poses.p for c in cams], axis=1)
+    u = np.nan_to_num(np.einsum("kcij,nkcj->nkci", turn, rays))
+    u /= np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-12)
+    seen = np.isfinite(sights.seen[..., 0])
+    A = np.where(seen[..., None, None], np.eye(3) - u[..., :, None] * u[..., None, :], 0.0)
+    N = A.sum(axis=(1, 2)) + REGULAR * np.eye(3)
+    x = np.linalg.solve(N, np.einsum("nkcij,kcj->ni", A, origin)[..., None])[..., 0]
+    level = Poses(poses.R, poses.p, poses.R, poses.p)
+    for _ in range(3):
+        e, _, X = linearise(sights, level, cams, x)
+        V = np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3)
+        x = x + np.linalg.solve(V, np.einsum("nkcdi,nkcd->ni", X, e)[..., None])[..., 0]
+    return np.asarray(x)
