@@ -18,8 +18,8 @@ MOST, TINY = np.float32(25), np.float32(1e-12)  # parallax pixels^2
 
 @pixelwise
 def _fitted(noise: np.float32, precision: np.float32, per_px: np.float32) -> np.float32:
-    """Variance of the fit in parallax pixels, at most `MOST`."""
-    v = TWO * noise / (precision * per_px * per_px + TINY)
+    """Noise over information in parallax pixels^2, at most `MOST`."""
+    v = noise / (precision * per_px * per_px + TINY)
     return v if v < MOST else MOST
 
 
@@ -78,7 +78,8 @@ def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float
     """Fill `out` (8, R / 2, C / 2) with what 2 x 2 cells have between them; R and C are even.
 
     Lowest, highest and mean height (`fill` where unknown), variance of the heights, mean and mean square of the
-    template (0 where unknown), noise, and variance of the fit in parallax pixels.
+    template (0 where unknown), noise, and noise over information in parallax
+    pixels^2.
     """
     for r in prange(out.shape[1]):
         i, j = 2 * r, 2 * r + 1
@@ -90,20 +91,31 @@ def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float
 
 
 @kernel
+def _sigma_row(
+    h: F32, noise: F32, precision: F32, rough2: F32, low: F32, high: F32, fit: np.float32, floor2: np.float32,
+    step: np.float32, sigma: F32,
+) -> None:  # fmt: skip
+    for c in range(h.size):
+        k = np.uintp(c // 2)
+        known = (precision[c] > ZERO) & (h[c] == h[c])
+        variance = fit * noise[c] / (precision[c] if known else ONE) + floor2 + rough2[k]
+        down, up = h[c] - low[k], high[k] - h[c]
+        beyond = (down if down > up else up) - TWO * np.sqrt(variance)
+        beyond = beyond if beyond > ZERO else ZERO
+        sigma[c] = np.sqrt(variance + step * beyond * beyond) if known else np.float32(np.nan)
+
+
+@kernel
 def _judge_row(
-    near: U16, rough2: F32, share: F32, h: F32, seen: U8, used: U8, noise: F32, precision: F32, per_px: F32, px2: np.float32,
-    floor2: np.float32, low: np.float32, high: np.float32, bits: tuple[int, int, int, int], sigma: F32, residual: F32, flags: U16,
+    near: U16, share: F32, h: F32, seen: U8, used: U8, sigma: F32, low: np.float32, high: np.float32,
+    bits: tuple[int, int, int, int], residual: F32, flags: U16,
 ) -> None:  # fmt: skip
     unseen, inconsistent, few, ends = bits
     none = 0
     for c in range(h.size):
         k = np.uintp(c // 2)
-        fits = (used[c] >= 2) & (precision[c] > ZERO)
-        good = fits & (h[c] == h[c])
-        variance = TWO * noise[c] / (precision[c] if good else ONE)
-        variance += px2 * per_px[c] * per_px[c] + floor2 + rough2[k]
+        fits = (used[c] >= 2) & ((sigma[c] == sigma[c]) | (h[c] != h[c]))
         residual[c] = share[k]
-        sigma[c] = np.sqrt(variance) if good else np.float32(np.nan)
         f = unseen if (h[c] != h[c]) | (seen[c] < 2) else none
         f |= none if fits else inconsistent
         f |= few if seen[c] < 3 else none
@@ -112,20 +124,33 @@ def _judge_row(
 
 
 @parallel_kernel
-def judge(
-    near: U16, rough2: F32, share: F32, h: F32, seen: U8, used: U8, noise: F32, precision: F32, per_px: F32, floor_px: float,
-    floor: float, low: float, high: float, bits: tuple[int, int, int, int], sigma: F32, residual: F32, flags: U16,
-) -> None:  # fmt: skip
-    """Fill the 1-sigma of each height (eq. 14) and its flags: those of its 2 x 2 cells (`near`) and its own.
+def sigma(h: F32, noise: F32, precision: F32, half: F32, fit: float, floor: float, step: float, out: F32) -> None:
+    """Fill the 1-sigma of each height (eq. 14); NaN where there is no height or no information.
 
-    sigma^2: fit, `floor_px` parallax pixels and `floor` metres squared, relief `rough2` (R / 2, C / 2). NaN where there
-    is no height or no information. `residual` gets the `share` of its 2 x 2 cells. `bits`: of unseen, inconsistent, seen by few, below `low` or above `high`.
+    sigma^2: `fit` times noise over information, `floor` metres squared, relief, and the share `step` of the square of
+    what a neighbour lies beyond two sigma of that. `half` (3, R / 2, C / 2): relief in metres^2, lowest and highest
+    neighbour.
     """
-    px2, floor2 = np.float32(floor_px * floor_px), np.float32(floor * floor)
+    fit32, floor2, step32 = np.float32(fit), np.float32(floor * floor), np.float32(step)
+    for r in prange(h.shape[0]):
+        k = r // 2
+        _sigma_row(h[r], noise[r], precision[r], half[0, k], half[1, k], half[2, k], fit32, floor2, step32, out[r])
+
+
+@parallel_kernel
+def flag(
+    near: U16, share: F32, h: F32, seen: U8, used: U8, sigma: F32, low: float, high: float,
+    bits: tuple[int, int, int, int], residual: F32, flags: U16,
+) -> None:  # fmt: skip
+    """Fill the flags of every cell: those of its 2 x 2 cells (`near`) and its own.
+
+    `bits`: of unseen, inconsistent, seen by few, below `low` or above `high`. `residual` gets the `share` of its 2 x 2
+    cells.
+    """
     for r in prange(h.shape[0]):
         _judge_row(
-            near[r // 2], rough2[r // 2], share[r // 2], h[r], seen[r], used[r], noise[r], precision[r], per_px[r],
-            px2, floor2, np.float32(low), np.float32(high), bits, sigma[r], residual[r], flags[r],
+            near[r // 2], share[r // 2], h[r], seen[r], used[r], sigma[r], np.float32(low), np.float32(high), bits,
+            residual[r], flags[r],
         )  # fmt: skip
 
 

@@ -22,8 +22,11 @@ from alight.records import F32, U16, Flag
 MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: less carries no height
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
-FLOOR_PX = 0.1  # parallax pixels: what does not average away with the number of views
-FLOOR_CELL = 0.3  # cells: a window is no point
+# sigma (eq. 14), fitted on simulated flights
+FIT = 0.4  # of noise over information
+FLOOR_CELL = 0.1  # cells: a window is no point
+ROUGH = 8.0  # of the variance of the relief that is seen: what is not seen goes with it
+BESIDE = 0.1  # of the square of what neighbours lie off beyond two sigma
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 NEAR = 5  # cells of half resolution: what is nearby
@@ -41,10 +44,12 @@ class Pooled:
 
     low: F32  # metres, of 2 x 2 cells; the middle of the map where unknown
     high: F32
+    lowest: F32  # metres, of what is within `STEP_CELLS`
+    highest: F32
     texture: F32  # variance of the template nearby: the texture that all views share
     residual: F32  # share of the samples' variance that the views do not have in common: 0 perfect, 1 nothing
     noise: F32  # mean residual variance
-    rough2: F32  # metres^2, variance of the heights about the smoothed ones
+    rough2: F32  # metres^2, variance of the heights about the smoothed ones, by `ROUGH`
     sigma2_px: F32  # variance of the heights, parallax pixels^2 (eq. 14)
     metres_per_px: F32
 
@@ -59,10 +64,13 @@ def pooled(fit: Fit, cell: float) -> Pooled:
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     relief = mid - cv2.GaussianBlur(mid, (0, 0), 0.75)
-    rough2 = uneven + _box(relief * relief, 3)
+    rough2 = np.float32(ROUGH) * (uneven + _box(relief * relief, 3))
     per_px = np.ascontiguousarray(per_px[::2, ::2])
-    sigma2 = fitted + np.float32(FLOOR_PX**2) + (np.float32((FLOOR_CELL * cell) ** 2) + rough2) / (per_px * per_px)
-    return Pooled(low, high, texture, s2 / np.maximum(texture + s2, 1e-6), s2, rough2, sigma2, per_px)
+    sigma2 = np.float32(FIT) * fitted + (np.float32((FLOOR_CELL * cell) ** 2) + rough2) / (per_px * per_px)
+    near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
+    lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
+    share = s2 / np.maximum(texture + s2, 1e-6)
+    return Pooled(low, high, lowest, highest, texture, share, s2, rough2, sigma2, per_px)
 
 
 def _even(values: NDArray[Any]) -> NDArray[Any]:
@@ -88,13 +96,12 @@ def evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
     nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
     pixels (the high side of a step is where windows smear); slide: baseline over height.
     """
-    near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
     return {
         "ambiguity": np.clip(_box(ratio, NEAR), 1e-2, 1e3),
         "sigma": np.sqrt(np.clip(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), NEAR), 2.5e-3, 25.0)),
         "residual": np.clip(_box(seen.residual, NEAR), 1e-2, 1.0),
-        "drop": np.clip((seen.high - cv2.erode(seen.low, near)) / seen.metres_per_px, 5e-2, 50.0),
-        "rise": np.clip((cv2.dilate(seen.high, near) - seen.low) / seen.metres_per_px, 5e-2, 50.0),
+        "drop": np.clip((seen.high - seen.lowest) / seen.metres_per_px, 5e-2, 50.0),
+        "rise": np.clip((seen.highest - seen.low) / seen.metres_per_px, 5e-2, 50.0),
         "slide": np.clip(slide, 1e-2, 2.0),
     }
 
@@ -136,10 +143,11 @@ def judge(fit: Fit, grid: Grid, ratio: F32, lit: list[Prepared], searched: tuple
     near |= _bit(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
-    kernels.judge(
-        near, seen.rough2, seen.residual, fit.height, fit.seen, fit.used, fit.noise, fit.precision, fit.metres_per_px,
-        FLOOR_PX, FLOOR_CELL * grid.cell, searched[0] + edge, searched[1] - edge,
-        (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), sigma, residual, flags,
+    half = np.stack([seen.rough2, seen.lowest, seen.highest])
+    kernels.sigma(fit.height, fit.noise, fit.precision, half, FIT, FLOOR_CELL * grid.cell, BESIDE, sigma)
+    kernels.flag(
+        near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
+        (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), residual, flags,
     )  # fmt: skip
     return sigma, flags, residual
 
