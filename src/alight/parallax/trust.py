@@ -23,9 +23,9 @@ MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: le
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
 # sigma (eq. 14), fitted on simulated flights
-FIT = 0.4  # of noise over information
+FIT = 0.35  # of noise over information
 FLOOR_CELL = 0.1  # cells: a window is no point
-ROUGH = 8.0  # of the variance of the relief that is seen: what is not seen goes with it
+ROUGH = 7.0  # of the variance of the relief that is seen: what is not seen goes with it
 BESIDE = 0.1  # of the square of what neighbours lie off beyond two sigma
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
@@ -35,7 +35,7 @@ MAX_DOUBT = 0.25  # probability of a wrong match that is still given out
 # Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
 # means the same for any camera and height. Between what bench/doubt.py fits on simulated flights, where the second-best
 # cost says nothing that the others do not, and what real photos need, where it does.
-DOUBT = {"ambiguity": 1.2, "residual": 1.2, "sigma": 0.3, "drop": 0.8, "rise": 0.8, "slide": -2.2, "one": -1.26}
+DOUBT = {"ambiguity": 1.2, "residual": 1.1, "sigma": 0.3, "drop": 0.99, "rise": 0.63, "slide": -1.9, "one": -0.97}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
     pixels (the high side of a step is where windows smear); slide: baseline over height.
     """
     return {
-        "ambiguity": np.clip(_box(ratio, NEAR), 1e-2, 1e3),
+        "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), NEAR), 1e-2, 1e3),
         "sigma": np.sqrt(np.clip(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), NEAR), 2.5e-3, 25.0)),
         "residual": np.clip(_box(seen.residual, NEAR), 1e-2, 1.0),
         "drop": np.clip((seen.high - seen.lowest) / seen.metres_per_px, 5e-2, 50.0),
