@@ -44,6 +44,8 @@ GROUPS: dict[str, Rows] = {
     "sgbm": lambda options, rungs: ladder.sgbm(rungs),
     "edges": lambda options, rungs: ladder.edges(rungs),
     "coverage": lambda options, rungs: ladder.coverage(rungs),
+    "poses": lambda options, rungs: others("bench_heights_poses"),
+    "memory": lambda options, rungs: others("bench_heights_memory"),
 }
 
 

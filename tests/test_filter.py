@@ -12,6 +12,7 @@ import pytest
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.blocks import BlockTridiagonal
+from alight.motion.course import attitude
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
 from alight.motion.inertial import corrected, preintegrate, segments
 from alight.motion.state import GYRO
@@ -369,3 +370,22 @@ def test_block_tridiagonal_agrees_with_the_dense_solution() -> None:
     for b, block in enumerate(factors.covariance()):
         at = slice(b * size, (b + 1) * size)
         np.testing.assert_allclose(block, inverse[at, at], rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.2, np.pi])
+def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
+    """A camera that looks down, turned by anything between two pictures, two in five matches wrong (M26)."""
+    rng, yaw = np.random.default_rng(9), 0.7
+    first, second = (Pose(enu_from_flu(a, 0.0, 0.0), p) for a, p in ((yaw, [0, 0, 30]), (yaw + turn, [4.0, 9.0, 30.0])))
+    cam = RIG.cameras[0].body_from_cam
+    points = np.column_stack([rng.uniform(-8, 12, (90, 2)), rng.normal(size=90) * 0.1])
+    seen = []
+    for pose in (first, second):
+        q = (pose @ cam).inverse.apply(points)
+        z = (q[:, :2] / q[:, 2:])[:, None]
+        seen.append(Tracks(0, np.arange(90), z, z))
+    wrong = seen[1].normalised.copy()
+    wrong[:36] = rng.uniform(-0.6, 0.6, (36, 1, 2))
+    found = attitude(seen[0], replace(seen[1], normalised=wrong), second.translation - first.translation, cam)
+    assert found is not None
+    assert np.linalg.norm(so3_log(found @ second.rotation.T)) < 0.05

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.hazards.hidden import darkest_near, nothing_hidden
-from alight.records import Flag, Hazard, HazardMap
+from alight.records import Flag, Gauge, Hazard, HazardMap
 from alight.settings import Hazards, Lander
 
 EXACT = Hazards(tilt_sigma=0.0, smoothed=False)
@@ -295,3 +296,18 @@ def test_a_brighter_exposure_has_the_same_dark_spots() -> None:
     rgb = rng.integers(40, 80, (81, 81, 3)).astype(np.uint8)
     dim, bright = (darkest_near(ground(flat(), rgb=a), 1.0) for a in (rgb, 3 * rgb))
     assert_allclose(dim, bright, rtol=0.03)
+
+
+def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
+    """The gauge's tilt takes the place of a smaller `tilt_sigma`, and never of a larger one."""
+    near = ground(plane(81, 81, math.tan(math.radians(9.6)), 0.0))
+    level = Gauge(0.0, 0.0, np.diag([0.1, 1e-3, 1e-3]) ** 2)
+    leaning = replace(level, covariance=np.diag([0.1, 5e-3, 20e-3]) ** 2)
+    assert leaning.tilt_sigma == pytest.approx(20e-3)
+    settings = Hazards(tilt_sigma=0.003, smoothed=False)
+    p = [
+        float(assess(replace(near, gauge=g), None, Lander(radius=1.0), settings).p_safe[MID])
+        for g in (None, level, leaning)
+    ]
+    assert p[1] == p[0] > 0.9
+    assert 0.55 < p[2] < 0.75  # the limit is 0.35 of its sigma away

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from point_flight import NOISE, RIG, PointFlight, best, error, nees, run, seconds
+from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, nees, run, seconds
 
+from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion import LateFilter
-from alight.motion.state import TIME
-from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Tracks
+from alight.motion.state import CORE, TIME, VEL, State
+from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
 from alight.settings import Filter
 
 SMALL = NOISE.model_copy(update={"points": 16})
@@ -101,6 +102,30 @@ def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
     assert motions[-1].state is MotionState.GOOD
     normalised = [np.abs(e / np.sqrt(np.diag(c))).max() for e, c in (error(m, f.truth(m.t_ns)) for m in motions[-20:])]
     assert max(normalised) < 4.0
+
+
+def test_a_pose_at_another_time_agrees_with_differences() -> None:
+    """The derivative of a clone by the time offset is that of the pose by time, negated."""
+    rng = np.random.default_rng(0)
+    state = State(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.eye(CORE) * 1e-6, rate=rng.normal(size=3))
+    state.core[VEL] = rng.normal(size=3) * 4
+    state.P[TIME, TIME] = 1e-10
+    state.add_clone(0)
+    by_time = state.P[state.clone_at(0), TIME][:, 0] / 1e-10
+    h = 1e-5
+    turned = so3_log(state.R @ so3_exp(-h * state.rate) @ state.R.T) / h
+    np.testing.assert_allclose(by_time, np.concatenate([turned, -state.core[VEL]]), rtol=1e-6)
+
+
+def test_three_cameras_are_held_together() -> None:
+    """A rig of three: GOOD, and poses within what they claim."""
+    middle = RigCamera("middle", CAMERA, Pose(DOWN @ so3_exp([0.0, 0.05, 0.0]), [0.3, 0.0, 0.1]))
+    rig = Rig((*RIG.cameras, middle))
+    f = PointFlight(seed=7, seconds=3.0, count=60, rig=rig)
+    motions = run(f.events, SMALL, rig)[1]
+    assert motions[-1].state is MotionState.GOOD
+    assert len(motions[-1].world_from_cams) == 3
+    assert np.mean([nees(m, f.truth(m.t_ns)) for m in motions[-10:]]) < 15.0
 
 
 def test_a_time_offset_that_is_known_needs_no_state() -> None:

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from alight.elevation import Forgotten
 from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.navigation import FilterLane
@@ -169,6 +170,43 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     assert np.percentile(apart, 95) < 0.3
     error = errors(b)[b.trusted]
     assert np.nanmedian(np.abs(error)) < 0.005 * 15.0
+
+
+def flown(history: bool, events: tuple[Event, ...] | None = None) -> tuple[Pipeline, Decision, int]:
+    """The recursive way; the pipeline, its decision, and the most motions that were held."""
+    f, all_events = flight()
+    far = None if history else Forgotten()
+    p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring"), f.truth_trajectory, far=far, history=history)
+    most = 0
+    for e in events or all_events:
+        p.feed(e)
+        most = max(most, len(p._motions))
+    return p, p.finish(), most
+
+
+def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
+    _, whole, _ = flown(True)
+    _, brief, most = flown(False)
+    a, b = trusted_of(whole), trusted_of(brief)
+    assert most <= 17
+    assert len(brief.motions) == 1
+    e, n = b.grid.xy()
+    row, col = (np.rint(k).astype(int) for k in a.grid.index(e, n))
+    same = a.height[np.ix_(row, col)]
+    both = np.isfinite(b.height)
+    assert both.sum() > 5000  # what was forgotten may be missing
+    assert (same[both] == b.height[both]).all()
+
+
+def test_a_hover_without_history_holds_little() -> None:
+    """40 exposures on the spot: no keyframes, and no motions pile up."""
+    events = flight()[1]
+    frames = [e for e in events if isinstance(e, Frame)]
+    still = (flight()[0].frame_times, [flight()[0].pose(frames[0].t_ns)] * len(frames))
+    p = Pipeline(flight()[0].rig, "flight", settings_of("parallax.method=ring"), still, history=False)
+    for e in frames:
+        p.feed(e)
+    assert len(p._motions) <= 2
 
 
 # -- reasons

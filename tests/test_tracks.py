@@ -123,6 +123,31 @@ def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None
     assert np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here)).mean() < 0.1
 
 
+def moved_and(ground: np.ndarray, how: object) -> tuple[int, float]:
+    """Features followed over 12 px into a picture that is changed by `how`, and by how much they miss (RMS, px)."""
+    tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(0.4, 0.2, 0.02)
+    first = tracker.feed(frame(ground, 0, there), poses(there))
+    images = [how(i.astype(np.float32)) for i in frame(ground, 1, here).images if i is not None]  # type: ignore[operator]
+    changed = Frame(1, tuple(np.clip(np.round(i), 0, 255).astype(np.uint8) for i in images))
+    second = tracker.feed(changed, poses(here))
+    both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
+    miss = second.pixels[b, 0] - carried(first.pixels[a, 0], there, here)
+    return len(both), float(np.sqrt((miss**2).mean()))
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(1.25, 0.0), (0.5, 0.0), (1.0, 50.0), (0.7, 30.0)])
+def test_a_jump_of_the_exposure_costs_nothing(ground: np.ndarray, gain: float, offset: float) -> None:
+    count, miss = moved_and(ground, lambda i: gain * i + offset)
+    assert count > 80
+    assert miss < 0.1
+
+
+def test_motion_blur_of_nine_pixels_is_followed(ground: np.ndarray) -> None:
+    count, miss = moved_and(ground, lambda i: cv2.blur(i, (9, 1)))
+    assert count > 80
+    assert miss < 0.25
+
+
 def test_a_covered_lens_has_no_features_and_new_ones_come_after(ground: np.ndarray) -> None:
     tracker, dark = Tracker(RIG, SETTINGS), np.full((240, 320), 7, np.uint8)
     before = tracker.feed(frame(ground, 0, pose(0.0)))

@@ -151,6 +151,11 @@ class Gauge:
     north: float
     covariance: F64  # (3, 3): offset up [m], rise per metre towards east and towards north [rad]
 
+    @property
+    def tilt_sigma(self) -> float:
+        """Of the tilt towards where it is known worst, rad."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1]))
+
 
 @dataclass(frozen=True, eq=False)
 class View:

@@ -229,7 +229,9 @@ class Hazards(_Model):
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
     p_safe: Fraction = Field(0.99, description="least probability of a safe touchdown")
     min_landable: Fraction = Field(0.5, description="terrain below this probability is refused")
-    tilt_sigma: NonNegative = Field(0.003, description="rad, 1-sigma of the map's common tilt")
+    tilt_sigma: NonNegative = Field(
+        0.003, description="rad, least 1-sigma of the map's common tilt, where the poses do not claim a larger one"
+    )
     noise_length: NonNegative = Field(0.4, description="m over which neighbouring heights share their noise")
     smoothed: bool = Field(True, description="heights come from matched images, which flatten what is small: P pays")
     usual_sigma: NonNegative = Field(0.03, description="m, 1-sigma of heights of a raster that does not say (hazards)")

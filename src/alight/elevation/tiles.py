@@ -58,6 +58,12 @@ def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return np.asarray((flags & np.uint16(Flag.UNSEEN)) == 0)
 
 
+def _extent(tile: Fields) -> tuple[Part, int]:
+    """The box about the cells that were seen, and their number."""
+    seen = is_seen(tile["flags"])
+    return box_of(seen), int(seen.sum())
+
+
 class Forgotten(dict[Name, bytes]):
     """Where packed tiles go that nobody wants back: the map ends where the vehicle cannot see."""
 
@@ -72,7 +78,7 @@ class Layer:
         self.level, self.cell, self.side = level, cell, side
         self._near: dict[Key, Fields] = {}
         self._far = far
-        self._left: dict[Key, Part] = {}  # packed tiles, and which of their cells were seen
+        self._left: dict[Key, tuple[Part, int]] = {}  # packed tiles, and where and how many of their cells were seen
 
     # -- the raster
 
@@ -162,20 +168,26 @@ class Layer:
         tile, name = self._near.pop(key), (self.level, *key)
         self._far[name] = pack(tile)
         if name in self._far:
-            self._left[key] = box_of(is_seen(tile["flags"]))
+            self._left[key] = _extent(tile)
 
     @property
     def keys(self) -> list[Key]:
         """All tiles that are held, near and far."""
         return [*self._near, *self._left]
 
+    def _extents(self) -> dict[Key, tuple[Part, int]]:
+        return self._left | {k: _extent(t) for k, t in self._near.items()}
+
+    def count(self) -> int:
+        """Cells that were seen."""
+        return sum(n for _, n in self._extents().values())
+
     def box(self) -> tuple[int, int, int, int] | None:
         """The rectangle about all cells that were seen, as `numbers`; None where none was."""
-        boxes = self._left | {k: box_of(is_seen(t["flags"])) for k, t in self._near.items()}
         found = [
             ((k[0] + 1) * self.side - r.stop, (k[0] + 1) * self.side - 1 - r.start,
              k[1] * self.side + c.start, k[1] * self.side + c.stop - 1)
-            for k, (r, c) in boxes.items() if r.stop > r.start
+            for k, ((r, c), n) in self._extents().items() if n
         ]  # fmt: skip
         if not found:
             return None

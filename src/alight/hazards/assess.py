@@ -142,6 +142,8 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     """
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
+    if elevation.gauge is not None:  # never below what is set: lens and mounting have no part in it
+        settings = settings.model_copy(update={"tilt_sigma": max(settings.tilt_sigma, elevation.gauge.tilt_sigma)})
     cell = elevation.grid.cell
     height = judged_height(elevation, lander, settings)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))

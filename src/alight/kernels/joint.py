@@ -14,31 +14,36 @@ EAST, WEST, NORTH, SOUTH = 1, 2, 3, 4  # arms of the cross of samples; 0 is the 
 
 
 @kernel
-def _add_outer(a: F64, c: F64, scale: float, out: F64) -> None:
-    for i in range(a.size):
-        s = a[i] * scale
-        if s != 0.0:
-            for j in range(c.size):
-                out[i, j] += s * c[j]
+def _take_out(sums: F64, by_first: float, by_second: float, out: F64) -> None:
+    """Subtract the outer products of two rows from the upper triangle."""
+    for i in range(sums.shape[1]):
+        s, t = sums[0, i] * by_first, sums[1, i] * by_second
+        if (s != 0.0) | (t != 0.0):
+            for j in range(i, sums.shape[1]):
+                out[i, j] -= s * sums[0, j] + t * sums[1, j]
 
 
 @kernel
 def _view(
-    point: F64, centre: F64, pivot: F64, gradient: F64, w: float, e: float, row: F64, A: F64, b: F64, sums: F64
-) -> float:
-    """Add one view's own block; fills the rows of w J and w q J (eq. 18) and returns q."""
-    gx, gy = gradient[0], gradient[1]
-    q = (gx * (point[0] - centre[0]) + gy * (point[1] - centre[1])) / (centre[2] - point[2])
-    dx, dy, dz = point[0] - pivot[0], point[1] - pivot[1], point[2] - pivot[2]
+    point: F64, gradient: F64, i: int, k: int, centres: F64, pivots: F64, w: float, e: float, row: F64,
+    sums: F64, A: F64, b: F64,
+) -> float:  # fmt: skip
+    """Add view `i` of exposure `k` to its own block and to the sums of w J and w q J (eq. 18); returns q.
+
+    Numbers instead of slices: a slice costs more than the sums.
+    """
+    gx, gy, at = gradient[0], gradient[1], PLANE + POSE * k
+    q = (gx * (point[0] - centres[i, 0]) + gy * (point[1] - centres[i, 1])) / (centres[i, 2] - point[2])
+    dx, dy, dz = point[0] - pivots[k, 0], point[1] - pivots[k, 1], point[2] - pivots[k, 2]
     row[0], row[1], row[2] = gx, gy, q
     row[3], row[4], row[5] = dy * q - dz * gy, dz * gx - dx * q, dx * gy - dy * gx
     for x in range(POSE):
         wr = w * row[x]
-        sums[0, x] += wr
-        sums[1, x] += wr * q
-        b[x] += wr * e
-        for y in range(POSE):
-            A[x, y] += wr * row[y]
+        sums[0, at + x] += wr
+        sums[1, at + x] += wr * q
+        b[at + x] += wr * e
+        for y in range(x, POSE):
+            A[at + x, at + y] += wr * row[y]
     return float(q)
 
 
@@ -53,8 +58,7 @@ def _cell(
     for i in range(s.size):
         if weights[i] > 0.0:
             w, e = weights[i] * precision[i], s[i] - mean
-            at = slice(PLANE + POSE * owner[i], PLANE + POSE * (owner[i] + 1))
-            q = _view(point, centres[i], pivots[owner[i]], gradient, w, e, row, A[at, at], b[at], sums[:, at])
+            q = _view(point, gradient, i, owner[i], centres, pivots, w, e, row, sums, A, b)
             sw += w
             sq += w * q
             sqq += w * q * q
@@ -67,12 +71,14 @@ def _cell(
     for x in range(b.size):
         sums[1, x] = sq / sw * sums[0, x] - sums[1, x]
         b[x] -= sums[0, x] * se / sw + sums[1, x] * eta * share
-    _add_outer(sums[0], sums[0], -1.0 / sw, A)
-    _add_outer(sums[1], sums[1], -share, A)
-    _add_outer(phi, sums[1], kappa * share, A[:PLANE])
-    _add_outer(phi, phi, kappa * lam * share, A[:PLANE, :PLANE])
+    _take_out(sums, 1.0 / sw, share, A)
     for x in range(PLANE):
-        b[x] += phi[x] * kappa * eta * share
+        held = phi[x] * kappa * share
+        b[x] += held * eta
+        for y in range(PLANE, b.size):
+            A[x, y] += held * sums[1, y]
+        for y in range(x, PLANE):
+            A[x, y] += held * lam * phi[y]
 
 
 @parallel_kernel
@@ -80,9 +86,7 @@ def normal_equations(
     samples: F32, weights: F32, mean: F32, owner: I64, centres: F64, pivots: F64, precision: F64,
     xs: F64, ys: F64, h: F32, about: F64, arm: float, kappa: F32, A: F64, b: F64,
 ) -> None:  # fmt: skip
-    """Fill, row of cells by row, the normal equations of the map's plane and the exposures' poses.
-
-    Of the plane's part of A the rows hold what belongs to the poses, the columns nothing.
+    """Fill, row of cells by row, the upper triangle of the normal equations of the map's plane and the poses.
 
     Args:
         samples, weights: (N, R, C) of the views at the cells.

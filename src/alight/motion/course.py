@@ -10,7 +10,7 @@ from alight.records import F64, Tracks
 
 SIGMA = np.array([0.1, 0.1, 0.05])  # rad about east, north, up: looking down is only assumed
 _LEAST = 12  # features
-_ROUNDS = 6
+_ROUNDS, _PAIRS = 6, 100
 _CUT = 0.01  # of normalised coordinates: features off by more stand higher than the ground, or are wrong
 WAY = 0.5  # m, least distance of two GPS positions whose direction is used
 
@@ -41,8 +41,14 @@ def _complex(z: F64) -> NDArray[np.complex128]:
 
 
 def _shift(a: NDArray[np.complex128], b: NDArray[np.complex128]) -> complex | None:
-    """The shift t of the similarity b = c a + t, by least squares with outliers left out; None: hardly any."""
-    use = np.abs((b - a) - (np.median((b - a).real) + 1j * np.median((b - a).imag))) < 20 * _CUT
+    """The shift t of the similarity b = c a + t, by least squares with outliers left out; None: hardly any.
+
+    It starts from the two features that most others agree with, for the pictures may be turned by anything.
+    """
+    i, j = np.random.default_rng(0).integers(0, len(a), (2, _PAIRS))
+    c = (b[j] - b[i]) / np.where(i == j, 1.0, a[j] - a[i])
+    off = np.abs(c[:, None] * a + (b[i] - c * a[i])[:, None] - b)
+    use = off[int(np.argmax((off < 3.0 * _CUT).sum(axis=1)))] < 3.0 * _CUT
     for _ in range(_ROUNDS):
         if use.sum() < _LEAST:
             return None

@@ -1,4 +1,4 @@
-"""The ring's poses and the map held together from keyframe to keyframe (docs/method.md, section 6)."""
+"""The ring's poses and the map held together from keyframe to keyframe (docs/method.md, section 8)."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose
-from alight.parallax.belief import PLANE, POSE, Belief
-from alight.parallax.joint import CELLS, Ground, Look, Sight, plane_on, posed, refined, thinned
+from alight.parallax.belief import PLANE, POSE, Belief, regression
+from alight.parallax.joint import CELLS, Ground, Look, Sight, plane_on, posed, refined, thinning
 from alight.parallax.views import Prepared
 from alight.records import F32, F64, REFUSED, ElevationMap, Flag, Gauge, PoseRing, View
 
 Mask = NDArray[np.bool_]
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
-HOLD = 7.0  # a cell is held to the map by so many of its sigma: 3 bent good poses to the map's own faults
+HOLD = 10.0  # a cell is held to the map by so many of its sigma; by 3 the map's own faults bent good poses
 FREE = 10.0  # heights above ground: sigma of a cell that the map does not know
 FLAT = 0.05  # the same before there is a map: the ground about its plane
+FAR_CELLS = 0.5  # doubt of the newest exposure from which the coarse pictures are asked first
+NEAR_CELLS = 0.25  # from which one linearisation is not enough
 LEAST_KNOWN = 200  # cells that make a map
 PLANE_SIGMA = np.array([0.1, 0.1, 0.1])  # of the height above it [m/m] and rad, before there is a map
 WANDER = np.array([5e-5, 2e-4, 2e-4])  # the same, that a plane of new cells is off those before it, a keyframe
@@ -92,18 +94,17 @@ class Alignment:
         fine = [self._sight(view, ready) for view, ready, _ in all_of]
         coarse = [self._sight(view, ready) for view, _, ready in all_of]
         doubt = doubt_of_last(belief, drop) / cells.arm
-        wide = replace(cells, arm=2 * cells.arm)
-        if doubt > 0.5:
-            return [(coarse, wide), (coarse, wide), (fine, cells), (fine, cells)]
-        return [(fine, cells)] * (2 if doubt > 0.1 else 1)
+        wide = cells.coarser()
+        if doubt > FAR_CELLS:
+            return [(coarse, wide)] * 2 + [(fine, cells)] * 2
+        return [(fine, cells)] * (2 if doubt > NEAR_CELLS else 1)
 
     def _sight(self, view: View, prepared: Prepared) -> Sight:
         return Sight(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
     def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> Ground:
         """Some cells: the trusted ones near where the map has them, those it does not know anywhere, no others."""
-        sub, k = thinned(grid, CELLS)
-        some = (slice(k // 2, None, k),) * 2
+        some, (xs, ys) = thinning(grid, CELLS), grid.xy()
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
@@ -112,11 +113,13 @@ class Alignment:
         level = np.float32(np.median(height[ok]) if ok.any() else ground)
         kappa = np.where(ok, 1 / (HOLD * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
         height = np.where(ok, height, np.where(seen, np.float32(np.nan), level))
-        return Ground(sub, height.astype(np.float32), kappa.astype(np.float32), self.about, grid.cell)
+        return Ground(
+            xs[some[1]], ys[some[0]], height.astype(np.float32), kappa.astype(np.float32), self.about, grid.cell
+        )
 
     def on(self, grid: Grid) -> F32:
         """What the last step found to be missing of the map's heights, (R, C)."""
-        return plane_on(grid, self.plane, self.about)
+        return plane_on(*grid.xy(), self.plane, self.about)
 
     def gauge(self, grid: Grid) -> Gauge | None:
         """What all heights of a window share, about its middle."""
@@ -133,6 +136,6 @@ class Alignment:
 def doubt_of_last(belief: Belief, drop: float) -> float:
     """Metres on the ground by which the newest exposure may miss what all others make expected."""
     P, n = belief.covariance, len(belief.covariance) - POSE
-    own = P[n:, n:] - P[n:, :n] @ np.linalg.lstsq(P[:n, :n], P[:n, n:], rcond=1e-12)[0]
-    v = np.maximum(np.diag(own), 0.0)
+    own = np.diag(P[n:, n:] - regression(P[:n, :n], P[:n, n:]) @ P[:n, n:])
+    v = np.maximum(own, 0.0)
     return float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2))

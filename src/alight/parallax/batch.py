@@ -8,21 +8,23 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from alight.geometry import Grid
-from alight.parallax import refine, trust
+from alight.parallax import refine, trust, witness
 from alight.parallax.edges import sharpen
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare
-from alight.records import F32, U8, Heights, View
+from alight.parallax.views import Prepared, choose, maps, prepare, stack
+from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
 COARSE = 2  # cells of the sweep over cells of the grid
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
+WITNESSES = 6  # pairs of views of one instant that are asked what moves
 
 
 def interpolated(values: F32, grid: Grid) -> F32:
@@ -80,7 +82,19 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     visible = refine.visible_from(fine, grid, start, per_px)
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, ITERATIONS)
     rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
-    return judged(fine, grid, fit, ratio, (low, high), rgb)
+    heights = judged(fine, grid, fit, ratio, (low, high), rgb)
+    return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid))
+
+
+def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -> U16:
+    """What moves, seen by some of the chosen views and the views of the same instants."""
+    pairs = witness.instants(images.views)
+    asked = pairs[np.isin(pairs, chosen).any(axis=1)]
+    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(WITNESSES, len(asked))).astype(int))]
+    if not len(asked):
+        return np.zeros(grid.shape, np.uint16)
+    samples = stack([images.get(int(i), coarse=False) for i in asked.ravel()], grid, fit.height)
+    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid)
 
 
 def judged(

@@ -60,7 +60,7 @@ class Belief:
         mine, rest = self.rows(shared), np.setdiff1d(np.arange(len(self.covariance)), self.rows(shared))
         theirs, theirs_new = (_rows_of([at[t] for t in ts]) for ts in (shared, new))
         P, Q = self.covariance, ring.covariance
-        gain = np.linalg.lstsq(P[np.ix_(mine, mine)], P[np.ix_(mine, rest)], rcond=1e-12)[0].T
+        gain = regression(P[np.ix_(mine, mine)], P[np.ix_(mine, rest)])
         out = np.zeros((len(P) + len(theirs_new),) * 2)
         fresh = np.arange(len(P), len(out))
         S = Q[np.ix_(theirs, theirs)]
@@ -79,7 +79,7 @@ class Belief:
         shift[rest] = gain @ shift[mine]
         means = [moved(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
         means += [ring.motions[at[t]].world_from_body for t in new]
-        lead = np.linalg.lstsq(S, Q[np.ix_(theirs, theirs_new)], rcond=1e-12)[0].T @ (self.start - shift)[mine]
+        lead = regression(S, Q[np.ix_(theirs, theirs_new)]) @ (self.start - shift)[mine]
         return Belief(
             (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
             np.concatenate([self.start - shift, lead]),
@@ -105,6 +105,16 @@ class Belief:
         P[:PLANE], P[:, :PLANE] = 0.0, 0.0
         P[:PLANE, :PLANE] = np.diag(sigma**2)
         return replace(self, covariance=P)
+
+
+def regression(P: F64, across: F64) -> F64:
+    """What is expected of others (m,) of those with covariance `P` (n, n): (m, n), their covariance `across` (n, m).
+
+    Errors that all have in common make `P` singular; a share of 1e-9 of its variances leaves the answer what it is.
+    """
+    if not len(P):
+        return np.zeros((across.shape[1], 0))
+    return np.asarray(np.linalg.solve(P + np.diag(1e-9 * np.diag(P) + 1e-18), across).T)
 
 
 def _rows_of(at: list[int]) -> NDArray[np.int64]:

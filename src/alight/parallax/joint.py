@@ -1,4 +1,4 @@
-"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method.md, section 6).
+"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method.md, section 8).
 
 The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
 there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose, ground_projection
 from alight.kernels import joint as kernels
@@ -19,7 +18,7 @@ from alight.kernels.parallax import template
 from alight.kernels.sorting import network
 from alight.parallax.belief import PLANE, POSE, Belief, moved
 from alight.parallax.refine import TAU, centres_of
-from alight.parallax.views import Buffers, Prepared, stack
+from alight.parallax.views import Buffers, Prepared, maps_at, sample
 from alight.records import F32, F64
 
 log = logging.getLogger(__name__)
@@ -48,21 +47,26 @@ class Sight:
 class Ground:
     """The cells that take part."""
 
-    grid: Grid
+    xs: F64  # (C,) metres east
+    ys: F64  # (R,) metres north
     height: F32  # (R, C) metres, NaN: takes no part
     kappa: F32  # (R, C) one over the variance of a height about the map's plane
     about: F64  # (2,) metres, where the plane's offset is meant
     arm: float  # metres, of the template's gradient
 
+    def coarser(self) -> Ground:
+        """Half of the cells, for pictures of half the resolution."""
+        half = slice(None, None, 2)
+        return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
+
     def tilted(self, plane: F64) -> F32:
         """The heights with an error of the plane taken out."""
-        return self.height + plane_on(self.grid, plane, self.about)
+        return self.height + plane_on(self.xs, self.ys, plane, self.about)
 
 
-def plane_on(grid: Grid, plane: F64, about: F64) -> F32:
+def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> F32:
     """Heights (R, C) of a plane (3,) that is `plane[0]` high `about` (2,)."""
-    x, y = grid.xy()
-    up = plane[0] + plane[1] * (x - about[0])[None, :] + plane[2] * (y - about[1])[:, None]
+    up = plane[0] + plane[1] * (xs - about[0])[None, :] + plane[2] * (ys - about[1])[:, None]
     return np.asarray(up, dtype=np.float32)
 
 
@@ -75,12 +79,10 @@ def posed(prepared: Prepared, world_from_cam: Pose) -> Prepared:
     return replace(prepared, H=H, b=b, centre=np.array(world_from_cam.translation))
 
 
-def thinned(grid: Grid, count: int) -> tuple[Grid, int]:
-    """Every k-th cell, so that about `count` are left."""
+def thinning(grid: Grid, count: int) -> tuple[slice, slice]:
+    """Every k-th row and column, so that about `count` cells are left."""
     k = max(1, round((grid.rows * grid.cols / count) ** 0.5))
-    first = k // 2
-    rows, cols = -(-max(grid.rows - first, 1) // k), -(-max(grid.cols - first, 1) // k)
-    return Grid(grid.east + first * grid.cell, grid.north - first * grid.cell, grid.cell * k, rows, cols), k
+    return slice(k // 2, None, k), slice(k // 2, None, k)
 
 
 def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ring: int) -> tuple[Belief, F64]:
@@ -93,34 +95,42 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
         drop: metres from the cameras to the ground.
         ring: steps that a picture takes part in; its information is shared among them.
     """
-    P, x, held = belief.covariance, belief.start.copy(), Buffers()
+    times = [t for t in belief.times if any(s.exposure == t for s in looks[0][0])]
+    rows = np.concatenate([np.arange(PLANE), belief.rows(times)])
+    pairs = [(t, p) for t, p in zip(belief.times, belief.poses, strict=True) if t in times]
+    P, held, one = belief.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
+    x = belief.start[rows]
     x[:PLANE] = -belief.plane
-    index = {t: k for k, t in enumerate(belief.times)}
-    apparent = np.tile(np.repeat([APPARENT_PX * pixel * drop, APPARENT_PX * pixel], 3) ** 2, len(belief.times))
-    F, one = np.concatenate([np.zeros(PLANE), apparent]), np.eye(len(P))
-    A, whitened = np.zeros_like(P), np.asarray(np.zeros(len(x)))
+    F = np.concatenate([np.zeros(PLANE), np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * APPARENT_PX]) ** 2
+    A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
     for sights, ground in looks:
-        owner = np.array([index[s.exposure] for s in sights], np.int64)
-        poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, p in enumerate(belief.poses)]
-        views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
-        A, b = _information(views, owner, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
-        known = np.linalg.inv(one + A * F)
-        A, b = known @ A, known @ b
+        poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
+        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
+        known = np.linalg.inv(one + seen * F)
+        A, b = known @ seen, known @ b
         whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
     if whitened @ x > UNLIKELY * len(x):
         log.info("the pictures contradict what is believed of the poses, which stay as they were")
         return belief, np.zeros(PLANE)
-    after = P @ np.linalg.inv(one + A @ P / ring)
-    return belief.corrected(x, 0.5 * (after + after.T)), belief.plane + x[:PLANE]
+    across, shared = belief.covariance[:, rows], A / ring
+    known = np.linalg.solve(one + shared @ P, shared)
+    after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
+    follow = np.eye(len(after))  # the step that comes takes a share of the heights from these poses
+    follow[:PLANE, :PLANE] *= 1 - 1 / ring
+    follow[:PLANE, rows[PLANE:]] = np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0] / -ring
+    after = follow @ after @ follow.T
+    return belief.corrected(across @ whitened, after), belief.plane + x[:PLANE]
 
 
 def _information(
-    views: list[Prepared], owner: NDArray[np.int64], poses: list[Pose], ground: Ground, height: F32, held: Buffers
+    sights: list[Sight], times: list[int], poses: list[Pose], ground: Ground, height: F32, held: Buffers
 ) -> tuple[F64, F64]:
     """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
+    owner = np.array([times.index(s.exposure) for s in sights], np.int64)
+    views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
     s = _crosses(views, ground, height, held)
-    n, (rows, cols), M = len(views), ground.grid.shape, PLANE + POSE * len(poses)
+    n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
     weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
     template(s.reshape(n, 5 * rows, cols), network(n), TAU, weights, mean)
     w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
@@ -128,19 +138,23 @@ def _information(
     A, b = np.empty((rows, M, M)), np.empty((rows, M))
     kernels.normal_equations(
         samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
-        _precision(samples, w, m[0]), *ground.grid.xy(), height, ground.about, ground.arm, ground.kappa, A, b,
+        _precision(samples, w, m[0]), ground.xs, ground.ys, height, ground.about, ground.arm,
+        np.ascontiguousarray(ground.kappa), A, b,
     )  # fmt: skip
-    whole = A.sum(axis=0)
-    whole[PLANE:, :PLANE] = whole[:PLANE, PLANE:].T
-    return whole, b.sum(axis=0)
+    upper = A.sum(axis=0)
+    return upper + np.triu(upper, 1).T, b.sum(axis=0)
 
 
 def _crosses(views: list[Prepared], ground: Ground, height: F32, held: Buffers) -> F32:
     """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
-    out, a = held.get("crosses", (len(views), 5, *ground.grid.shape)), ground.arm
-    for k, (east, north) in enumerate(((0.0, 0.0), (a, 0.0), (-a, 0.0), (0.0, a), (0.0, -a))):
-        moved_by = replace(ground.grid, east=ground.grid.east + east, north=ground.grid.north + north)
-        out[:, k] = stack(views, moved_by, height, held)
+    n, (rows, cols), a = len(views), height.shape, ground.arm
+    out = held.get("crosses", (n, 5, rows, cols))
+    xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
+    for i, view in enumerate(views):  # cells, north and south at once: to start many small loops is dear
+        straight = sample(view.norm, *maps_at(view, xs, np.concatenate([ys, ys + a, ys - a]), level, held))
+        out[i, [0, 3, 4]] = straight.reshape(3, rows, cols)
+        for k, east in ((1, a), (2, -a)):
+            sample(view.norm, *maps_at(view, xs + east, ys, height, held), out=out[i, k])
     return out
 
 

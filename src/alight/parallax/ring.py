@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
-from alight.parallax import refine, trust
+from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
@@ -129,6 +129,9 @@ class Ring:
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
         found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
+        samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
+        found = replace(found, flags=found.flags | moves)
         return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:

@@ -97,9 +97,13 @@ class Buffers:
 
 def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
     """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
+    return maps_at(p, *grid.xy(), h, buffers)
+
+
+def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
+    """The same for columns evenly spaced at `xs` and rows at any `ys`."""
     held = buffers or Buffers()
     mapx, mapy = held.get("mapx", h.shape), held.get("mapy", h.shape)
-    xs, ys = grid.xy()
     project(
         p.H, p.b, p.intrinsics, p.camera.coefficients, p.camera.code, p.r2_max,
         float(p.camera.width), float(p.camera.height), xs, ys, h, mapx, mapy,

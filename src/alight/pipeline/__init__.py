@@ -107,6 +107,9 @@ class Pipeline:
             if motion is not None:
                 self._motions[event.t_ns] = motion
             self._keep(event, motion)
+            if not self._history:
+                held = {f.t_ns for f in self._store.frames}
+                self._motions = {t: m for t, m in self._motions.items() if t in held}
         return motion
 
     def _keep(self, frame: Frame, motion: Motion | None) -> None:
@@ -130,9 +133,6 @@ class Pipeline:
         if self._recursive:
             self._advance(frames)
             self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
-            if not self._history:
-                held = {f.t_ns for f in self._store.frames}
-                self._motions = {t: m for t, m in self._motions.items() if t in held}
 
     def _advance(self, frames: list[Frame]) -> None:
         for frame in frames:

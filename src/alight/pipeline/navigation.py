@@ -57,7 +57,7 @@ class FilterLane:
         self._filter = LateFilter(rig, self._settings)
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._stamps: deque[int] = deque(maxlen=_STAMPS)
-        self._repeated = 0
+        self._repeated = self._given = self._lost = 0  # exposures
 
     def feed(self, event: Event) -> Motion | None:
         """Track, predict, update (docs/method-motion.md)."""
@@ -77,6 +77,7 @@ class FilterLane:
         motion = self._filter.feed_tracks(tracks)
         if motion is not None:
             self._motions.append(motion)
+            self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
         return motion
 
     def finish(self, progress: Progress) -> list[Motion]:
@@ -85,12 +86,11 @@ class FilterLane:
         for count, what in ((self._repeated, "have the stamp of an earlier one"), (self._filter.too_late, "came late")):
             if count:
                 self.warnings.append(f"motion: {count} exposures or GPS/INS rows {what} and are left out")
-        lost = sum(m.state is MotionState.LOST for m in motions)
-        if lost:
-            self.warnings.append(f"motion: lost in {lost} of {len(motions)} exposures, which are not used for the map")
-        maps = len({m.map for m in motions})
-        if maps > 1:
-            self.warnings.append(f"motion: began anew {maps - 1} times; the parts are tied together by GPS alone")
+        if self._lost:
+            what = f"lost in {self._lost} of {self._given} exposures, which are not used for the map"
+            self.warnings.append(f"motion: {what}")
+        if anew := max((m.map for m in motions), default=0):
+            self.warnings.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
         smoothed = self._settings.smooth
         self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions

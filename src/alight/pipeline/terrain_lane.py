@@ -190,7 +190,7 @@ class TerrainLane:
         corners = np.concatenate([footprint(v, self.below) for v in down])
         low, high = corners.min(axis=0), corners.max(axis=0)
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self._level)
-        known, up = self.elevation.read(grid), float(down[0].centre[2])
+        known, up = self.elevation.start(grid), float(down[0].centre[2])
         found = self._ring.step(grid, known, *self._range(grid, up, known))
         if self._ring.plane.any():
             self.elevation.lean(self._ring.plane, self._ring.about)

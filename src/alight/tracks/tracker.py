@@ -19,7 +19,7 @@ from alight.settings import Tracks as TracksSettings
 from alight.tracks.corners import BORDER, corners, spread, strength
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.lens import Lens
-from alight.tracks.whole import TURNS, agreement, common_shift, factor_of, found_again, shrunken, turned
+from alight.tracks.whole import TURNS, agreement, common_shift, factor_of, found_again, lit_as, shrunken, turned
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -157,7 +157,7 @@ class Tracker:
         Args:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
         """
-        s, near = self._settings, 1 if self._off[cam] < _CLOSE else 2
+        a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
         there, ok = self._flow(a, b, pixels, guess, min(s.levels, near) if expected else s.levels, _STOP)
         back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_BACK)  # from where it must end: wrong ones slide away
         good, off = ok & ok_back & _inside(there, self._cameras[cam]), np.linalg.norm(there - guess, axis=1)

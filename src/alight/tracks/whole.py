@@ -14,6 +14,8 @@ _LEAST = 12  # features that a common turn of the image is told from
 _SMALL = 160  # px, about the shorter side of a picture shrunk to be looked at as a whole
 _OVERLAP = 0.2  # share of the image that two pictures must have in common
 _REACH = 160  # px, at most, of an error that all guesses share
+_EVERY = 4  # px between those that tell how bright a picture is
+_MOST_GAIN, _SAME_GAIN, _SAME_GREY = 4.0, 0.05, 4.0  # ratios of contrast, grey levels: the latter two are no jump
 TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried when all else fails
 
 
@@ -31,6 +33,21 @@ def turned(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
     size = (image.shape[1], image.shape[0])  # linear as the matching itself samples: cubic doubles the drift
     warped = cv2.warpAffine(image, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
+
+
+def lit_as(image: U8, other: U8) -> U8:
+    """Take one picture to the brightness and contrast of another of the same ground (M1d).
+
+    The SSD has no notion of exposure: a step of 20 % between two pictures cost 0.4 px, of 50 % nine of ten features.
+    Small differences come from what the pictures do not share (taken out: ring of the sample 0.18 px instead of 0.14).
+    """
+    a, b = image[::_EVERY, ::_EVERY].astype(np.float32), other[::_EVERY, ::_EVERY].astype(np.float32)
+    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MOST_GAIN, _MOST_GAIN))
+    shift = float(b.mean()) - gain * float(a.mean())
+    if abs(gain - 1.0) < _SAME_GAIN and abs(float(b.mean() - a.mean())) < _SAME_GREY:
+        return image
+    levels = np.clip(np.round(gain * np.arange(256.0) + shift), 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(image, levels))
 
 
 def common_shift(then: U8, now: U8, pixels: F32, guess: F32) -> F32:

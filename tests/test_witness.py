@@ -1,0 +1,139 @@
+"""What moves is told from what stands still by two cameras at one instant: the kernel's twin, pairs, ring and batch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numba
+import numpy as np
+import pytest
+from ground_views import Scene, Texture
+from numpy.testing import assert_allclose
+
+from alight.geometry import Grid, Pose
+from alight.kernels import witness as kernels
+from alight.parallax import Images, Ring, match, witness
+from alight.records import ElevationMap, Flag, Heights, View
+from alight.settings import Parallax
+
+CELL = 0.2
+GRID = Grid(-5.9, 4.5, CELL, 46, 60)
+EAST, NORTH = np.meshgrid(*GRID.xy())
+BLOCK, CUT = 8, 0.6
+PAIRS = np.array([[0, 1], [2, 3], [4, 2]])
+WAVES = [Texture(100 + k, contrast=14.0) for k in range(8)]
+
+
+def stack(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of five views and a template, holes in both; sizes that blocks do not divide."""
+    rng = np.random.default_rng(seed)
+    samples, mean = (rng.normal(0, 0.5, s).astype(np.float32) for s in ((5, 21, 29), (21, 29)))
+    samples[rng.random(samples.shape) < 0.1] = np.nan
+    mean[rng.random(mean.shape) < 0.1] = np.nan
+    return samples, mean
+
+
+def sums() -> np.ndarray:
+    out = np.full((5, 3, 4), -9, np.float32)
+    kernels.common(*(stack()[0], PAIRS, stack()[1]), BLOCK, CUT, out)
+    return out
+
+
+def test_the_sums_over_blocks() -> None:
+    samples, mean = (a.astype(np.float64) for a in stack())
+    want = np.zeros((5, 3, 4))
+    for r, c in np.ndindex(mean.shape):
+        at = (slice(None), r // BLOCK, c // BLOCK)
+        for i, j in PAIRS:
+            a, b = samples[i, r, c] - mean[r, c], samples[j, r, c] - mean[r, c]
+            if abs(a) < CUT and abs(b) < CUT:
+                want[at] += [a * b, (a * a + b * b) / 2, 1, 0, 0]
+        if np.isfinite(mean[r, c]):
+            want[at] += [0, 0, 0, mean[r, c] ** 2, 1]
+    assert_allclose(sums(), want, rtol=1e-4, atol=1e-4)
+
+
+def test_the_number_of_threads_changes_no_bit(threads: Callable[[int], None]) -> None:
+    threads(1)
+    alone = sums()
+    threads(min(2, numba.config.NUMBA_NUM_THREADS))
+    assert alone.tobytes() == sums().tobytes()
+
+
+def test_pairs_are_views_of_one_instant_by_two_cameras() -> None:
+    view = Scene(noise=0).views(1)[0]
+    views = [replace(view, t_ns=t, cam=c) for t, c in ((5, 0), (5, 1), (6, 0), (7, 1), (7, 0), (7, 0), (5, 2))]
+    pairs = {frozenset(map(int, p)) for p in witness.instants(views)}
+    assert pairs == {frozenset(p) for p in ((0, 1), (0, 6), (1, 6), (3, 4), (3, 5))}
+    assert witness.instants(views[2:4]).shape == (0, 2)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
+    """The same amount of change: alike in the two pictures of each instant, or different in every picture."""
+    rng = np.random.default_rng(2)
+    mean = rng.normal(size=(64, 64)).astype(np.float32)
+    change = rng.normal(0, 0.3, (8, 64, 64)).astype(np.float32)
+    if together:
+        change[1::2] = change[::2]
+    share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8))
+    assert (share > witness.MOST_SHARED).all() == together
+    assert (share > 0.5 * witness.MOST_SHARED).any() == together
+
+
+def rig(moving: bool, count: int = 7) -> list[list[View]]:
+    """A rig over level ground; in the west, waves change it from one exposure to the next."""
+    still = Texture(1, contrast=30.0)
+
+    def paint(e: np.ndarray, n: np.ndarray, k: int) -> np.ndarray:
+        return still(e, n) + (np.where(e < -1.0, WAVES[k](e, n), 0.0) if moving else 0.0)
+
+    scene = Scene(paint=paint, spacing=1.3)
+    out = []
+    for k in range(count):
+        pose, shots = scene.pose(k, count), []
+        for cam in (0, 1):
+            there = Pose(pose.rotation, pose.translation + np.array([0.0, 0.4 * cam, 0.0]))
+            shots.append(View(k * 100_000_000, cam, scene.picture(there, k), scene.camera, there))
+        out.append(shots)
+    return out
+
+
+@cache
+def found(method: str, moving: bool) -> Heights:
+    """The grid by the ring, or by the batch."""
+    shots = rig(moving)
+    if method == "batch":
+        heights = match(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, Parallax())
+    else:
+        ring = Ring(Parallax(), CELL, 0.0)
+        empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan)
+        kinds = (np.float32, np.float32, np.uint16, np.uint8, np.float32)
+        h, s, f, v, e = (np.full(GRID.shape, a, t) for a, t in zip(empty, kinds, strict=True))
+        known = ElevationMap(GRID, h, s, f, v, np.zeros((*GRID.shape, 3), np.uint8), e)
+        for shot in shots:
+            ring.push(shot)
+            heights = ring.step(GRID, known, -1.5, 2.5)
+            known = known if heights is None else ElevationMap(**vars(heights))
+    assert heights is not None
+    return heights
+
+
+@pytest.mark.parametrize("method", ["batch", "ring"])
+def test_a_rig_tells_waves_from_ground(method: str) -> None:
+    """Without the witness the bed passes: its texture is twice as strong as the waves."""
+    moves = (found(method, moving=True).flags & np.uint16(Flag.MOVING)) != 0
+    inner = (np.abs(NORTH) < 3.0) & (np.abs(EAST) < 5.0)
+    assert moves[inner & (EAST < -2.5)].mean() > 0.95
+    assert moves[inner & (EAST > 3.5)].mean() < 0.05
+    still = (found(method, moving=False).flags & np.uint16(Flag.MOVING)) != 0
+    assert still[inner].mean() < 0.01
+
+
+def test_one_camera_has_no_witness() -> None:
+    heights = match(Images([s[0] for s in rig(moving=True)], CELL, 0.0), GRID, -1.5, 2.5, Parallax())
+    assert heights is not None
+    inner = (np.abs(NORTH) < 3.0) & (EAST < -2.5) & (EAST > -5.0)
+    assert ((heights.flags[inner] & np.uint16(Flag.MOVING)) != 0).mean() < 0.5
