@@ -342,6 +342,20 @@ def test_threads_do_not_matter(threads: Callable[[int], None]) -> None:
     assert_array_equal(one.gauge.covariance, two.gauge.covariance)
 
 
+def test_pictures_of_nothing_change_nothing() -> None:
+    """Pictures without any texture, or of something else each: poses and map stay, and nothing is not a number."""
+    rng = np.random.default_rng(0)
+    for paint in (lambda: np.full((120, 160), 90, np.uint8), lambda: rng.integers(0, 255, (120, 160), dtype=np.uint8)):
+        ring, elevation = Ring(Parallax(), CELL, 0.1), Elevation(CELL, 64)
+        for view, motion in off(white(6)):
+            ring.push([replace(view, image=paint())], PoseRing((motion,), motion.covariance))
+            found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
+            assert np.isfinite(ring.plane).all()
+            if found is not None:
+                elevation.add(found, replace_all=True)
+        assert not elevation.read(GRID).trusted.any()
+
+
 def test_the_map_leans_where_it_is_held() -> None:
     elevation = Elevation(CELL, 64)
     found = flown(NOTHING, refine=False)

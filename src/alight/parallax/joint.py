@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose, ground_projection
 from alight.kernels import joint as kernels
@@ -110,17 +111,22 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
         A, b = known @ seen, known @ b
         whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
-    if whitened @ x > UNLIKELY * len(x):
+    if not whitened @ x <= UNLIKELY * len(x):  # so that NaN is refused
         log.info("the pictures contradict what is believed of the poses, which stay as they were")
         return belief, np.zeros(PLANE)
     across, shared = belief.covariance[:, rows], A / ring
     known = np.linalg.solve(one + shared @ P, shared)
     after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
-    follow = np.eye(len(after))  # the step that comes takes a share of the heights from these poses
-    follow[:PLANE, :PLANE] *= 1 - 1 / ring
-    follow[:PLANE, rows[PLANE:]] = np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0] / -ring
-    after = follow @ after @ follow.T
-    return belief.corrected(across @ whitened, after), belief.plane + x[:PLANE]
+    follow = _following(seen, rows, len(after), 1 / ring)
+    return belief.corrected(across @ whitened, follow @ after @ follow.T), belief.plane + x[:PLANE]
+
+
+def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
+    """What becomes of errors when the step that comes takes a share of the heights from these poses (eq. 24)."""
+    out = np.eye(size)
+    out[:PLANE, :PLANE] *= 1 - share
+    out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
+    return out
 
 
 def _information(
