@@ -348,7 +348,8 @@ def _five(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse
     sums = _tap(h, lam, eta, s2, i + np.uintp(1), here, inverse, sums)
     sums = _tap(h, lam, eta, s2, i + np.uintp(2), here, inverse, sums)
     sums = _tap(h, lam, eta, s2, i + np.uintp(3), here, inverse, sums)
-    return _tap(h, lam, eta, s2, i + np.uintp(4), here, inverse, sums)
+    sums = _tap(h, lam, eta, s2, i + np.uintp(4), here, inverse, sums)
+    return sums
 
 
 @kernel
@@ -388,7 +389,7 @@ def solve(
 ) -> None:
     """Window the normal equations over 5 x 5 cells of like height, fill the step (eq. 11).
 
-    Neighbours count by (1 - (dh / 2 spread)^2)^2, not at all beyond: a window across a height step takes its own side.
+    Neighbours count by (1 - (dh / 2 spread)^2)^2, not at all beyond: a window across a step takes its own side.
     `precision` is the windowed Lambda, `noise` the windowed residual variance.
     """
     rows, cols = h.shape
@@ -410,6 +411,5 @@ def solve(
                 k, here = (r - first) * STRIDE, slice(left, left + width)
                 invert_row(spread[r, here], inverse[:width])
                 _window_row(ph[k:], pl[k:], pe[k:], pn[k:], inverse[:width], sums[0], sums[1], sums[2], sums[3])
-                _step_row(
-                    sums, h[r, here], spread[r, here], np.float32(limit), step[r, here], precision[r, here], noise[r, here]
-                )  # fmt: skip
+                known, px = h[r, here], spread[r, here]
+                _step_row(sums, known, px, np.float32(limit), step[r, here], precision[r, here], noise[r, here])

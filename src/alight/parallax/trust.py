@@ -21,7 +21,7 @@ from alight.records import F32, U16, Flag
 
 MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: less carries no height
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
-MAX_COST_RATIO = 1.04  # best over second-best cost, mean nearby: above 1 the smoothing overruled what the cells saw
+MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby: there the smoothing overruled what the cells saw
 # sigma (eq. 14), fitted on simulated flights
 FIT = 0.35  # of noise over information
 FLOOR_CELL = 0.1  # cells: a window is no point
