@@ -188,7 +188,7 @@ def test_a_burnt_out_picture_is_not_trusted() -> None:
 
 
 def test_heights_at_the_end_of_the_range_are_marked() -> None:
-    """The ground lies at 0.8 m, outside what is searched; a corner that slopes down into it knows that it may be off."""
+    """The ground lies at 0.8 m, outside what is searched; a corner that slopes into it knows that it may be off."""
     found = heights(scene(surface=plane(level=0.8), top=1.0).views(COUNT), low=-1.5, high=0.5)
     ok = trusted(found)
     assert ok.mean() < 0.001
