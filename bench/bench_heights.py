@@ -3,6 +3,7 @@
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
     python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
+    python bench/bench_heights.py --page                                 # into docs/heights-measured.md as well
 
 What was measured with the same source before is not measured again (out/bench-heights). Recordings are looked for in
 ../shared/data or $ALIGHT_DATA.
@@ -23,7 +24,7 @@ import heights_ladder as ladder
 import heights_recordings as recordings
 import heights_step
 import heights_unflagged as unflagged
-from heights_table import Row, head
+from heights_table import PAGE, Row, head, markdown, write_below_mark
 from matchers import SGBM, SGBM_CHECKS
 
 Rows = Callable[[argparse.Namespace, ladder.Ladder], list[Row]]
@@ -54,18 +55,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", default=",".join(GROUPS), help=f"some of {', '.join(GROUPS)}")
     parser.add_argument("--rungs", default="", help="of the ladder, by name, with commas between")
+    parser.add_argument("--page", action="store_true", help=f"write the table into {PAGE.name} as well")
     parser.add_argument("--seeds", default="1001", help="of the scenes of `unflagged`")
     options = parser.parse_args()
     warnings.filterwarnings("ignore", "All-NaN slice", RuntimeWarning)
     print(f"StereoSGBM: {SGBM}; what it is sure of: {SGBM_CHECKS}")
     rungs = ladder.Ladder([n for n in options.rungs.split(",") if n])
-    table = []
+    table: dict[str, list[Row]] = {}
     for name in options.rows.split(","):
-        rows = GROUPS[name](options, rungs)
-        lines = [head(name), *(r.line() for r in rows)]
-        print("\n".join(lines), flush=True)
-        table += lines
-    print("\n\nThe whole table\n" + "\n".join(table))
+        table[name] = GROUPS[name](options, rungs)
+        print("\n".join([head(name), *(r.line() for r in table[name])]), flush=True)
+    print("\n\nThe whole table")
+    for name, rows in table.items():
+        print("\n".join([head(name), *(r.line() for r in rows)]))
+    if options.page:
+        write_below_mark(PAGE, markdown(table))
 
 
 if __name__ == "__main__":

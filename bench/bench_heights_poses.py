@@ -72,13 +72,13 @@ def errors(kind: str, seed: int) -> F64:
     return np.asarray(shape * SIGMA)
 
 
-def disturbed(shot: list[View], body: Pose, error: F64) -> tuple[list[View], Motion]:
-    """The views of an exposure and its motion with an error of the body's pose."""
+def disturbed(shot: list[View], body: Pose, error: F64, sigma: F64 = SIGMA) -> tuple[list[View], Motion]:
+    """The views of an exposure and its motion with an error of the body's pose, claimed to be of `sigma`."""
     turn = so3_exp(error[3:])
     by = Pose(turn, body.translation + error[:3] - turn @ body.translation)
     views = [replace(v, world_from_cam=by @ v.world_from_cam) for v in shot]
     cams = tuple(v.world_from_cam for v in views)
-    return views, Motion(shot[0].t_ns, by @ body, cams, np.diag(SIGMA**2))
+    return views, Motion(shot[0].t_ns, by @ body, cams, np.diag(sigma**2))
 
 
 def told(motions: list[Motion], kind: str) -> PoseRing:
@@ -90,10 +90,14 @@ def told(motions: list[Motion], kind: str) -> PoseRing:
     return PoseRing(tuple(last), joint)
 
 
-def fly(name: str, kind: str, seed: int, refine: bool) -> dict[str, float]:
-    """Shape, offset and tilt of the ring's map, and how far off it is in the measure that it claims."""
-    flown = _flown(name)
-    moved = [disturbed(s, b, e) for s, b, e in zip(flown.shots, flown.bodies, errors(kind, seed), strict=True)]
+def fly(name: str, kind: str, seed: int, refine: bool, scale: float = 1.0) -> dict[str, float]:
+    """Shape, offset and tilt of the ring's map, and how far off it is in the measure that it claims.
+
+    `scale`: of the errors and of their claim, which stays above a tenth.
+    """
+    flown, claim = _flown(name), max(scale, 0.1) * SIGMA
+    wrong = zip(flown.shots, flown.bodies, scale * errors(kind, seed), strict=True)
+    moved = [disturbed(s, b, e, claim) for s, b, e in wrong]
     lane = TerrainLane(Settings())
     if not lane.learn([views[0] for views, _ in moved[::3]]):
         raise SystemExit(lane.reason)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -50,7 +50,6 @@ class Ladder:
     """The rungs of a table; a rung is measured when a row first asks for it."""
 
     names: Sequence[str] = ()  # rungs asked for by name, instead of all
-    say: Callable[[str], None] = print
     _found: dict[tuple[str, int], Found] = field(default_factory=dict)
 
     def rungs(self, height: int) -> list[str]:
@@ -66,12 +65,11 @@ class Ladder:
 
     def of(self, name: str, count: int) -> Found:
         """The rows of one rung, printed when they are new."""
-        key = (name, count)
-        if key not in self._found:
-            self._found[key] = measure(name, count)
-            for line in shown(f"{name}, N = {count}", self._found[key]):
-                self.say(line)
-        return self._found[key]
+        if (name, count) not in self._found:
+            for n in COUNTS:  # together: a flight takes as long as its matching
+                self._found[name, n] = measure(name, n)
+                print("\n".join(shown(f"{name}, N = {n}", self._found[name, n])), flush=True)
+        return self._found[name, count]
 
     def median(self, matcher: str, column: str, heights: Iterable[int], count: int) -> float:
         """Of one number over the rungs of some heights."""

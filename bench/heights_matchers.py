@@ -31,8 +31,9 @@ def lane_of(views: list[View]) -> TerrainLane:
 
 def on_map(lane: TerrainLane, points: Points) -> Answer:
     """What the map of a lane says of the points."""
-    found = lane.map(points.above)
-    assert found is not None
+    found = lane.map()
+    if found is None:  # no baseline yet
+        return claimless(np.full(len(points.xyz), np.nan), np.zeros(len(points.xyz), bool))
     r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
     ok = (r >= 0) & (r < found.grid.rows) & (c >= 0) & (c < found.grid.cols)
     r, c = r.clip(0, found.grid.rows - 1), c.clip(0, found.grid.cols - 1)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from heights_points import BAD, LEAST, OPEN, Answer, Mask, percent
 from heights_table import KEPT, Row, kept
-from heights_unflagged import DEEP, Ground, mapped, through
+from heights_unflagged import DEEP, OF_GIVEN, WITH_TERRAIN, Ground, mapped, through
 from matchers import by_pair, inside
 from subjects import Subject, flight, photos
 
@@ -40,6 +40,7 @@ def sample_rows() -> list[Row]:
             Row(f"sample, {method}: ground accepted of seen, %", found["accepted"], (80, math.inf), (90, math.inf)),
             Row(f"sample, {method}: ground within 1.96 sigma, %", found["95 %"]),
             Row(f"sample, {method}: off > 0.5 m on the pond, % of given out", found["pond"], 1.0, 0.1),
+            Row("... after the terrain stage", found["pond after"], 1.0, 0.1),
             Row(f"sample, {method}: pond given out, %", found["pond given"]),
         ]
     return out
@@ -62,7 +63,7 @@ def _sample() -> dict[str, Numbers]:
     above = subject.above([s[0] for s in shots])
     ground = Ground(subject.surface(), truth.label, truth.grid)
     shots = _spread(shots, above)
-    return {m: _against(mapped(shots, m, above), ground, above) for m in ("batch", "ring")}
+    return {m: _against(mapped(shots, m), ground, above) for m in ("batch", "ring")}
 
 
 def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
@@ -76,7 +77,8 @@ def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
         "p95": float(np.percentile(np.abs(e), 95)),
         "accepted": 100 * float(given.sum() / seen.sum()),
         "95 %": percent(np.abs(e - np.median(e)) < 1.96 * found.sigma[given]),
-        "pond": water["of what is given out"],
+        "pond": water[OF_GIVEN],
+        "pond after": water[WITH_TERRAIN],
         "pond given": water["given out"],
     }
 
@@ -110,7 +112,7 @@ def _subject() -> Subject:
     return photos("mirafiori", DATA / "mirafiori", KEPT / "reference")
 
 
-def _matched(views: list[View], method: str, above: float, most: int | None = None) -> ElevationMap:
+def _matched(views: list[View], method: str, most: int | None = None) -> ElevationMap:
     parallax = {} if most is None else {"parallax": {"views": most}}
     lane = TerrainLane(Settings.model_validate(parallax))
     if not lane.learn(views):
@@ -120,7 +122,7 @@ def _matched(views: list[View], method: str, above: float, most: int | None = No
     else:
         for view in views:
             lane.step([view])
-    found = lane.map(above)
+    found = lane.map()
     assert found is not None
     return found
 
@@ -142,7 +144,7 @@ def _photos() -> Numbers:
     views = subject.views()
     above = subject.above(views)
     points = subject.points(views, above)
-    batch, ring = (_matched(views, m, above) for m in ("batch", "ring"))
+    batch, ring = (_matched(views, m) for m in ("batch", "ring"))
     one, two = _at(batch, points.xyz), _at(ring, points.xyz)
     seen = (batch.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
     off, both = one.height[one.given], one.given & two.given
@@ -156,7 +158,7 @@ def _photos() -> Numbers:
         "ring/batch, all": nmad(two.height[have]) / nmad(one.height[have]),
     }
     out |= _rough(views, points.xyz, ~points.open, one)
-    return out | {f"within {n}": _within(_at(_matched(views, "batch", above, n), points.xyz)) for n in (2, 8, 12)}
+    return out | {f"within {n}": _within(_at(_matched(views, "batch", n), points.xyz)) for n in (2, 8, 12)}
 
 
 def _within(a: Answer) -> float:

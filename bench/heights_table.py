@@ -16,9 +16,14 @@ KEPT = ROOT / "out" / "bench-heights"
 # what a measured number hangs on: another source is another number
 SOURCES = (
     "src/alight/geometry", "src/alight/kernels", "src/alight/parallax", "src/alight/pipeline", "src/alight/simulate",
-    "src/alight/elevation.py", "src/alight/elevation", "src/alight/settings.py", "bench",
+    "src/alight/elevation", "src/alight/settings.py", "bench/scenes", "bench/matchers.py", "bench/subjects.py",
+    "bench/doubt.py", "bench/heights_points.py", "bench/heights_matchers.py", "bench/heights_ladder.py",
+    "bench/heights_unflagged.py", "bench/heights_recordings.py", "bench/bench_heights_poses.py",
+    "bench/bench_heights_memory.py",
 )  # fmt: skip
 WIDTH = 78
+MARK = "<!-- below: made by `python bench/bench_heights.py --page` -->"
+PAGE = ROOT / "docs" / "heights-measured.md"
 
 
 @dataclass(frozen=True)
@@ -63,6 +68,23 @@ def said(limit: float | tuple[float, float] | None) -> str:
 def head(title: str) -> str:
     """The line above rows."""
     return f"\n{title:{WIDTH}s}{'must':>10s}{'aim':>10s}{'got':>10s}"
+
+
+def markdown(groups: dict[str, list[Row]]) -> str:
+    """The rows as one table; a miss is bold."""
+    out = ["| quantity | must | aim | got | |", "| --- | --- | --- | --- | --- |"]
+    for group, rows in groups.items():
+        out.append(f"| **{group}** | | | | |")
+        for r in rows:
+            verdict = f"**{r.verdict}**" if r.verdict == "MISS" else r.verdict
+            out.append(f"| {r.name} | {said(r.must)} | {said(r.aim)} | {r.value:.3f} | {verdict} |")
+    return "\n".join(out) + "\n"
+
+
+def write_below_mark(page: Path, text: str) -> None:
+    """Put a text in the place of what stands below `MARK` on a page."""
+    top = page.read_text(encoding="utf-8").split(MARK)[0]
+    page.write_text(f"{top}{MARK}\n\n{text}", encoding="utf-8")
 
 
 @cache

@@ -329,3 +329,38 @@ def test_a_long_way_holds_no_more_than_a_short_one() -> None:
     tiles, keyframes = np.array(held).T
     assert tiles[20:].max() <= tiles[:20].max() + 1
     assert keyframes.max() <= 7
+
+
+def test_a_ground_that_was_found_wrong_is_found_again() -> None:
+    """The first points lie 8 m too high: the ground is not among what is searched, and the lane looks again."""
+    lane = lane_of(level()[:8])
+    lane._points = lane._points + np.array([0.0, 0.0, 8.0])
+    lane.ground = 8.0
+    steps(lane, level()[:8])
+    assert lane.beyond
+    lane.learn_anew(level()[:8], 0.08)
+    assert lane.ground == pytest.approx(0.0, abs=0.6)
+    assert not lane.beyond
+    steps(lane, level()[8:])
+    known, error, _ = worth(lane, level()[-1])
+    assert known > 0.9
+    assert error < 0.005 * UP
+    assert not lane.beyond
+
+
+def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
+    lane = TerrainLane(load("", SMALL))
+    assert not lane.learn(level()[:3], 0.2)
+    assert "hardly moved" in lane.reason
+    assert lane.elevation is None
+    assert lane.learn(level()[:8], 0.2)
+
+
+def test_a_vehicle_on_the_ground_asks_for_no_endless_window() -> None:
+    """A map that is wrong by more than the height above it, or the ground itself: the window stays a picture's size."""
+    lane = steps(lane_of(level()[:8]), level())
+    lane.below = 25.0  # metres: above the camera
+    lane.step([look(level()[-1].centre + np.array([0.8, 0.0, 0.0]), 300)])
+    assert lane.below is not None
+    assert lane.elevation is not None
+    assert lane.elevation.cell_at(lane._level) > 1.0 / 225.0

@@ -12,6 +12,7 @@ from alight.elevation import Forgotten
 from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.navigation import FilterLane
+from alight.pipeline.store import FrameStore
 from alight.pipeline.terrain_lane import nice_cell
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load
@@ -327,3 +328,20 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
     assert [m.t_ns for m in motions] == single.tolist()
     assert [w for w in lane.warnings if f"{len(f.exposures.stamp_ns) - len(single)} exposures" in w]
     assert motions[-1].state is MotionState.GOOD
+
+
+# -- the frames that are kept
+
+
+def test_thinning_keeps_the_newest_and_every_second() -> None:
+    store = FrameStore()
+    for k in range(7):
+        store.offer(Frame(k, (np.zeros((2, 3), np.uint8),)), None, None)
+    store.thin()
+    assert [f.t_ns for f in store.frames] == [0, 2, 4, 6]
+    assert store.bytes == 4 * 6
+    store.offer(Frame(7, (np.zeros((2, 3), np.uint8),)), None, None)
+    store.thin()
+    assert [f.t_ns for f in store.frames] == [0, 4, 7]
+    assert store.bytes == 3 * 6
+    assert store.taken == 8

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from alight.geometry import Camera, Grid, LocalFrame, Pose
 from alight.settings import Settings
 
+F16 = NDArray[np.float16]
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -217,6 +218,9 @@ class Terrain(IntEnum):
     STRUCTURE = 8
 
 
+LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
+
+
 @dataclass(frozen=True, eq=False)
 class Heights:
     """What one parallax step found on one grid."""
@@ -258,6 +262,7 @@ class TerrainMap:
     grid: Grid
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
+    probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
 
 
 class Hazard(IntFlag):

@@ -14,6 +14,8 @@ from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import InputError, RunResult
 from alight.settings import Settings, with_imu
 from alight.sources import Source, open_source, read_tum
+from alight.sources.library import read_model
+from alight.terrain import Model
 
 __all__ = ["find", "given_poses", "replay", "write_run"]
 
@@ -57,7 +59,15 @@ def replay(
         InputError: nothing in the recording can be used.
     """
     settings = with_imu(settings, source.notes.get("imu_noise", {}))
-    pipeline = Pipeline(source.rig, source.kind, settings, given_poses(source, poses), time.perf_counter, far)
+    pipeline = Pipeline(
+        source.rig,
+        source.kind,
+        settings,
+        given_poses(source, poses),
+        time.perf_counter,
+        far,
+        appearance=appearance_of(settings),
+    )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
     for event in source.events():
@@ -71,6 +81,18 @@ def replay(
     for stage, seconds in pipeline.timings.items():
         log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
     return result_of(source, settings, decision, pipeline.timings)
+
+
+def appearance_of(settings: Settings) -> Model | None:
+    """The model of what ground looks like that the settings ask for.
+
+    Raises:
+        InputError: its file is none.
+    """
+    name = settings.terrain.model
+    if name is None or not settings.terrain.enabled:
+        return None
+    return read_model(None if name == "default" else Path(name))
 
 
 def result_of(source: Source, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:

@@ -166,6 +166,10 @@ class TerrainSettings(_Model):
     """What covers the ground."""
 
     enabled: bool = Field(True, description="refuse ground by its class")
+    model: str | None = Field(
+        "default", description="of appearance: default, a file of 'alight terrain train', or null"
+    )
+    appearance: Fraction = Field(0.5, description="weight of appearance: a picture's neighbours say much the same")
     block: Positive = Field(0.5, description="m, blocks on which the shape of the ground is judged")
     ground_window: Positive = Field(10.0, description="m; what is narrower and higher stands on the ground")
     bulge: NonNegative = Field(0.04, description="m of height per metre of width that a hilltop may have")

@@ -1,6 +1,6 @@
 """The command line: the one place that catches, prints and exits. One file a group of commands."""
 
-from alight.cli import hazards, runs, simulate
+from alight.cli import hazards, runs, simulate, terrain
 from alight.cli.app import call, main, progress_bar, read_settings
 
-__all__ = ["call", "hazards", "main", "progress_bar", "read_settings", "runs", "simulate"]
+__all__ = ["call", "hazards", "main", "progress_bar", "read_settings", "runs", "simulate", "terrain"]

@@ -18,6 +18,7 @@ from alight.hazards.contact import (
     share_near,
     step_of,
 )
+from alight.hazards.cover import cover_probability
 from alight.hazards.hidden import nothing_hidden
 from alight.hazards.known import judged_height
 from alight.hazards.probability import Margins, mean_near, safe_probability
@@ -150,7 +151,9 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
     found = _find(height, terrain, _spare(sigma), lander, settings, cell)
     reasons = _reasons(found, lander)
-    margins = Margins(found.footprint, found.slope, found.rise, sigma, _hidden(elevation, found, lander, settings))
+    covered = None if terrain is None else cover_probability(terrain.landable, lander.radius, cell)
+    hidden = _hidden(elevation, found, lander, settings)
+    margins = Margins(found.footprint, found.slope, found.rise, sigma, hidden, covered)
     p = safe_probability(margins, lander, settings, cell)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))

@@ -81,6 +81,7 @@ class Margins:
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
     sigma: F32  # metres, root mean square height sigma in the footprint
     hidden: F32 | None  # probability that nothing too high was flattened by the matching window; None: no such window
+    cover: F32 | None = None  # probability that all of it is ground that may be landed on; None: nobody looked
 
 
 def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float) -> F32:
@@ -97,6 +98,7 @@ def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float)
     else:
         p *= _below(lander.max_roughness, m.footprint.roughness, local)
     p *= 1 - np.float32(settings.hidden_hazard) * m.footprint.unknown
-    if m.hidden is not None:
-        p *= m.hidden
+    for share in (m.hidden, m.cover):
+        if share is not None:
+            p *= share
     return p

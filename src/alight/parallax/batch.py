@@ -24,6 +24,7 @@ from alight.settings import Parallax
 COARSE = 2  # cells of the sweep over cells of the grid
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
+LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not
 WITNESSES = 6  # pairs of views of one instant that are asked what moves
 
 
@@ -94,7 +95,7 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -
     if not len(asked):
         return np.zeros(grid.shape, np.uint16)
     samples = stack([images.get(int(i), coarse=False) for i in asked.ravel()], grid, fit.height)
-    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid)
+    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid, LEAST_VIEWS)
 
 
 def judged(

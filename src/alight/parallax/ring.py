@@ -77,8 +77,12 @@ class Ring:
 
     def restart(self) -> None:
         """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
-        self._kept, self._ratio, self._unknown = [], None, np.float32(np.nan)
-        self._alignment = Alignment(self._settings.ring)
+        self._kept, self._alignment = [], Alignment(self._settings.ring)
+        self.look_anew()
+
+    def look_anew(self) -> None:
+        """Believe nothing of the map until it was swept again."""
+        self._ratio, self._unknown = None, np.float32(np.nan)
 
     def _ready(self, view: View) -> Kept:
         return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)

@@ -41,6 +41,7 @@ __all__ = ["Decision", "Pipeline", "TimedPoses"]
 Tell = Callable[[str, float], None]  # stage, share done
 LAST_STEPS = 1000  # whose times are kept in flight
 FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
+FIND_BASELINE = 0.08  # of the height, that it takes in flight: at 97 m 4 m found a ground that was 36 m too high
 KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
 
 
@@ -70,6 +71,7 @@ class Pipeline:
         far: where the map puts what the vehicle has left behind: a file's mapping, `Forgotten`, or by default memory.
         history: keep what `finish` needs of a recording. Without it a flight may last for ever: the motions are
             those that were given out in flight, and none older than the keyframes that are held.
+        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
     """
 
     def __init__(
@@ -81,15 +83,17 @@ class Pipeline:
         clock: Callable[[], float] = lambda: 0.0,
         far: Far | None = None,
         history: bool = True,
+        appearance: terrain.Model | None = None,
     ) -> None:
         self._settings = settings
         self._clock = clock
         self._history = history
+        self._appearance = appearance
         self._navigation = _lane(rig, kind, settings, poses, history)
         self._everything = isinstance(self._navigation, BundleLane)
         self._recursive = settings.parallax.method == "ring" and not self._everything
         self._terrain = TerrainLane(settings, far)
-        self._store = FrameStore()
+        self._store, self._first_step = FrameStore(), FIRST_STEP
         self._motions: dict[int, Motion] = {}
         self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
 
@@ -116,7 +120,7 @@ class Pipeline:
         if self._everything:
             self._store.offer(frame, None, None)
         elif motion is not None and motion.state is not MotionState.LOST:
-            above = FIRST_STEP if self._terrain.ground is None else self._step(motion)
+            above = self._first_step if self._terrain.ground is None else self._step(motion)
             if self._store.offer(frame, motion, above):
                 self._grow()
             if self._store.bytes > self._settings.parallax.store_mb * 1_000_000:
@@ -124,14 +128,20 @@ class Pipeline:
 
     def _grow(self) -> None:
         """Find the ground first; then, in the recursive way, step the map with every keyframe."""
-        frames = self._store.frames
-        if self._terrain.ground is None:
-            if self._store.taken % FIND_EVERY or not self._terrain.learn(self._views()):
-                frames = []
-        else:
-            frames = frames[-1:]
+        look = self._store.taken % FIND_EVERY == 0
+        if not self._recursive:
+            if self._terrain.ground is None and look:
+                self._terrain.learn(self._views())
+        elif self._terrain.ground is not None:
+            self._advance(self._store.frames[-1:])
+            if self._terrain.beyond and look:
+                self._terrain.learn_anew(self._views_now(), FIND_BASELINE)
+        elif look and self._terrain.learn(self._views_now(), FIND_BASELINE):
+            self._advance(self._store.frames)
+        elif len(self._store.frames) >= KEPT_BY_RING:  # the height is not known, so the baseline that it takes is not
+            self._store.thin()
+            self._first_step *= 2
         if self._recursive:
-            self._advance(frames)
             self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
 
     def _advance(self, frames: list[Frame]) -> None:
@@ -150,6 +160,12 @@ class Pipeline:
 
     def _views(self) -> list[View]:
         return views_of(self._store.frames, self._motions, self._navigation.rig)
+
+    def _views_now(self) -> list[View]:
+        """The same in flight: with what is known of the last poses by now."""
+        newer = self._navigation.posterior()
+        motions = self._motions if newer is None else self._motions | {m.t_ns: m for m in newer.motions}
+        return views_of(self._store.frames, motions, self._navigation.rig)
 
     def _make_room(self) -> None:
         """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
@@ -211,7 +227,8 @@ class Pipeline:
                 warnings=warnings,
                 notes=notes,
             )
-        cover = terrain.classify(elevation, s.terrain) if s.terrain.enabled else None
+        cover = terrain.classify(elevation, s.terrain, self._appearance) if s.terrain.enabled else None
+        notes["terrain"] = terrain.says(elevation, s.terrain, self._appearance)
         start = self._timed("terrain", start)
         tell("judging", 0.4)
         danger = hazards.assess(elevation, cover, s.lander, s.hazards)

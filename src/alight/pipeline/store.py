@@ -41,6 +41,11 @@ class FrameStore:
         gone, self.frames = self.frames[:count], self.frames[count:]
         self.bytes -= sum(i.nbytes for f in gone for i in f.images if i is not None)
 
+    def thin(self) -> None:
+        """Forget every second frame, the newest not."""
+        gone, self.frames = self.frames[-2::-2], self.frames[::-1][::2][::-1]
+        self.bytes -= sum(i.nbytes for f in gone for i in f.images if i is not None)
+
 
 def views_of(frames: Iterable[Frame], motions: dict[int, Motion], rig: Rig) -> list[View]:
     """The images of frames as posed views; frames without a motion are left out."""

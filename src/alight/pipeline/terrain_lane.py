@@ -22,6 +22,8 @@ NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 CELL_OVER_PIXEL = 1.8
 SLACK = 0.15  # octaves that the cell may be off beyond the half before it changes: a level is not left by a gust
 MOST_POINTS = 20_000  # that say where the ground is
+LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
+BEYOND = 0.3  # share of a step's cells at an end of the range that asks for another
 LEAST_KNOWN = 400  # heights of the map that say it better
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
@@ -73,6 +75,7 @@ class TerrainLane:
     elevation: Elevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general
     below: float | None = None  # the same under the newest keyframe
+    beyond: bool = False  # most of the newest step's heights lie at an end of the searched range
     reason: str = ""  # why there is no map
     gauge: Gauge | None = None  # what all heights under the newest keyframe share
     _ring: Ring | None = None
@@ -80,8 +83,11 @@ class TerrainLane:
     _map: int | None = None  # the number of the poses that the ring holds
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
 
-    def learn(self, views: Sequence[View]) -> bool:
-        """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured."""
+    def learn(self, views: Sequence[View], least: float = 0.0) -> bool:
+        """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured.
+
+        `least`: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
+        """
         down = looking_down(views)
         if len(down) < 2:
             self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
@@ -93,6 +99,10 @@ class TerrainLane:
                 "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
             )
             return False
+        centres = np.array([v.centre for v in down])
+        if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
+            self.reason = "the aircraft hardly moved for its height, so no height can be measured"
+            return False
         self._points = np.concatenate([self._points, below])
         self._points = self._points[:: -(-len(self._points) // MOST_POINTS)]
         self.ground = float(np.median(self._points[:, 2]))
@@ -101,6 +111,15 @@ class TerrainLane:
             cell = self.settings.parallax.cell or nice_cell(sampling)
             self.elevation = Elevation(cell, self.settings.elevation.tile, self.far)
         return True
+
+    def learn_anew(self, views: Sequence[View], least: float) -> None:
+        """Find the ground again where it lies beyond what was searched; what was found there is looked at anew."""
+        known, self._points = self._points, np.empty((0, 3))
+        if not self.learn(views, least):
+            self._points = known
+        elif self._ring is not None:
+            self._ring.look_anew()
+        self.beyond = False
 
     def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
         """Heights to search: what the map knows there already counts as points, beside those near it."""
@@ -168,9 +187,8 @@ class TerrainLane:
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
             return False
-        if self.below is None:
-            self.below = self.ground
         newest = down[0]
+        self.below = min(self.ground if self.below is None else self.below, float(newest.centre[2]) - LEAST_HEIGHT)
         if self.settings.parallax.cell is None:
             self._level = level_for(ground_sampling(newest, self.below), self.elevation.cell, self._level)
         cell = self.elevation.cell_at(self._level)
@@ -199,6 +217,7 @@ class TerrainLane:
             return False
         self.gauge = found.gauge
         found = self._without_vague(found, up)
+        self.beyond = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > BEYOND)
         heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
         if len(heights) >= LEAST_KNOWN // 4:
             self.below = float(np.median(heights))

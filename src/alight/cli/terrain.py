@@ -1,0 +1,97 @@
+"""Models of what ground looks like: terrain train, terrain test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from alight.cli.app import VerboseOption, app, progress_bar, say
+from alight.records import InputError, OutputError
+
+if TYPE_CHECKING:
+    from alight.terrain.confusion import Confusion
+
+terrain = typer.Typer(no_args_is_help=True, help="Train and test the model of what ground looks like.")
+app.add_typer(terrain, name="terrain")
+
+SamplingOption = Annotated[
+    float, typer.Option("--gsd", min=0.001, max=1.0, help="Metres a pixel, where no index.csv says it.")
+]
+
+
+@terrain.command("train")
+def make(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="One folder of pictures a class: bare, water, ...")],
+    out: Annotated[Path, typer.Option("--out", metavar="MODEL", help="File for the model (.npz).")],
+    sampling: SamplingOption = 0.05,
+    verbose: VerboseOption = False,
+) -> None:
+    """Train a model on your own pictures, and test it on each site with that site left out."""
+    from alight.outputs.whole import write_whole
+    from alight.sources.library import model_bytes, read_library
+    from alight.terrain.train import train
+
+    if out.is_dir() or not out.parent.is_dir():
+        raise OutputError(f"{out}: not a file in a folder that exists; name one such as model.npz")
+    patches = read_library(folder, sampling)
+    with progress_bar() as tell:
+        try:
+            model, left_out = train(patches, lambda share: tell("training", share))
+        except ValueError as e:
+            raise InputError(f"{folder}: {e}") from e
+    write_whole(out, model_bytes(model))
+    say(model.provenance)
+    if left_out is None:
+        say("tested on nothing: all pictures are of one site; put those of another place into a folder of their own")
+    say(f"model: {out}")
+
+
+@terrain.command("test")
+def tell_how_well(
+    folder: Annotated[
+        Path | None, typer.Argument(metavar="[FOLDER]", help="One folder a class, or images/ with labels/.")
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", metavar="MODEL", help="A trained model; default: the package's own.")
+    ] = None,
+    leave_out: Annotated[
+        bool, typer.Option("--leave-out", help="Test each site with a model trained on the others.")
+    ] = False,
+    sampling: SamplingOption = 0.05,
+    verbose: VerboseOption = False,
+) -> None:
+    """Print what a model takes for what, by site. Without FOLDER: what the model knows of itself."""
+    from alight.sources.library import read_model
+    from alight.terrain.confusion import lines_of
+
+    if folder is None:
+        say(read_model(model).provenance)
+        return
+    for line in lines_of(_left_out(folder, sampling) if leave_out else _judged(folder, model, sampling)):
+        say(line)
+
+
+def _left_out(folder: Path, sampling: float) -> Confusion:
+    from alight.sources.library import read_library
+    from alight.terrain.train import elsewhere
+
+    patches = read_library(folder, sampling)
+    with progress_bar() as tell:
+        try:
+            return elsewhere(patches, lambda share: tell("testing", share))
+        except ValueError as e:
+            raise InputError(f"{folder}: {e}; put the pictures of each site into a folder of its own") from e
+
+
+def _judged(folder: Path, model: Path | None, sampling: float) -> Confusion:
+    from alight.sources.library import is_labelled, read_labelled, read_library, read_model
+    from alight.terrain.train import judge, judge_pixels
+
+    known = read_model(model)
+    if folder.is_dir() and is_labelled(folder):
+        return judge_pixels(known, read_labelled(folder), sampling)
+    patches = read_library(folder, sampling)
+    with progress_bar() as tell:
+        return judge(known, patches, lambda share: tell("testing", share))

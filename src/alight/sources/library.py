@@ -1,0 +1,205 @@
+"""Libraries of terrain pictures, and the models that were trained on them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from alight.records import U8, InputError, Terrain
+from alight.sources.images import UNREADABLE, image_size, read_image
+from alight.terrain.features import LEVELS, names
+from alight.terrain.model import Head, Model
+from alight.terrain.patches import Patch
+
+DEFAULT_MODEL = Path(__file__).parents[1] / "terrain" / "models" / "default.npz"
+PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
+SAMPLING = 0.05  # metres a pixel, where nothing says otherwise
+TILE = 4.8  # metres: larger pictures are cut into tiles of this side
+MOST_TILES = 25  # of one picture
+KINDS = {
+    Terrain.BARE: "bare gravel soil sand dirt",
+    Terrain.SHORT_GRASS: "short_grass grass lawn",
+    Terrain.TALL_VEGETATION: "tall_vegetation tall_grass vegetation shrub shrubs crop crops",
+    Terrain.TREE: "tree trees forest",
+    Terrain.WATER: "water",
+    Terrain.ROCK: "rock rocks boulder boulders",
+    Terrain.PAVED: "paved road asphalt concrete",
+    Terrain.STRUCTURE: "structure building buildings vehicle vehicles building_vehicle roof roofs car cars",
+}
+CODES = {name: kind for kind, known in KINDS.items() for name in known.split()}
+
+
+def kind_of(folder: str) -> Terrain | None:
+    """The class that a folder's name says: `water`, `5_water` or `5`; None when it says none."""
+    name = folder.lower().replace("-", "_").replace(" ", "_")
+    number, _, rest = name.partition("_")
+    if number.isdigit():
+        return Terrain(int(number)) if 1 <= int(number) <= max(Terrain) else CODES.get(rest)
+    return CODES.get(name)
+
+
+def _index(folder: Path) -> dict[str, dict[str, str]]:
+    """Rows of index.csv by file name; empty without one."""
+    path = folder / "index.csv"
+    if not path.exists():
+        return {}
+    try:
+        with path.open(encoding="utf-8", newline="") as f:
+            return {row["file"]: row for row in csv.DictReader(f)}
+    except (OSError, UnicodeDecodeError, csv.Error, KeyError) as e:
+        raise InputError(f"{path}: not a table with the columns file, site, gsd_m; mend it or take it away") from e
+
+
+def _sampling(row: dict[str, str], usual: float, path: Path) -> float:
+    text = row.get("gsd_m") or ""
+    try:
+        value = float(text) if text else usual
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 100:
+        raise InputError(f"{path}: gsd_m in index.csv is {text!r}; give metres a pixel such as 0.05")
+    return value
+
+
+def _tiles(rgb: U8, sampling: float) -> Iterator[U8]:
+    """The picture, or tiles spread over it when it is much larger than one."""
+    side = max(8, round(TILE / sampling))
+    if min(rgb.shape[:2]) < 2 * side:
+        yield rgb
+        return
+    many = int(np.sqrt(MOST_TILES))
+    rows, cols = (np.unique(np.linspace(0, n - side, min(many, n // side)).astype(int)) for n in rgb.shape[:2])
+    for r in rows:
+        for c in cols:
+            yield np.ascontiguousarray(rgb[r : r + side, c : c + side])
+
+
+def read_picture(path: Path) -> U8:
+    """A picture as RGB.
+
+    Raises:
+        InputError: it cannot be read or is grey.
+    """
+    try:
+        rgb = read_image(path, image_size(path))
+    except UNREADABLE as e:
+        raise InputError(
+            f"{path}: not a readable picture ({' '.join(str(e).split())}); copy it again or take it away"
+        ) from e
+    if rgb.ndim != 3:
+        raise InputError(f"{path}: grey; terrain is learned from colour pictures, take it away")
+    return rgb
+
+
+def _pictures(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and p.is_file())
+
+
+def read_library(folder: Path, usual: float = SAMPLING) -> list[Patch]:
+    """Patches of a folder that has one folder a class.
+
+    A picture's site is what index.csv says, else the folder between it and its class's folder, else one for all.
+
+    Args:
+        folder: `bare/`, `water/`, ... or with their codes, `5_water/`; index.csv (file, site, gsd_m) is optional.
+        usual: metres a pixel where index.csv does not say.
+
+    Raises:
+        InputError: no folder is named for a class, one has no pictures, or a picture cannot be read.
+    """
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; name one that has a folder of pictures for each class")
+    index, patches = _index(folder), []
+    for sub in sorted(p for p in folder.iterdir() if p.is_dir()):
+        kind = kind_of(sub.name)
+        if kind is None:
+            continue
+        found = _pictures(sub)
+        if not found:
+            raise InputError(f"{sub}: no pictures (jpg, png, tif); add some or take the folder away")
+        for path in found:
+            name = path.relative_to(folder).as_posix()
+            row = index.get(name, {})
+            between = path.parent.relative_to(sub).parts
+            site = row.get("site") or (between[0] if between else "all")
+            sampling = _sampling(row, usual, path)
+            patches += [Patch(t, sampling, int(kind), site, name) for t in _tiles(read_picture(path), sampling)]
+    if not patches:
+        known = ", ".join(k.name.lower() for k in KINDS)
+        raise InputError(f"{folder}: no folder in it is named for a class; name them {known}")
+    return patches
+
+
+def is_labelled(folder: Path) -> bool:
+    """Whether a folder holds pictures with a label a pixel instead of a folder a class."""
+    return (folder / "images").is_dir() and (folder / "labels").is_dir()
+
+
+def read_labelled(folder: Path) -> Iterator[tuple[str, U8, U8]]:
+    """Name, picture and (H, W) Terrain codes of every picture in `images/` with a label in `labels/`.
+
+    Raises:
+        InputError: there is none, one cannot be read, or the two differ in size.
+    """
+    labels = {p.stem: p for p in _pictures(folder / "labels")}
+    both = [p for p in _pictures(folder / "images") if p.stem in labels]
+    if not both:
+        raise InputError(f"{folder}: no picture in images/ has one of the same name in labels/")
+    for path in both:
+        rgb, where = read_picture(path), labels[path.stem]
+        try:
+            label = read_image(where, image_size(where))
+        except UNREADABLE as e:
+            raise InputError(f"{where}: not a readable picture; copy it again or take it away") from e
+        if label.shape != rgb.shape[:2] or label.max() > max(Terrain):
+            raise InputError(f"{where}: needs one grey value a pixel of {path.name}, the code of its class (0 to 8)")
+        yield path.stem, rgb, label
+
+
+def model_bytes(model: Model) -> bytes:
+    """The model as a plain NumPy archive."""
+    arrays: dict[str, Any] = {"classes": model.classes, "provenance": np.array(model.provenance)}
+    for level, head in enumerate(model.heads):
+        if head is not None:
+            arrays[f"{level}.names"] = np.array(names(level))
+            arrays |= {f"{level}.{f.name}": np.asarray(getattr(head, f.name), np.float32) for f in fields(Head)}
+    out = io.BytesIO()
+    np.savez_compressed(out, **arrays)
+    return out.getvalue()
+
+
+def read_model(path: Path | None = None) -> Model:
+    """A model from its file; without a name the one that comes with the package.
+
+    Raises:
+        InputError: it is missing, is no model, or was trained for other features.
+    """
+    path = path or DEFAULT_MODEL
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as z:
+            heads = tuple(_head(z, level) for level in range(LEVELS))
+            classes, provenance = z["classes"].astype(np.uint8), str(z["provenance"])
+    except OSError as e:
+        raise InputError(
+            f"{path}: cannot be read ({e.strerror or 'no model'}); name a file of 'alight terrain train'"
+        ) from e
+    except (KeyError, ValueError, zipfile.BadZipFile, EOFError) as e:
+        raise InputError(f"{path}: no model of this version; make one with 'alight terrain train'") from e
+    return Model(classes, heads, provenance)
+
+
+def _head(z: np.lib.npyio.NpzFile, level: int) -> Head | None:
+    if f"{level}.names" not in z:
+        return None
+    if tuple(z[f"{level}.names"]) != names(level):
+        raise ValueError("other features")
+    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"] for f in fields(Head)}
+    numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
+    return Head(**numbers)

@@ -1,0 +1,104 @@
+"""A table of what was taken for what, by site, and what it means for landing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F64, LANDABLE, U8, Terrain
+
+MOST = 0.05  # hazards called safe, at most: the share that is asked for
+
+
+@dataclass(frozen=True, eq=False)
+class Confusion:
+    """Truth against verdict; N patches or blocks, K classes that the model knows."""
+
+    kinds: U8  # (N,) true Terrain codes
+    sites: NDArray[np.str_]  # (N,)
+    classes: U8  # (K,)
+    log_p: F64  # (N, K)
+
+    def where(self, rows: NDArray[np.bool_]) -> Confusion:
+        """Some of the rows."""
+        return Confusion(self.kinds[rows], self.sites[rows], self.classes, self.log_p[rows])
+
+    @property
+    def said(self) -> U8:
+        """(N,) the likeliest class."""
+        return np.asarray(self.classes[self.log_p.argmax(axis=1)])
+
+    @property
+    def landable(self) -> F64:
+        """(N,) probability of ground that may be landed on."""
+        return np.asarray(np.exp(self.log_p)[:, np.isin(self.classes, LANDABLE)].sum(axis=1))
+
+    @property
+    def safe(self) -> NDArray[np.bool_]:
+        """(N,) truly of a kind that may be landed on."""
+        return np.isin(self.kinds, LANDABLE)
+
+    def accuracy(self) -> float:
+        """Share of the verdicts that are right."""
+        return float((self.said == self.kinds).mean())
+
+    def macro_recall(self) -> float:
+        """Mean over the true classes of the share that was recognised."""
+        return float(np.mean([(self.said == k)[self.kinds == k].mean() for k in np.unique(self.kinds)]))
+
+    def hazards_called_safe(self, least: float) -> float:
+        """Share of the hazards whose probability of landable ground is at least so."""
+        return _share(self.landable >= least, ~self.safe)
+
+    def safe_refused(self, least: float) -> float:
+        """Share of the landable ground whose probability is below."""
+        return _share(self.landable < least, self.safe)
+
+    def least_for(self, share: float) -> float:
+        """The least probability that lets no more than this share of the hazards pass as safe."""
+        hazards = self.landable[~self.safe]
+        return float(np.nextafter(np.quantile(hazards, 1 - share, method="higher"), 2.0)) if len(hazards) else 0.5
+
+
+def _share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
+    return float((part & whole).sum() / whole.sum()) if whole.any() else float("nan")
+
+
+def _table(c: Confusion) -> Iterator[str]:
+    columns = [Terrain(k).name.lower() for k in c.classes]
+    yield f"{'true, patches':<24}" + "".join(f"{n[:9]:>10}" for n in columns)
+    for k in np.unique(c.kinds):
+        said = c.said[c.kinds == k]
+        yield f"{f'{Terrain(k).name.lower()}, {len(said)}':<24}" + "".join(
+            f"{(said == n).sum():10d}" for n in c.classes
+        )
+
+
+def _percent(share: float) -> str:
+    return "-" if np.isnan(share) else f"{100 * share:.0f} %"
+
+
+def lines_of(c: Confusion) -> Iterator[str]:
+    """The report as lines: the table of each site, then all together."""
+    for site in np.unique(c.sites):
+        here = c.where(c.sites == site)
+        yield f"site {site}"
+        yield from _table(here)
+        yield from _summary(here, 0.5)
+        yield ""
+    yield "all sites"
+    yield from _table(c)
+    yield f"accuracy {c.accuracy():.2f}, mean recall of the classes {c.macro_recall():.2f}"
+    yield from _summary(c, 0.5)
+    if not c.safe.all():
+        yield from _summary(c, c.least_for(MOST))
+
+
+def _summary(c: Confusion, least: float) -> Iterator[str]:
+    yield (
+        f"asking P(landable) >= {least:.2f}: hazards called safe {_percent(c.hazards_called_safe(least))}, "
+        f"safe ground refused {_percent(c.safe_refused(least))}"
+    )

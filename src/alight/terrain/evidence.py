@@ -1,0 +1,89 @@
+"""What the map itself says of its cover: shape, matching and texture, weighed together (docs/method-ground.md, T1).
+
+No colour and no library: this is what is left when the pictures look like nothing known, and what an appearance may
+only take from.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.records import F32, REFUSED, ElevationMap, Flag
+from alight.terrain.appearance import Appearance, seen, smooth
+from alight.terrain.relief import Relief
+from alight.terrain.weights import BIAS, WEIGHTS
+
+CLIP = np.float32(4.0)
+
+
+def _log(values: F32, floor: float) -> F32:
+    return np.asarray(np.log(np.nan_to_num(values) + np.float32(floor)), np.float32)
+
+
+def _against(values: F32, looked: F32) -> F32:
+    """Relative to the median of the frame: what a camera and a height change for all cells alike cancels."""
+    known = values[looked > 0]
+    return np.asarray(values - np.float32(np.median(known) if known.size else 0.0), np.float32)
+
+
+def _ramp(values: F32, low: float, high: float) -> F32:
+    out: F32 = np.nan_to_num(np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)).astype(np.float32)
+    return out
+
+
+def plants(look: Appearance, shape: Relief, restless: F32) -> F32:
+    """Signs of tall plants that go together (G16): rough to the eye, rough or raised in height, green, restless."""
+    busy = _ramp(look.texture, 0.055, 0.09)
+    high = np.maximum(_ramp(shape.above, 0.15, 0.5), _ramp(shape.rough, 0.04, 0.10))
+    tone = _ramp(look.green, 0.06, 0.14) * np.float32(look.coloured)
+    return np.asarray(3.5 * busy + 3.0 * high + 2.0 * tone + 2.0 * restless - 5.0, np.float32)
+
+
+def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str, F32]:
+    """The evidence of every cell, (R, C) each, as the names of `weights` (T1)."""
+    cell, looked = elevation.grid.cell, seen(elevation).astype(np.float32)
+    measured = np.isfinite(elevation.height).astype(np.float32) * looked
+    height = np.nan_to_num(elevation.height)
+
+    def near(values: F32, metres: float) -> F32:
+        mean = smooth(np.nan_to_num(values).astype(np.float32), looked, metres / cell)
+        return np.asarray(np.nan_to_num(mean), np.float32)
+
+    def rough(metres: float) -> F32:
+        off: F32 = height - np.nan_to_num(smooth(height, measured, metres / cell))
+        return _log(np.sqrt(np.nan_to_num(smooth(off * off, measured, metres / cell))), 0.01)
+
+    def flagged(flags: int) -> F32:
+        return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
+
+    usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
+    standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
+    restless, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
+    residual, busy = _log(near(elevation.residual, 0.5), 0.02), _log(look.texture, 0.01)
+    return {
+        "rough 0.3 m": rough(0.3),
+        "rough 1 m": rough(1.0),
+        "above": np.nan_to_num(shape.above).clip(-1, 6),
+        "standing": near(standing, 0.3).clip(-2, 8),
+        "residual": residual,
+        "residual against the frame": _against(residual, looked),
+        "residual 2 m": _log(near(elevation.residual, 2.0), 0.02),
+        "sigma": _log(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
+        "restless 2 m": near(restless, 2.0),
+        "unsure": near(flagged(Flag.UNSURE), 0.5),
+        "refused 2 m": near(refused, 2.0),
+        "texture": busy,
+        "texture against the frame": _against(busy, looked),
+        "plants": plants(look, shape, restless),
+    }
+
+
+def weighed(found: dict[str, F32]) -> F32:
+    """Log odds of the classes but for a constant, (R, C, 8) for codes 1 to 8 (T2)."""
+    shape = next(iter(found.values())).shape
+    out = np.broadcast_to(np.asarray(BIAS, np.float32), (*shape, len(BIAS))).copy()
+    for name, values in found.items():
+        usual, spread, weights = WEIGHTS[name]
+        z = ((values - np.float32(usual)) / np.float32(spread)).clip(-CLIP, CLIP)
+        out += z[..., None] * np.asarray(weights, np.float32)
+    return out

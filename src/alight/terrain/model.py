@@ -1,0 +1,88 @@
+"""From what ground looks like to how likely each class looks so; far from everything learned it says nothing.
+
+A linear classifier on few numbers (docs/method-ground.md, T4): 1,400 labelled patches of four places carry no more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F32, U8
+from alight.terrain.features import against, frame_of, look
+
+Real = TypeVar("Real", np.float32, np.float64)
+
+CLIP = 4.0  # standard deviations beyond which a feature counts no further
+
+
+@dataclass(frozen=True, eq=False)
+class Head:
+    """The classifier of one level; F features, K classes."""
+
+    mean: F32  # (F,)
+    spread: F32  # (F,)
+    weights: F32  # (K, F)
+    bias: F32  # (K,)
+    centres: F32  # (K, F) of the classes, standardised
+    metric: F32  # (F, F) inverse covariance within the classes
+    reach: float  # squared distance to the nearest centre that is usual
+    temperature: float  # by which the evidence is too sure on places left out
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A trained model of appearance: one head a level, None for levels that the library cannot fill."""
+
+    classes: U8  # (K,) Terrain codes that it knows
+    heads: tuple[Head | None, ...]
+    provenance: str = ""  # what it was trained on and how well it does on places left out
+
+
+def standardised(head: Head, features: F32) -> F32:
+    """Features (N, F) without unit."""
+    z: F32 = np.clip((features - head.mean) / head.spread, -CLIP, CLIP).astype(np.float32)
+    return z
+
+
+def distance(head: Head, z: F32) -> F32:
+    """Squared distance a feature to the nearest class, (N,), 1 for what is usual."""
+    each = [np.einsum("nf,fg,ng->n", z - c, head.metric, z - c, optimize=True) for c in head.centres]
+    return np.asarray(np.min(each, axis=0) / head.reach, dtype=np.float32)
+
+
+def scores(head: Head, features: F32) -> F32:
+    """Evidence for each class before the temperature, (N, K): it fades with the distance from what was learned (T4)."""
+    z = standardised(head, features)
+    fading = 1 / (1 + np.maximum(distance(head, z) - 1, 0))
+    out: F32 = ((z @ head.weights.T + head.bias) * fading[:, None]).astype(np.float32)
+    return out
+
+
+def log_softmax(values: NDArray[Real]) -> NDArray[Real]:
+    """Logarithms of probabilities that are proportional to exp(values) along the last axis."""
+    shifted = values - values.max(axis=-1, keepdims=True)
+    out: NDArray[Real] = shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
+    return out
+
+
+def log_probability(head: Head, features: F32) -> F32:
+    """Log probability of each class, all equally likely before; (N, K)."""
+    return log_softmax(scores(head, features) / np.float32(head.temperature))
+
+
+def evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
+    """Log probability of each class a block of a picture, (r, c, K), all classes equally likely before.
+
+    The picture is its own frame (T3). NaN where too little was seen; None where the pixels are too coarse.
+    """
+    found = look(rgb, sampling, seen)
+    head = model.heads[found.level] if found else None
+    if found is None or head is None:
+        return None
+    flat = found.values.reshape(-1, found.values.shape[2])
+    relative = against(flat, frame_of(flat, found.level))
+    return log_probability(head, relative).reshape(*found.values.shape[:2], -1)

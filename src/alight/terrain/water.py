@@ -1,0 +1,95 @@
+"""Water by its shape and look: what the bed of a clear pond betrays (docs/method-ground.md, G13 to G15)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F32, ElevationMap, Flag
+from alight.settings import TerrainSettings
+from alight.terrain.appearance import Appearance, seen, smooth
+from alight.terrain.patchwork import without_specks
+from alight.terrain.relief import Relief
+
+Bool = NDArray[np.bool_]
+
+
+def _ramp(values: F32, low: float, high: float) -> F32:
+    """0 below `low`, 1 above `high`, straight between; no evidence (NaN) is 0."""
+    out: F32 = np.nan_to_num(np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)).astype(np.float32)
+    return out
+
+
+def _moving(elevation: ElevationMap) -> F32:
+    """Share of the cells about each that do not hold still: the parallax flags of water and swaying plants."""
+    looked = seen(elevation).astype(np.float32)
+    restless = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
+    share: F32 = np.nan_to_num(smooth(restless.astype(np.float32), looked, 0.5 / elevation.grid.cell))
+    return share
+
+
+def wet_look(look: Appearance) -> F32:
+    """How much a cell looks like water, 0 to 1: smooth, and neither brown nor green. A car park does too."""
+    plain = 1 - _ramp(look.texture, 0.03, 0.06)
+    tone = _ramp(look.cool, -0.075, -0.04) * (1 - _ramp(look.green, 0.11, 0.16))
+    out: F32 = plain * tone * np.float32(look.coloured)
+    return out
+
+
+def wetness(elevation: ElevationMap, look: Appearance) -> F32:
+    """How much the surroundings of a cell look like water, 0 to 1."""
+    weight = seen(elevation).astype(np.float32)
+    out: F32 = np.nan_to_num(smooth(np.nan_to_num(wet_look(look)), weight, 0.5 / elevation.grid.cell))
+    return out
+
+
+def water_odds(look: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
+    """Log odds of water (G14): a closed basin, the look of water, restless; any two strong ones do."""
+    d = settings.basin_depth
+    basin = _ramp(shape.depth, d / 2, 1.5 * d)
+    plain = 1 - _ramp(look.texture, 0.03, 0.06)
+    odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * wet_look(look) + 3.0 * moving).astype(np.float32)
+    return odds
+
+
+def _grown(seed: Bool, into: Bool) -> Bool:
+    """The connected parts of `into` that hold a seed."""
+    labels = cv2.connectedComponents((into | seed).astype(np.uint8), connectivity=8)[1]
+    return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
+
+
+def flooded(odds: F32, wet: F32, bed: F32, cell: float) -> Bool:
+    """Spread water over what must be wet too (G15).
+
+    First to what looks alike and hangs together with it; then to all that hangs together with it and lies lower,
+    because the surface of a pond is level: this closes the gaps where the bed looks like the shore. Water that would
+    run over far more ground than it covers cannot stand there: then the second step is left out.
+
+    Args:
+        odds: (R, C) log odds of water.
+        wet: (R, C) how much a cell looks like water.
+        bed: (R, C) metres, smoothed heights, NaN = unknown.
+        cell: metres.
+    """
+    seed = without_specks(odds > 0, cell, 1.0)
+    out = np.zeros_like(seed)
+    alike = _grown(seed, wet > 0.4)
+    count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
+    for i in range(1, count):
+        pond = labels == i
+        known = pond & np.isfinite(bed)
+        if not known.any():
+            out |= pond
+            continue
+        lower = _grown(pond, bed <= np.percentile(bed[known], 95))
+        out |= lower if lower.sum() <= 2 * pond.sum() else pond
+    return out
+
+
+def ponds(elevation: ElevationMap, look: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Bool:
+    """(R, C): what is water by its basin, its look and its restlessness, and what hangs together with it."""
+    cell = elevation.grid.cell
+    odds = water_odds(look, shape, _moving(elevation), settings)
+    near = smooth(odds, seen(elevation).astype(np.float32), 0.2 / cell)
+    return flooded(near, wet, shape.level - shape.depth, cell)
