@@ -185,40 +185,32 @@ def veil(visible: U8, samples: F32) -> None:
 
 
 @kernel
-def _fuse_row(
-    h: F32,
-    s: F32,
-    f: U16,
-    v: U8,
-    e: F32,
-    h0: F32,
-    s0: F32,
-    f0: U16,
-    v0: U8,
-    e0: F32,
-    ring: np.float32,
-    worse: np.float32,
-) -> None:
+def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, ring: np.float32, worse: np.float32, keep: F32) -> None:
     for c in range(h.size):
         was = s0[c] if s0[c] > LEAST else LEAST
         now = s[c] if s[c] > LEAST else LEAST
         old = h0[c] == h0[c]
-        keep = old & ((h[c] != h[c]) | ~(s[c] < worse * was))
+        stays = old & ((h[c] != h[c]) | ~(s[c] < worse * was))
         d = h[c] - h0[c]
         agree = old & (d * d < np.float32(9) * (was * was + now * now))
         weight_old, weight_new = ONE / (was * was), ONE / (ring * now * now)
-        total = weight_old + weight_new
-        mean = (weight_old * h0[c] + weight_new * h[c]) / total
-        spread = ONE / np.sqrt(total)
+        inverse = ONE / (weight_old + weight_new)
+        mean = (weight_old * h0[c] + weight_new * h[c]) * inverse
+        spread = np.sqrt(inverse)
         least = np.float32(0.6) * s[c]
         spread = spread if spread > least else least
         height = mean if agree else h[c]
         spread = spread if agree else s[c]
-        h[c] = h0[c] if keep else height
-        s[c] = s0[c] if keep else spread
-        f[c] = f0[c] if keep else f[c]
-        v[c] = v0[c] if keep else v[c]
-        e[c] = e0[c] if keep else e[c]
+        keep[c] = ONE if stays else ZERO
+        h[c] = h0[c] if stays else height
+        s[c] = s0[c] if stays else spread
+
+
+@kernel
+def _keep_row(keep: F32, new: F32, old: F32) -> None:
+    """For any type; apart from the heights, because loops over many types do not become vector code."""
+    for c in range(new.size):
+        new[c] = old[c] if keep[c] > ZERO else new[c]
 
 
 @parallel_kernel
@@ -232,7 +224,8 @@ def fuse(
     new one stands. A look whose sigma is `worse` times the map's changes nothing.
     """
     for r in prange(height.shape[0]):
-        _fuse_row(
-            height[r], sigma[r], flags[r], views[r], residual[r], height0[r], sigma0[r], flags0[r], views0[r],
-            residual0[r], np.float32(ring), np.float32(worse),
-        )  # fmt: skip
+        keep = np.empty(height.shape[1], np.float32)
+        _fuse_row(height[r], sigma[r], height0[r], sigma0[r], np.float32(ring), np.float32(worse), keep)
+        _keep_row(keep, flags[r], flags0[r])
+        _keep_row(keep, views[r], views0[r])
+        _keep_row(keep, residual[r], residual0[r])

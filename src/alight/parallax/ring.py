@@ -117,7 +117,8 @@ class Ring:
         """
         ratio = self._carried(grid)
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
-        known = replace(known, height=known.height + self.plane_on(grid))
+        if self.plane.any():
+            known = replace(known, height=known.height + self.plane_on(grid))
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
         seen = refine.sight(fine, grid, known.height)
@@ -142,10 +143,11 @@ class Ring:
         out = np.full(grid.shape, self._unknown, np.float32)
         if self._ratio is not None:
             old, values = self._ratio
-            x, y = grid.xy()
-            row, col = (np.rint(i).astype(int) for i in old.index(x, y))
-            r, c = (row >= 0) & (row < old.rows), (col >= 0) & (col < old.cols)
-            out[np.ix_(r, c)] = values[np.ix_(row[r], col[c])]
+            (row, r), (col, c) = (_shared(*i) for i in zip(old.index(*grid.xy()), old.shape, strict=True))
+            if r.size and c.size:
+                same = old.cell == grid.cell  # then both are ranges, and views are copied fast
+                there = values[row[0] : row[-1] + 1, col[0] : col[-1] + 1] if same else values[np.ix_(row, col)]
+                out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
     def _first_look(
@@ -203,6 +205,13 @@ class Ring:
                 take &= only[where]
             np.copyto(out[where], picture_at(view, fine, mapx, mapy), where=take[..., None])
         return out
+
+
+def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which of `size` rows (or columns) those of another grid are, (K,), and which of that other grid have one."""
+    nearest = np.rint(index).astype(np.intp)
+    has = np.flatnonzero((nearest >= 0) & (nearest < size))
+    return nearest[has], has
 
 
 def shift_of(apart: F32, per_px: F32) -> np.float32:
