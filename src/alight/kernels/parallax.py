@@ -16,8 +16,8 @@ U8 = NDArray[np.uint8]
 I64 = NDArray[np.int64]
 
 UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
-BAND = 32  # rows a thread takes at once
-CHUNK = 128  # columns of them
+BAND = 24  # rows a thread takes at once
+CHUNK = 640  # columns of them
 STRIDE = CHUNK + 4  # with two neighbours on either side
 F = np.float32
 Three = tuple[np.float32, np.float32, np.float32]

@@ -12,7 +12,7 @@ U8 = NDArray[np.uint8]
 
 Two = tuple[np.float32, np.float32]
 
-BAND, CHUNK = 32, 128  # rows and columns of cells that a thread takes at once
+BAND, CHUNK = 24, 640  # rows and columns of cells that a thread takes at once
 REACH = 3  # cells to the farthest neighbour
 STRIDE = CHUNK + 2 * REACH
 CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell

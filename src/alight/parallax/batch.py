@@ -17,7 +17,7 @@ from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
 from alight.parallax.edges import sharpen
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare, stack
+from alight.parallax.views import Prepared, choose, coarser, maps, prepare, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
@@ -49,8 +49,8 @@ class Images:
         """View `index` at the cell of the grid, or of the sweep."""
         key = (index, coarse)
         if key not in self._ready:
-            cell = self.cell * COARSE if coarse else self.cell
-            self._ready[key] = prepare(self.views[index], cell, self.height)
+            fine = None if not coarse else self.get(index, coarse=False)
+            self._ready[key] = coarser(fine) if fine else prepare(self.views[index], self.cell, self.height)
             while len(self._ready) > 2 * self._keep:
                 self._ready.popitem(last=False)
         self._ready.move_to_end(key)

@@ -19,7 +19,7 @@ from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Buffers, maps, prepare
+from alight.parallax.views import Buffers, coarser, maps, prepare
 from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
 
@@ -31,7 +31,7 @@ UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
 SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
 SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
-BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
+BELOW = 0.06  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
 
@@ -85,7 +85,8 @@ class Ring:
         self._ratio, self._unknown = None, np.float32(np.nan)
 
     def _ready(self, view: View) -> Kept:
-        return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)
+        fine = prepare(view, self._cell, self._ground)
+        return view, fine, coarser(fine)
 
     def push(self, views: list[View], poses: PoseRing | None = None) -> None:
         """Take the images of one exposure, late or not; the one that is missed least leaves.

@@ -30,7 +30,7 @@ BESIDE = 0.1  # of the square of what neighbours lie off beyond two sigma
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 NEAR = 5  # cells of half resolution: what is nearby
-MAX_DOUBT = 0.5  # probability of a wrong match that is still given out
+MAX_DOUBT = 0.45  # probability of a wrong match that is still given out
 
 # Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
 # means the same for any camera and height. Between what bench/doubt.py fits on simulated flights, where the second-best

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -32,6 +32,7 @@ class Prepared:
     b: F64  # (3,) image of the vertical (eq. 2)
     centre: F64  # (3,) metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
+    ratio: float  # pixels a cell spans
 
     @property
     def intrinsics(self) -> F64:
@@ -75,10 +76,21 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
 def prepare(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
+    H, b = ground_projection(camera, view.world_from_cam)
+    norm = _normalised(grey, ratio)
+    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio)
+
+
+def _normalised(grey: F32, ratio: float) -> F32:
     norm = np.empty_like(grey)
     normalise(grey, int(NORM_CELLS * max(ratio, 1.0)) // 2, NORM_FLOOR, norm)
-    H, b = ground_projection(camera, view.world_from_cam)
-    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera))
+    return norm
+
+
+def coarser(fine: Prepared) -> Prepared:
+    """Return the same view for cells of twice the size, at half the pixels."""
+    grey = cv2.resize(fine.grey, (fine.grey.shape[1] // 2, fine.grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=fine.camera.scaled(0.5))
 
 
 class Buffers:
