@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from alight.kernels import trust
 
 ROWS, COLS, N = 13, 17, 5
-BITS = (1, 2, 4, 8, 16)
+BITS = (1, 2, 4, 8)
 
 
 def numbers(seed: int, low: float, high: float, holes: float = 0.0) -> np.ndarray:
@@ -26,27 +26,47 @@ def whole(seed: int, below: int, kind: type = np.uint8) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, below, (ROWS, COLS)).astype(kind)
 
 
+def halves(seed: int, low: float, high: float) -> np.ndarray:
+    return numbers(seed, low, high)[: -(-ROWS // 2), : -(-COLS // 2)].copy()
+
+
+def enlarged(half: np.ndarray) -> np.ndarray:
+    return np.repeat(np.repeat(half, 2, axis=0), 2, axis=1)[:ROWS, :COLS]
+
+
+def pool_input() -> tuple[np.ndarray, ...]:
+    even = np.s_[: ROWS // 2 * 2, : COLS // 2 * 2]
+    all_of = numbers(1, -1, 1, 0.2), numbers(2, -1, 1, 0.2), numbers(3, 0, 0.1), numbers(4, 0, 200), numbers(5, 0.1, 1)
+    return tuple(np.ascontiguousarray(a[even]) for a in all_of)
+
+
+def run_pool() -> tuple[np.ndarray, ...]:
+    out = np.full((8, ROWS // 2, COLS // 2), -9, np.float32)
+    trust.pool(*pool_input(), 0.25, out)
+    return tuple(out)
+
+
 def sigma_input() -> tuple[np.ndarray, ...]:
     precision = np.where(whole(3, 5) == 0, np.float32(0), numbers(4, 10, 200))
-    return numbers(1, -1, 1, 0.2), numbers(2, 0.01, 0.1), precision, numbers(5, 0.05, 0.2), numbers(6, 0, 0.01)
+    half = np.stack([halves(6, 0, 0.01), halves(7, -2, -0.5), halves(8, 0.5, 2)])
+    return numbers(1, -1, 1, 0.2), numbers(2, 0.01, 0.1), precision, half
 
 
 def run_sigma() -> tuple[np.ndarray, ...]:
     out = np.full((ROWS, COLS), -9, np.float32)
-    trust.sigma(*sigma_input(), 0.1, 0.03, out)
+    trust.sigma(*sigma_input(), 0.4, 0.03, 0.1, out)
     return (out,)
 
 
 def flag_input() -> tuple[np.ndarray, ...]:
     near = whole(10, 2, np.uint16)[: -(-ROWS // 2), : -(-COLS // 2)] * np.uint16(64)
-    precision = np.where(whole(13, 5) == 0, np.float32(0), numbers(4, 10, 200))
-    return near, numbers(1, -2, 2, 0.2), whole(11, 5), whole(12, 5), precision, numbers(14, 0, 0.4), numbers(15, 0, 0.1)
+    return near, halves(14, 0, 1), numbers(1, -2, 2, 0.2), whole(11, 5), whole(12, 5), numbers(4, 0.1, 1, 0.3)
 
 
 def run_flag() -> tuple[np.ndarray, ...]:
-    out = np.full((ROWS, COLS), 9999, np.uint16)
-    trust.flag(*flag_input(), (-1.5, 1.4, 0.16), BITS, out)
-    return (out,)
+    share, out = np.full((ROWS, COLS), -9, np.float32), np.full((ROWS, COLS), 9999, np.uint16)
+    trust.flag(*flag_input(), -1.5, 1.4, BITS, share, out)
+    return share, out
 
 
 def veil_input() -> tuple[np.ndarray, np.ndarray]:
@@ -85,28 +105,43 @@ def run_fuse() -> tuple[np.ndarray, ...]:
     return tuple(new)
 
 
+def test_pool() -> None:
+    h, mean, noise, precision, per_px = (a.astype(np.float64) for a in pool_input())
+    fours = [np.stack([a[i::2, j::2] for i in (0, 1) for j in (0, 1)]) for a in (h, mean, noise, precision)]
+    h, mean = np.where(np.isnan(fours[0]), 0.25, fours[0]), np.nan_to_num(fours[1])
+    fitted = np.minimum(fours[2] / (fours[3] * per_px[::2, ::2] ** 2 + 1e-12), 25.0)
+    want = (h.min(0), h.max(0), h.mean(0), h.var(0), mean.mean(0), (mean**2).mean(0), fours[2].mean(0), fitted.mean(0))
+    for got, w in zip(run_pool(), want, strict=True):
+        assert_allclose(got, w, rtol=1e-4, atol=1e-6)
+
+
 def test_sigma() -> None:
-    h, noise, precision, per_px, rough2 = (a.astype(np.float64) for a in sigma_input())
+    h, noise, precision, half = (a.astype(np.float64) for a in sigma_input())
+    rough2, low, high = (enlarged(a) for a in half)
     with np.errstate(divide="ignore"):
-        want = np.sqrt(2 * noise / precision + (0.1 * per_px) ** 2 + 0.03**2 + rough2)
-    want[np.isnan(h) | (precision == 0)] = np.nan
+        variance = 0.4 * noise / precision + 0.03**2 + rough2
+        beyond = np.maximum(np.maximum(h - low, high - h) - 2 * np.sqrt(variance), 0)
+        want = np.sqrt(variance + 0.1 * beyond**2)
+    want[precision == 0] = np.nan
+    assert (beyond > 0).any()
     assert_allclose(run_sigma()[0], want, rtol=1e-5, equal_nan=True)
 
 
 def test_flag() -> None:
-    near, h, seen, used, precision, texture, noise = flag_input()
-    want = np.repeat(np.repeat(near, 2, axis=0), 2, axis=1)[:ROWS, :COLS].copy()
+    near, share, h, seen, used, sigma = flag_input()
+    want = enlarged(near).copy()
     marks = (
         np.isnan(h) | (seen < 2),
-        (used < 2) | (precision == 0),
+        (used < 2) | (np.isnan(sigma) & np.isfinite(h)),
         seen < 3,
-        texture + noise < 0.16,
         (h < -1.5) | (h > 1.4),
     )
     for where, bit in zip(marks, BITS, strict=True):
         assert where.any()
         want[where] |= np.uint16(bit)
-    assert_array_equal(run_flag()[0], want)
+    got = run_flag()
+    assert_array_equal(got[0], enlarged(share))
+    assert_array_equal(got[1], want)
 
 
 def test_veil_hides_views_unless_only_one_would_be_left() -> None:
@@ -136,7 +171,7 @@ def test_fuse() -> None:
 # -- threads
 
 CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
-    "sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
+    "pool": run_pool, "sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
 }  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,34 +63,36 @@ def winner(total: F64, cost: F64, count: NDArray[np.int64]) -> tuple[F64, F64]:
     return index, ratio
 
 
+def normalised(grey: F32, reach: int, floor: float) -> F64:
+    """Eq. 5, the border going on beyond the picture."""
+    g = np.pad(grey.astype(np.float64), reach, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(g, (2 * reach + 1,) * 2)
+    return (grey - windows.mean(axis=(2, 3))) / np.maximum(windows.std(axis=(2, 3)), floor)
+
+
 def template(samples: F32, tau: float) -> tuple[F64, F64, NDArray[np.int64]]:
-    """Eq. 8: Huber weights about the median, nothing from 4 tau on; the weighted mean; how many views it holds."""
-    n, rows, cols = samples.shape
-    weights, mean = np.zeros((n, rows, cols)), np.full((rows, cols), np.nan)
-    for r, c in np.ndindex(rows, cols):
-        s = samples[:, r, c].astype(np.float64)
-        seen = np.isfinite(s)
-        if seen.sum() < 2:
-            continue
-        e = np.abs(s - np.median(s[seen]))
-        w = np.where(seen & (e < 4 * tau), np.minimum(1.0, tau / np.maximum(e, 1e-30)), 0.0)
-        weights[:, r, c] = w
-        if w.sum() > 0:
-            mean[r, c] = (w[seen] * s[seen]).sum() / w.sum()
-    return weights, mean, (weights > 0).sum(axis=0)
+    """Eq. 8: biweights about the median, nothing from 4 tau on; the weighted mean; how many views it holds."""
+    s = samples.astype(np.float64)
+    seen = np.isfinite(s)
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        e = np.where(seen & (seen.sum(axis=0) >= 2), s - np.nanmedian(s, axis=0), np.inf)
+        w = np.maximum(1 - (e / (4 * tau)) ** 2, 0) ** 2
+        mean = (w * np.where(w > 0, s, 0)).sum(axis=0) / w.sum(axis=0)
+    return w, mean, (w > 0).sum(axis=0)
 
 
 def normal_equations(
-    samples: F32, weights: F32, mean: F32, centres: F64, xs: F64, ys: F64, h: F32, cell: float
-) -> tuple[F64, F64, F64]:
-    """Eqs. 9 and 10, as the weighted covariance of slide and deviation over the views."""
-    m = mean.astype(np.float64)
+    samples: F32, tau: float, centres: F64, xs: F64, ys: F64, h: F32, cell: float
+) -> tuple[F64, NDArray[np.int64], F64, F64, F64]:
+    """Eqs. 8 to 10, Lambda and eta as the weighted covariance of slide and deviation over the views."""
+    weights, m, count = template(samples, tau)
     gx, gy = np.full(m.shape, np.nan), np.full(m.shape, np.nan)
     gx[1:-1, 1:-1] = (m[1:-1, 2:] - m[1:-1, :-2]) / (2 * cell)
     gy[1:-1, 1:-1] = (m[:-2, 1:-1] - m[2:, 1:-1]) / (2 * cell)  # rows go south
     lam, eta, s2 = (np.zeros(m.shape) for _ in range(3))
     for r, c in np.ndindex(*m.shape):
-        w = weights[:, r, c].astype(np.float64)
+        w = weights[:, r, c]
         used = w > 0
         if used.sum() < 2 or not np.isfinite([gx[r, c], gy[r, c], m[r, c]]).all():
             continue
@@ -98,60 +102,51 @@ def normal_equations(
         lam[r, c] = (w * (q - q_mean) ** 2).sum()
         eta[r, c] = -(w * (q - q_mean) * (e - e_mean)).sum()
         s2[r, c] = (w * e * e).sum() / w.sum() * used.sum() / (used.sum() - 1)
-    return lam, eta, s2
+    return m, count, lam, eta, s2
 
 
-def solve(lam: F32, eta: F32, s2: F32, h: F32, radius: int, spread: F32, limit: F32) -> tuple[F64, F64, F64]:
-    """Eq. 11: sums over the window, neighbours of like height first; the damped, clipped step."""
-    step, precision, noise = (np.zeros(h.shape) for _ in range(3))
-    for r, c in zip(*np.nonzero(np.isfinite(h)), strict=True):
-        window = np.s_[max(0, r - radius) : r + radius + 1, max(0, c - radius) : c + radius + 1]
-        counts = lam[window] > 0
-        if not counts.any():
-            continue
-        d = (h[window][counts].astype(np.float64) - h[r, c]) / spread[r, c]
-        w = 1 / (1 + d * d)
-        precision[r, c] = (w * lam[window][counts]).sum()
-        total = (w * s2[window][counts]).sum()
-        noise[r, c] = total / w.sum()
-        damping = 0.02 * total / spread[r, c] ** 2 + 1e-9
-        step[r, c] = np.clip((w * eta[window][counts]).sum() / (precision[r, c] + damping), -limit[r, c], limit[r, c])
-    return step, precision, noise
+def shifted(values: F64, dy: int, dx: int) -> F64:
+    """The value `dy` rows down and `dx` columns right of each cell, NaN beyond the border."""
+    k = max(abs(dy), abs(dx))
+    rows, cols = values.shape
+    return np.pad(values.astype(np.float64), k, constant_values=np.nan)[k + dy : k + dy + rows, k + dx : k + dx + cols]
 
 
-def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: NDArray[np.int64]) -> F64:
-    """Eq. 12: weighted least squares of a plane through the neighbours; the pull to its value at the centre."""
-    rows, cols = h.shape
-    out = h.astype(np.float64)
-    offsets = [(s * y, s * x) for x, y in pairs for s in (1, -1)]
+def solve(lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: float) -> tuple[F64, F64, F64]:
+    """Eq. 11: sums over 5 x 5 cells, neighbours of like height first; the damped, clipped step."""
+    sums = np.zeros((4, *h.shape))
+    for dy, dx in np.ndindex(5, 5):
+        near = shifted(lam, dy - 2, dx - 2)
+        d = (shifted(h, dy - 2, dx - 2) - h) / spread
+        w = np.where(near > 0, np.maximum(1 - (d / 2) ** 2, 0) ** 2, 0)
+        w = np.nan_to_num(w)
+        for k, v in enumerate((near, shifted(eta, dy - 2, dx - 2), shifted(s2, dy - 2, dx - 2), np.ones(h.shape))):
+            sums[k] += w * np.nan_to_num(v)
+    good = np.isfinite(h) & (sums[3] > 0)
+    damping = 0.02 * sums[2] / spread.astype(np.float64) ** 2 + 1e-9
+    with np.errstate(all="ignore"):
+        step = np.clip(sums[1] / (sums[0] + damping), -limit * spread, limit * spread)
+        return np.where(good, step, 0), np.where(good, sums[0], 0), np.where(good, sums[2] / sums[3], 0)
 
-    def at(r: int, c: int) -> float:
-        return float(h[r, c]) if 0 <= r < rows and 0 <= c < cols else np.nan
 
-    for r, c in zip(*np.nonzero(np.isfinite(h)), strict=True):
-        hc, px = float(h[r, c]), float(spread[r, c])
-        A, b, W = [], [], []
-        for dy, dx in offsets:
-            v = at(r + dy, c + dx) - hc
-            if np.isnan(v):
-                continue
-            both = 0.5 * (v + at(r - dy, c - dx) - hc)
-            d = (both if abs(both) < abs(v) else v) / px
-            p, s2 = float(precision[r + dy, c + dx]), float(noise[r + dy, c + dx])
-            A.append([1.0, dx, dy])
-            b.append(v)
-            own = float(spread[r + dy, c + dx])
-            W.append((0.05 + p / (p + s2 / own**2 + 1e-12)) / (1 + d * d) ** 2)
-        if sum(W) < 1e-3:
-            continue
-        w = np.array(W)
-        M = (np.array(A).T * w) @ np.array(A) + np.diag([0.0, 0.1, 0.1]) * w.sum()
-        if np.linalg.det(M) <= 1e-9 * w.sum() ** 3:
-            continue
-        a = np.linalg.solve(M, np.array(A).T @ (w * b))[0]
-        pull = strength * (noise[r, c] + 1e-3) / px**2 * min(1.0, w.sum())
-        out[r, c] = hc + a * pull / (pull + precision[r, c] + 1e-12)
-    return out
+PRIOR_PAIRS = (
+    (1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (1, 2), (-2, 1), (-1, 2),
+    (3, 0), (0, 3), (3, 1), (1, 3), (-3, 1), (-1, 3), (3, 3), (-3, 3),
+)  # fmt: skip
+
+
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float) -> F64:
+    """Eq. 12: the weighted mean of the middles between opposite neighbours, and the pull to it."""
+    px = spread.astype(np.float64)
+    trust = np.where(np.isfinite(h), 0.05 + precision / (precision + noise / px**2 + 1e-12), np.nan)
+    sw, sh = np.zeros(h.shape), np.zeros(h.shape)
+    for dx, dy in PRIOR_PAIRS:
+        above = 0.5 * (shifted(h, dy, dx) + shifted(h, -dy, -dx)) - h
+        w = shifted(trust, dy, dx) * shifted(trust, -dy, -dx) * np.maximum(1 - 0.5 * (above / px) ** 2, 0) ** 2
+        sw += np.nan_to_num(w)
+        sh += np.nan_to_num(w * above)
+    pull = strength * (noise + 1e-3) / px**2 * np.minimum(1.0, sw)
+    return np.asarray(h + sh / (sw + 1e-6) * pull / (pull + precision + 1e-12))
 
 
 def visibility(h: F32, centres: F64, xs: F64, ys: F64, cell: float, margin: float) -> NDArray[np.uint8]:

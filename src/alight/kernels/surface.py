@@ -3,99 +3,126 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import kernel, parallel_kernel, prange
+from alight.kernels.compiler import kernel, parallel_kernel, pixelwise, prange
+from alight.kernels.parallax import invert_row
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
-I64 = NDArray[np.int64]
 
-UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
+Two = tuple[np.float32, np.float32]
+
+BAND, CHUNK = 24, 640  # rows and columns of cells that a thread takes at once
+REACH = 3  # cells to the farthest neighbour
+STRIDE = CHUNK + 2 * REACH
+CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell
 ZERO, ONE = np.float32(0), np.float32(1)
 
 
 @kernel
 def _known_row(h: F32, precision: F32, noise: F32, spread: F32, height: F32, trust: F32) -> None:
-    """Fill a row with the heights, far away where unknown, and with what each is worth as a neighbour."""
+    """Fill a row with the heights and with what each is worth as a neighbour: nothing where unknown."""
     for c in range(h.size):
         known = h[c] == h[c]
         information = precision[c] / (precision[c] + noise[c] / (spread[c] * spread[c]) + np.float32(1e-12))
-        height[c] = h[c] if known else UNKNOWN
+        height[c] = h[c] if known else ZERO
         trust[c] = np.float32(0.05) + information if known else ZERO
 
 
+@pixelwise
+def _pair(height: F32, trust: F32, i: int, dx: int, dy: int, here: np.float32, inverse: np.float32, sums: Two) -> Two:
+    """Add two opposite neighbours by what both know and by how near the middle between them is to the cell."""
+    ahead = i + np.uintp(CENTRE + dy * STRIDE + dx)
+    behind = i + np.uintp(CENTRE - dy * STRIDE - dx)
+    above = np.float32(0.5) * (height[ahead] + height[behind]) - here
+    off = above * inverse
+    share = ONE - np.float32(0.5) * off * off
+    share = share if share > ZERO else ZERO
+    w = trust[ahead] * trust[behind] * share * share
+    return sums[0] + w, sums[1] + w * above
+
+
 @kernel
-def _pair_row(
-    h: F32, h1: F32, h2: F32, t1: F32, t2: F32, spread: F32, dx: np.float32, dy: np.float32, sums: F32
+def _pairs_row(height: F32, trust: F32, inverse: F32, sw: F32, sh: F32) -> None:
+    """Sum sixteen pairs of a row of cells; of 7 x 7 neighbours these smooth as well as all twenty-four.
+
+    `height`, `trust`: rows of `STRIDE` from the upper left neighbour on. Unrolled, unsigned and with a stride that the
+    compiler knows: three times as fast as a loop over pairs.
+    """
+    for c in range(inverse.size):
+        i, sums = np.uintp(c), (ZERO, ZERO)
+        here, inv = height[i + np.uintp(CENTRE)], inverse[c]
+        sums = _pair(height, trust, i, 1, 0, here, inv, sums)
+        sums = _pair(height, trust, i, 0, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 2, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 2, here, inv, sums)
+        sums = _pair(height, trust, i, -2, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 2, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 0, here, inv, sums)
+        sums = _pair(height, trust, i, 0, 3, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 1, here, inv, sums)
+        sums = _pair(height, trust, i, 1, 3, here, inv, sums)
+        sums = _pair(height, trust, i, -3, 1, here, inv, sums)
+        sums = _pair(height, trust, i, -1, 3, here, inv, sums)
+        sums = _pair(height, trust, i, 3, 3, here, inv, sums)
+        sums = _pair(height, trust, i, -3, 3, here, inv, sums)
+        sw[c], sh[c] = sums
+
+
+@kernel
+def _pull_row(
+    sw: F32, sh: F32, h: F32, precision: F32, noise: F32, inverse: F32, strength: np.float32, out: F32
 ) -> None:
-    """Add two opposite neighbours, at (dx, dy) and (-dx, -dy), to the sums of the weighted plane."""
-    s0, sx, sy, sxx, sxy, syy = sums[0], sums[1], sums[2], sums[3], sums[4], sums[5]
-    sh, shx, shy = sums[6], sums[7], sums[8]
-    xx, xy, yy = dx * dx, dx * dy, dy * dy
+    """Pull each height to the mean of its pairs."""
     for c in range(h.size):
-        v1, v2 = h1[c] - h[c], h2[c] - h[c]
-        d1, d2 = v1 / spread[c], v2 / spread[c]
-        both = np.float32(0.5) * (d1 + d2)  # on a plane the two deviate by equal and opposite amounts
-        d1, d2, both = d1 * d1, d2 * d2, both * both
-        d1 = (both if both < d1 else d1) + ONE
-        d2 = (both if both < d2 else d2) + ONE
-        w1, w2 = t1[c] / (d1 * d1), t2[c] / (d2 * d2)
-        v1, v2 = w1 * v1, w2 * v2
-        even, odd = w1 + w2, w1 - w2
-        s0[c] += even
-        sx[c] += dx * odd
-        sy[c] += dy * odd
-        sxx[c] += xx * even
-        sxy[c] += xy * even
-        syy[c] += yy * even
-        sh[c] += v1 + v2
-        shx[c] += dx * (v1 - v2)
-        shy[c] += dy * (v1 - v2)
-
-
-@kernel
-def _pull_row(sums: F32, h: F32, precision: F32, noise: F32, spread: F32, strength: np.float32, out: F32) -> None:
-    """Pull each height to the value of its plane, by weighted least squares v = a + bx dx + by dy, at the centre."""
-    for c in range(h.size):
-        s0, sx, sy, sxy = sums[0, c], sums[1, c], sums[2, c], sums[4, c]
-        sh, shx, shy = sums[6, c], sums[7, c], sums[8, c]
-        sxx, syy = sums[3, c] + np.float32(0.1) * s0, sums[5, c] + np.float32(0.1) * s0
-        m0, m1, m2 = sxx * syy - sxy * sxy, sx * syy - sxy * sy, sx * sxy - sxx * sy
-        det = s0 * m0 - sx * m1 + sy * m2
-        good = (s0 >= np.float32(1e-3)) & (det > np.float32(1e-9) * s0 * s0 * s0)
-        a = (sh * m0 - sx * (shx * syy - sxy * shy) + sy * (shx * sxy - sxx * shy)) / (det if good else ONE)
-        share = s0 if s0 < ONE else ONE
-        weight = strength * (noise[c] + np.float32(1e-3)) / (spread[c] * spread[c]) * share
-        pull = a * weight / (weight + precision[c] + np.float32(1e-12))
-        out[c] = h[c] + (pull if good else ZERO)  # NaN stays NaN
+        share = sw[c] if sw[c] < ONE else ONE
+        weight = strength * (noise[c] + np.float32(1e-3)) * inverse[c] * inverse[c] * share
+        pull = sh[c] / (sw[c] + np.float32(1e-6)) * weight / (weight + precision[c] + np.float32(1e-12))
+        out[c] = h[c] + pull  # NaN stays NaN
 
 
 @parallel_kernel
-def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, pairs: I64, out: F32) -> None:
-    """Pull each height towards the robust local plane of its neighbours (eq. 12); what is unseen stays NaN and unused.
+def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float, out: F32) -> None:
+    """Pull each height towards the planes of its neighbours (eq. 12); what is unseen stays NaN and unused.
 
-    Neighbours are weighted by their own information and by how well they lie on the plane through the centre; the pull
-    is `strength` in parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
-    `pairs` (K, 2): offsets (dx, dy) of one neighbour of each opposite pair.
+    On a plane the middle between two opposite neighbours is the height, whatever the slope. The pull is `strength` in
+    parallax pixels (through `spread`, metres a pixel), so that it means the same at any height.
     """
     rows, cols = h.shape
-    radius = np.abs(pairs).max()
-    height = np.full((rows + 2 * radius, cols + 2 * radius), UNKNOWN, np.float32)
-    trust = np.zeros((rows + 2 * radius, cols + 2 * radius), np.float32)
-    for r in prange(rows):
-        inner = slice(radius, radius + cols)
-        _known_row(h[r], precision[r], noise[r], spread[r], height[r + radius, inner], trust[r + radius, inner])
-    for r in prange(rows):
-        sums = np.zeros((9, cols), np.float32)
-        for k in range(pairs.shape[0]):
-            dx, dy = pairs[k, 0], pairs[k, 1]
-            ahead, behind = slice(radius + dx, radius + dx + cols), slice(radius - dx, radius - dx + cols)
-            down, up = r + radius + dy, r + radius - dy
-            _pair_row(
-                h[r], height[down, ahead], height[up, behind], trust[down, ahead], trust[up, behind], spread[r],
-                np.float32(dx), np.float32(dy), sums,
-            )  # fmt: skip
-        _pull_row(sums, h[r], precision[r], noise[r], spread[r], np.float32(strength), out[r])
+    for band in prange((rows + BAND - 1) // BAND):
+        first, end = band * BAND, min(rows, band * BAND + BAND)
+        size = (BAND + 2 * REACH) * STRIDE
+        height, trust = np.empty(size, np.float32), np.empty(size, np.float32)
+        sw, sh, inverse = np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32), np.empty(CHUNK, np.float32)
+        for left in range(0, cols, CHUNK):
+            width = min(CHUNK, cols - left)
+            low, high = max(0, left - REACH), min(cols, left + width + REACH)
+            height[:], trust[:] = ZERO, ZERO  # a border that knows nothing
+            for r in range(max(0, first - REACH), min(rows, end + REACH)):
+                k = (r - first + REACH) * STRIDE + low - left + REACH
+                inner, near = slice(k, k + high - low), slice(low, high)
+                _known_row(h[r, near], precision[r, near], noise[r, near], spread[r, near], height[inner], trust[inner])
+            for r in range(first, end):
+                k, here = (r - first) * STRIDE, slice(left, left + width)
+                invert_row(spread[r, here], inverse[:width])
+                _pairs_row(height[k:], trust[k:], inverse[:width], sw, sh)
+                _pull_row(
+                    sw, sh, h[r, here], precision[r, here], noise[r, here], inverse, np.float32(strength), out[r, here]
+                )  # fmt: skip
+
+
+@parallel_kernel
+def block_tops(h: F32, side: int, lowest: float, out: F32) -> None:
+    """Fill `out` with the highest known height of each block of `side` x `side` cells; `lowest` where there is none."""
+    rows, cols = h.shape
+    for i in prange(out.shape[0]):
+        out[i] = np.float32(lowest)
+        for r in range(i * side, min(rows, (i + 1) * side)):
+            for c in range(cols):
+                if h[r, c] > out[i, c // side]:
+                    out[i, c // side] = h[r, c]
 
 
 @parallel_kernel

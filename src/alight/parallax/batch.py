@@ -17,7 +17,7 @@ from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
 from alight.parallax.edges import sharpen
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare, stack
+from alight.parallax.views import Prepared, choose, coarser, maps, prepare, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
@@ -49,8 +49,8 @@ class Images:
         """View `index` at the cell of the grid, or of the sweep."""
         key = (index, coarse)
         if key not in self._ready:
-            cell = self.cell * COARSE if coarse else self.cell
-            self._ready[key] = prepare(self.views[index], cell, self.height)
+            fine = None if not coarse else self.get(index, coarse=False)
+            self._ready[key] = coarser(fine) if fine else prepare(self.views[index], self.cell, self.height)
             while len(self._ready) > 2 * self._keep:
                 self._ready.popitem(last=False)
         self._ready.move_to_end(key)
@@ -78,13 +78,12 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     if not np.isfinite(start).any():
         return None
     fine = [images.get(i, coarse=False) for i in chosen]
-    per_px = refine.metres_per_pixel(fine, start, grid)
+    per_px = refine.enlarged(refine.sight(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
     start = sharpen(fine, grid, start, per_px)
     visible = refine.visible_from(fine, grid, start, per_px)
-    fit = refine.gauss_newton(fine, grid, start, visible, ITERATIONS)
-    ambiguity = refine.enlarged(ratio, grid, COARSE)
+    fit = refine.gauss_newton(fine, grid, start, per_px, visible, ITERATIONS)
     rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
-    heights = judged(fine, fine, grid, fit, ambiguity, (low, high), rgb)
+    heights = judged(fine, grid, fit, ratio, (low, high), rgb)
     return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid))
 
 
@@ -100,22 +99,11 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -
 
 
 def judged(
-    fine: list[Prepared],
-    lit: list[Prepared],
-    grid: Grid,
-    fit: refine.Fit,
-    ratio: F32,
-    searched: tuple[float, float],
-    rgb: U8,
+    fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
 ) -> Heights:
-    """Put sigma and flags to a fit; `lit` are the views asked for the brightness."""
-    slide = np.float32(grid.cell) / fit.metres_per_px
-    texture = trust.variance_of(fit.mean)
-    residual = trust.residual_share(fit, texture)
-    brightness = trust.brightness(lit, grid, fit.height)
-    seen = trust.Evidence(ratio, texture, residual, brightness, slide, *searched)
-    sigma = trust.sigma(fit, grid.cell)
-    return Heights(grid, fit.height, sigma, trust.flags(fit, seen, sigma), fit.seen, rgb, residual)
+    """Put sigma and flags to a fit; the views `fine` are asked for the brightness."""
+    sigma, flags, residual = trust.judge(fit, grid, ratio, fine, searched)
+    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
 
 
 def colour(

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
-from alight.parallax import refine, witness
+from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import COARSE, interpolated, judged, picture_at
 from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Buffers, maps, prepare
+from alight.parallax.views import Buffers, coarser, maps, prepare
 from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
 
@@ -31,7 +31,7 @@ UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
 WORSE = 1.5  # a look whose sigma is larger by this changes nothing
 SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
 SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
-BELOW = 0.12  # horizontal over vertical distance at which the newest view renews the colour
+BELOW = 0.06  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
 
@@ -85,7 +85,8 @@ class Ring:
         self._ratio, self._unknown = None, np.float32(np.nan)
 
     def _ready(self, view: View) -> Kept:
-        return view, prepare(view, self._cell, self._ground), prepare(view, self._cell * COARSE, self._ground)
+        fine = prepare(view, self._cell, self._ground)
+        return view, fine, coarser(fine)
 
     def push(self, views: list[View], poses: PoseRing | None = None) -> None:
         """Take the images of one exposure, late or not; the one that is missed least leaves.
@@ -117,21 +118,23 @@ class Ring:
         """
         ratio = self._carried(grid)
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
-        known = replace(known, height=known.height + self.plane_on(grid))
+        if self.plane.any():
+            known = replace(known, height=known.height + self.plane_on(grid))
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
-        seen = refine.baselines(fine, grid, known.height)
+        seen = refine.sight(fine, grid, known.height)
         start, wrong = self._first_look(views, grid, known.height, ratio, seen, low, high)
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
-        visible = refine.visible_from(fine, grid, start, refine.metres_per_pixel(fine, start, grid))
-        fit = refine.gauss_newton(fine, grid, start, visible, STEPS, self._buffers, wide=seen[0])
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        visible = refine.visible_from(fine, grid, start, per_px)
+        fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
-        ratio = np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio)
+        ratio = trust.halved(np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio))
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
-        found = judged(fine, fine[-1:], grid, fit, ratio, (low, high), rgb)
+        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
         samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
         moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
         found = replace(found, flags=found.flags | moves)
@@ -141,14 +144,15 @@ class Ring:
         out = np.full(grid.shape, self._unknown, np.float32)
         if self._ratio is not None:
             old, values = self._ratio
-            x, y = grid.xy()
-            row, col = (np.rint(i).astype(int) for i in old.index(x, y))
-            r, c = (row >= 0) & (row < old.rows), (col >= 0) & (col < old.cols)
-            out[np.ix_(r, c)] = values[np.ix_(row[r], col[c])]
+            (row, r), (col, c) = (_shared(*i) for i in zip(old.index(*grid.xy()), old.shape, strict=True))
+            if r.size and c.size:
+                same = old.cell == grid.cell  # then both are ranges, and views are copied fast
+                there = values[row[0] : row[-1] + 1, col[0] : col[-1] + 1] if same else values[np.ix_(row, col)]
+                out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
     def _first_look(
-        self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: tuple[F32, U8], low: float, high: float
+        self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: refine.Sight, low: float, high: float
     ) -> tuple[F32, NDArray[np.bool_]]:
         """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
@@ -158,10 +162,12 @@ class Ring:
         Returns:
             Where to start from, (R, C) metres, and where what the map has is wrong.
         """
-        baseline, number = seen
         above = views[-1][0].centre[2] - self._ground
         anew, wrong = np.isnan(ratio), np.zeros(grid.shape, np.bool_)
-        fresh = (np.isnan(before) | anew) & (baseline >= FIRST_LOOK * above) & (number >= LEAST_VIEWS)
+        enough = (seen.baseline >= FIRST_LOOK * above) & (seen.count >= LEAST_VIEWS)
+        fresh = (np.isnan(before) | anew) & refine.enlarged(enough.view(np.uint8), grid, refine.SEEN_BLOCK).view(
+            np.bool_
+        )
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
             return start, wrong
@@ -172,7 +178,7 @@ class Ring:
         coarse = [c for _, _, c in views]
         found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
         new = interpolated(found, part)
-        per_px = np.float32(grid.cell * above) / np.maximum(baseline[where], np.float32(1e-3))
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)[where]
         told, off = known + shift_of((new - known)[here], per_px[here]), here & np.isfinite(known)
         same = np.abs(new - told) < SAME_PX * per_px
         start[where] = np.where(here, np.where(same, told, new), start[where])
@@ -189,15 +195,24 @@ class Ring:
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
         self._sharper = False
-        for where, only in ((box_of(fresh), fresh), (below, np.isfinite(height))):
+        for where, only in ((box_of(fresh), fresh), (below, None)):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
             if not part.rows * part.cols:
                 continue
             mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
-            take = only[where] & (mapx >= 0)
-            out[where][take] = picture_at(view, fine, mapx, mapy)[take]
+            take = mapx >= 0  # not where there is no height
+            if only is not None:
+                take &= only[where]
+            np.copyto(out[where], picture_at(view, fine, mapx, mapy), where=take[..., None])
         return out
+
+
+def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which of `size` rows (or columns) those of another grid are, (K,), and which of that other grid have one."""
+    nearest = np.rint(index).astype(np.intp)
+    has = np.flatnonzero((nearest >= 0) & (nearest < size))
+    return nearest[has], has
 
 
 def shift_of(apart: F32, per_px: F32) -> np.float32:
@@ -231,6 +246,6 @@ def fused(new: Heights, old: ElevationMap, ring: int) -> Heights:
     more than three sigma are not averaged: the new one stands. Where the ring sees a cell much worse than it once did,
     at the edge of its pictures, the map stays as it is.
     """
-    out = replace(new, **{f: getattr(new, f).copy() for f in FUSED})
+    out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
     kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
     return out

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Grid, ground_projection
+from alight.kernels.parallax import normalise
 from alight.kernels.projection import project
 from alight.records import F32, F64, View
 
@@ -29,6 +32,7 @@ class Prepared:
     b: F64  # (3,) image of the vertical (eq. 2)
     centre: F64  # (3,) metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
+    ratio: float  # pixels a cell spans
 
     @property
     def intrinsics(self) -> F64:
@@ -43,6 +47,7 @@ def grey_of(image: NDArray[np.uint8]) -> F32:
     return np.asarray(grey, dtype=np.float32)
 
 
+@cache
 def radius2_limit(camera: Camera) -> float:
     """Largest squared ideal radius of the image's border, with 2 % to spare."""
     w, h = camera.width - 1.0, camera.height - 1.0
@@ -71,25 +76,34 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
 def prepare(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
-    window = (int(NORM_CELLS * max(ratio, 1.0)) | 1,) * 2
-    mean = cv2.blur(grey, window)
-    contrast = np.sqrt(np.maximum(cv2.blur(grey * grey, window) - mean * mean, 0))
     H, b = ground_projection(camera, view.world_from_cam)
-    norm = (grey - mean) / np.maximum(contrast, NORM_FLOOR)
-    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera))
+    norm = _normalised(grey, ratio)
+    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio)
+
+
+def _normalised(grey: F32, ratio: float) -> F32:
+    norm = np.empty_like(grey)
+    normalise(grey, int(NORM_CELLS * max(ratio, 1.0)) // 2, NORM_FLOOR, norm)
+    return norm
+
+
+def coarser(fine: Prepared) -> Prepared:
+    """Return the same view for cells of twice the size, at half the pixels."""
+    grey = cv2.resize(fine.grey, (fine.grey.shape[1] // 2, fine.grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=fine.camera.scaled(0.5))
 
 
 class Buffers:
     """Arrays that are used again from step to step: the system hands out a fresh one page by page, at a price."""
 
     def __init__(self) -> None:
-        self._flat: dict[str, F32] = {}
+        self._flat: dict[str, NDArray[Any]] = {}
 
-    def get(self, name: str, shape: tuple[int, ...]) -> F32:
+    def get(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> NDArray[Any]:
         """The array of this name, of any content; what it held before is lost."""
         size = math.prod(shape)
         if name not in self._flat or self._flat[name].size < size:
-            self._flat[name] = np.empty(size + size // 8, np.float32)
+            self._flat[name] = np.empty(size + size // 8, dtype)
         return self._flat[name][:size].reshape(shape)
 
 
