@@ -92,9 +92,10 @@ def say(line: str) -> None:
     """
     try:
         typer.echo(line)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
     except OSError as e:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
+        if isinstance(e, BrokenPipeError):
+            return
         raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
 
 
