@@ -11,7 +11,7 @@ import twins
 from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
-from alight.kernels import parallax, projection, surface, sweep
+from alight.kernels import parallax, projection, sight, surface, sweep
 from alight.kernels.sorting import NOTHING, fill_row, median_row, network, sort_rows
 from alight.parallax.views import radius2_limit
 
@@ -77,7 +77,7 @@ def run_sweep_cost(s: np.ndarray, keep: float) -> tuple[np.ndarray, ...]:
 
 def run_normalise(reach: int) -> tuple[np.ndarray, ...]:
     out = np.full(WIDE, -9, np.float32)
-    parallax.normalise(grey_levels(), reach, 3.0, out)
+    sight.normalise(grey_levels(), reach, 3.0, out)
     return (out,)
 
 
@@ -141,7 +141,7 @@ def run_visibility(h: np.ndarray, margin: float = 0.02) -> tuple[np.ndarray, ...
 
 def run_baseline(s: np.ndarray) -> tuple[np.ndarray, ...]:
     out, seen = np.full(s.shape[1:], -9, np.float32), np.full(s.shape[1:], 99, np.uint8)
-    parallax.baseline(s, CENTRES, out, seen)
+    sight.baseline(s, CENTRES, out, seen)
     return out, seen
 
 
@@ -427,7 +427,7 @@ def test_the_number_of_threads_changes_no_bit(name: str, threads: Callable[[int]
 
 
 def test_every_kernel_is_tested_here() -> None:
-    made = {**vars(parallax), **vars(projection), **vars(surface), **vars(sweep)}
+    made = {**vars(parallax), **vars(projection), **vars(sight), **vars(surface), **vars(sweep)}
     public = {n for n, k in made.items() if hasattr(k, "py_func") and not n.startswith("_")}
     helpers = {"fill_row", "invert_row", "median_row", "sort_rows"}  # tested by themselves
     assert public - {"prange"} - helpers == set(CALLS)

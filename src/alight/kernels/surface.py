@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.kernels.compiler import kernel, parallel_kernel, pixelwise, prange
-from alight.kernels.parallax import invert_row
+from alight.kernels.parallax import BAND, CHUNK, invert_row
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -12,7 +12,6 @@ U8 = NDArray[np.uint8]
 
 Two = tuple[np.float32, np.float32]
 
-BAND, CHUNK = 24, 640  # rows and columns of cells that a thread takes at once
 REACH = 3  # cells to the farthest neighbour
 STRIDE = CHUNK + 2 * REACH
 CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell

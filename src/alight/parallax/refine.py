@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.kernels import parallax as kernels
+from alight.kernels import sight as looks
 from alight.kernels import surface, trust
 from alight.kernels.sorting import network
 from alight.parallax.views import Buffers, Prepared, maps, stack
 from alight.records import F32, F64
 
-TAU = np.float32(0.35)  # normalised grey, Huber's knee
+TAU = np.float32(0.35)  # normalised grey: from four times this on a view counts nothing
 SEEN_BLOCK = 4  # cells
 BLOCK = 8  # cells of half resolution
 LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
@@ -77,7 +78,7 @@ def sight(prepared: list[Prepared], grid: Grid, height: F32) -> Sight:
     seen[seen < 0] = np.nan
     centres = centres_of(prepared)
     baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
-    kernels.baseline(seen, centres, baseline, count)
+    looks.baseline(seen, centres, baseline, count)
     drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
     return Sight(baseline, count, np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop))
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Grid, ground_projection
-from alight.kernels.parallax import normalise
 from alight.kernels.projection import project
+from alight.kernels.sight import normalise
 from alight.records import F32, F64, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
