@@ -182,7 +182,7 @@ def speed_rows() -> list[Row]:
     for name, flight in (("a filter's poses", Refined(True)), ("each pose off by 5 cm and 0.2 deg", Refined(False))):
         ratios, more = [], []
         for _ in range(REPEATS):
-            theirs, ours, without = cpu(lambda: matcher.compute(*pair), 1), cpu(flight.step, 1), cpu(plain.step, 1)
+            theirs, ours, without = cpu(lambda: matcher.compute(*pair)), cpu(flight.step), cpu(plain.step)
             flight.advance()
             plain.advance()
             ratios.append(ours / theirs)

@@ -13,7 +13,7 @@ from heights_points import Answer, Mask, Points
 from matchers import by_pair
 
 from alight.pipeline.terrain_lane import TerrainLane
-from alight.records import F64, View
+from alight.records import F64, ElevationMap, View
 from alight.settings import Settings
 
 Shots = list[list[View]]  # exposures, the left view first
@@ -21,17 +21,21 @@ Matcher = Callable[[Shots, Points], Answer]
 PAIRS = 5
 
 
-def lane_of(views: list[View]) -> TerrainLane:
-    """A lane that knows where the ground is; about 8 views tell it."""
-    lane = TerrainLane(Settings())
-    if not lane.learn(views[:: max(1, len(views) // 8)]):
+def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = None) -> ElevationMap | None:
+    """The map of the heights stage alone by `batch` or `ring`; about `tell` views say where the ground is."""
+    lane, views = TerrainLane(settings or Settings()), [v for shot in shots for v in shot]
+    if not lane.learn(views[:: max(1, len(views) // tell)]):
         raise SystemExit(lane.reason)
-    return lane
+    if method == "batch":
+        lane.build(views, lambda share: None)
+    else:
+        for shot in shots:
+            lane.step(shot)
+    return lane.map()
 
 
-def on_map(lane: TerrainLane, points: Points) -> Answer:
-    """What the map of a lane says of the points."""
-    found = lane.map()
+def on_map(found: ElevationMap | None, points: Points) -> Answer:
+    """What a map says of the points."""
     if found is None:  # no baseline yet
         return claimless(np.full(len(points.xyz), np.nan), np.zeros(len(points.xyz), bool))
     r, c = (np.rint(i).astype(int) for i in found.grid.index(points.xyz[:, 0], points.xyz[:, 1]))
@@ -43,18 +47,12 @@ def on_map(lane: TerrainLane, points: Points) -> Answer:
 
 def batch(shots: Shots, points: Points) -> Answer:
     """Alight's batch."""
-    views = [s[0] for s in shots]
-    lane = lane_of(views)
-    lane.build(views, lambda share: None)
-    return on_map(lane, points)
+    return on_map(mapped([s[:1] for s in shots], "batch", 8), points)
 
 
 def ring(shots: Shots, points: Points) -> Answer:
     """Alight's recursive step, exposure by exposure."""
-    lane = lane_of([s[0] for s in shots])
-    for shot in shots:
-        lane.step(shot[:1])
-    return on_map(lane, points)
+    return on_map(mapped([s[:1] for s in shots], "ring", 8), points)
 
 
 def claimless(height: F64, given: Mask) -> Answer:

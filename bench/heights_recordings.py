@@ -9,15 +9,15 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from heights_matchers import mapped
 from heights_points import BAD, LEAST, OPEN, Answer, Mask, percent
 from heights_table import KEPT, Row, kept
-from heights_unflagged import DEEP, OF_GIVEN, WITH_TERRAIN, Ground, mapped, through
+from heights_unflagged import DEEP, OF_GIVEN, WITH_TERRAIN, Ground, mapped_by_all, through
 from matchers import by_pair, inside
 from subjects import Subject, flight, photos
 
 from alight.evaluate.photos import interpolated, plane_of
 from alight.evaluate.report import nmad
-from alight.pipeline.terrain_lane import TerrainLane
 from alight.records import F64, ElevationMap, Flag, View
 from alight.settings import Settings
 
@@ -63,7 +63,7 @@ def _sample() -> dict[str, Numbers]:
     above = subject.above([s[0] for s in shots])
     ground = Ground(subject.surface(), truth.label, truth.grid)
     shots = _spread(shots, above)
-    return {m: _against(mapped(shots, m), ground, above) for m in ("batch", "ring")}
+    return {m: _against(mapped_by_all(shots, m), ground, above) for m in ("batch", "ring")}
 
 
 def _against(found: ElevationMap, ground: Ground, above: float) -> Numbers:
@@ -114,15 +114,7 @@ def _subject() -> Subject:
 
 def _matched(views: list[View], method: str, most: int | None = None) -> ElevationMap:
     parallax = {} if most is None else {"parallax": {"views": most}}
-    lane = TerrainLane(Settings.model_validate(parallax))
-    if not lane.learn(views):
-        raise SystemExit(lane.reason)
-    if method == "batch":
-        lane.build(views, lambda share: None)
-    else:
-        for view in views:
-            lane.step([view])
-    found = lane.map()
+    found = mapped([[v] for v in views], method, len(views), Settings.model_validate(parallax))
     assert found is not None
     return found
 

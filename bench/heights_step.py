@@ -21,14 +21,11 @@ SPACING = 0.8  # metres between exposures, 2 % of the height
 REPEATS = 12
 
 
-def cpu(work: Callable[[], object], repeats: int) -> float:
-    """Median CPU seconds of all threads."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return statistics.median(times)
+def cpu(work: Callable[[], object]) -> float:
+    """CPU seconds of all threads."""
+    start = time.process_time()
+    work()
+    return time.process_time() - start
 
 
 class Flight:
@@ -66,8 +63,8 @@ def rows() -> list[Row]:
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(ground, i, SPACING * i).image for i in range(2)]
     ratios, steps = [], []
     for _ in range(REPEATS):
-        theirs = cpu(lambda: matcher.compute(*pair), 1)
-        ours = cpu(flight.step, 1)
+        theirs = cpu(lambda: matcher.compute(*pair))
+        ours = cpu(flight.step)
         flight.advance()
         ratios.append(ours / theirs)
         steps.append(ours)

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from doubt import exposures
+from heights_matchers import mapped
 from heights_points import OPEN, Mask
 from heights_table import Row, kept
 from numpy.typing import NDArray
@@ -21,9 +22,8 @@ from numpy.typing import NDArray
 from alight import simulate
 from alight.geometry import Grid
 from alight.pipeline import without_water
-from alight.pipeline.terrain_lane import TerrainLane
 from alight.records import F32, ElevationMap, Flag, Terrain, View
-from alight.settings import Settings, TerrainSettings
+from alight.settings import TerrainSettings
 from alight.simulate.ladder import MOST_SEEDS, rung
 from alight.terrain import classify
 
@@ -56,18 +56,9 @@ class Ground:
         return height, cv2.remap(self.label, col, row, cv2.INTER_NEAREST, borderValue=0, **edge)
 
 
-def mapped(shots: list[list[View]], method: str) -> ElevationMap:
-    """The map of the heights stage alone, both cameras."""
-    lane = TerrainLane(Settings())
-    views = [v for shot in shots for v in shot]
-    if not lane.learn(views[:: max(1, len(views) // 16)]):
-        raise SystemExit(lane.reason)
-    if method == "batch":
-        lane.build(views, lambda share: None)
-    else:
-        for shot in shots:
-            lane.step(shot)
-    found = lane.map()
+def mapped_by_all(shots: list[list[View]], method: str) -> ElevationMap:
+    """The map of both cameras."""
+    found = mapped(shots, method, 16)
     assert found is not None
     return found
 
@@ -97,7 +88,7 @@ def _judged(flight: simulate.SimulatedFlight, water: bool, limit: float) -> dict
     shots = list(exposures(flight))
     truth = flight.truth
     ground = Ground(np.asarray(truth.height, np.float32), truth.label, truth.grid)
-    return {m: through(mapped(shots, m), ground, limit, water) for m in METHODS}
+    return {m: through(mapped_by_all(shots, m), ground, limit, water) for m in METHODS}
 
 
 def scene(name: str, seed: int) -> dict[str, Numbers]:

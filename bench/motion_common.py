@@ -85,7 +85,7 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
             estimator.feed_nav(event)
         elif isinstance(event, Frame):
             tracks = tracker.feed(event, estimator.predict(event.t_ns))
-            motion, ring = estimator.feed_tracks(tracks), estimator.ring()
+            motion, ring = estimator.feed_tracks(tracks), estimator.posterior().motions
             out.online += [motion] if motion else []
             if len(ring) >= settings.motion.filter.clones:
                 out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))

@@ -8,10 +8,13 @@ import alight  # noqa: F401  (before NumPy: it says how many threads linear alge
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import numba
 import pytest
 from damage import write_flight, write_photos
+
+T = TypeVar("T")
 
 
 @pytest.fixture(scope="session")
@@ -41,3 +44,16 @@ def threads() -> Iterator[Callable[[int], None]]:
     before = numba.get_num_threads()
     yield numba.set_num_threads
     numba.set_num_threads(before)
+
+
+@pytest.fixture
+def on_one_and_all(threads: Callable[[int], None]) -> Callable[[Callable[[], T]], tuple[T, T]]:
+    """What a call gives on one thread, and on as many as there are."""
+
+    def both(call: Callable[[], T]) -> tuple[T, T]:
+        threads(1)
+        alone = call()
+        threads(numba.config.NUMBA_NUM_THREADS)
+        return alone, call()
+
+    return both

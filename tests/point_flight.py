@@ -6,14 +6,14 @@ it does; what departs from them is put in by hand.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from alight.geometry import Camera, Pose, so3_exp, so3_log
-from alight.motion import MotionFilter
+from alight.motion import LateFilter, MotionFilter
 from alight.records import F64, Event, ImuSample, Motion, NavSample, Rig, RigCamera, Tracks
 from alight.settings import Filter
 
@@ -220,16 +220,21 @@ def run(
     events: Iterator[Event | Tracks] | Sequence[Event | Tracks], settings: Filter = NOISE, rig: Rig = RIG
 ) -> tuple[MotionFilter, list[Motion]]:
     """Feed a filter; the motions that it gave out."""
-    f, out = MotionFilter(rig, settings), []
+    f = MotionFilter(rig, settings)
+    return f, [m for m in fed(f, events) if m is not None]
+
+
+def fed(f: MotionFilter | LateFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
+    """Feed events as they come; what the filter said of each exposure."""
+    out = []
     for e in events:
         if isinstance(e, ImuSample):
             f.feed_imu(e)
         elif isinstance(e, NavSample):
             f.feed_nav(e)
         elif isinstance(e, Tracks):
-            m = f.feed_tracks(e)
-            out += [m] if m is not None else []
-    return f, out
+            out.append(f.feed_tracks(e))
+    return out
 
 
 def best(m: Motion) -> tuple[F64, F64]:

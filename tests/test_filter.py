@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from point_flight import fed
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
@@ -106,15 +107,8 @@ def events(seconds: float, seed: int = 3) -> list[Event | Tracks]:
 def fly(
     stream: list[Event | Tracks], settings: Filter | None = None, rig: Rig = RIG
 ) -> tuple[MotionFilter, list[Motion | None]]:
-    f, out = MotionFilter(rig, settings or Filter()), []
-    for e in stream:
-        if isinstance(e, ImuSample):
-            f.feed_imu(e)
-        elif isinstance(e, NavSample):
-            f.feed_nav(e)
-        elif isinstance(e, Tracks):
-            out.append(f.feed_tracks(e))
-    return f, out
+    f = MotionFilter(rig, settings or Filter())
+    return f, fed(f, stream)
 
 
 def seconds(m: Motion) -> float:
@@ -168,7 +162,7 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    ring = f.ring()
+    ring = f.posterior().motions
     assert len(ring) == Filter().clones
     assert ring[-1].t_ns == motions[-1].t_ns
     assert seconds(ring[-1]) - seconds(ring[0]) > 0.6

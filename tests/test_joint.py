@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,11 @@ from ground_views import UP, Scene, Texture, plane
 from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.elevation import Elevation
-from alight.geometry import Grid, Pose, ground_projection, so3_exp
+from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
 from alight.kernels import joint as kernels
 from alight.parallax import Ring
 from alight.parallax.belief import PLANE, POSE, Belief, between, moved, regression
-from alight.parallax.joint import plane_on, thinning
+from alight.parallax.joint import thinning
 from alight.pipeline.navigation import GivenLane
 from alight.records import ElevationMap, Frame, Gauge, Heights, Motion, PoseRing, Rig, RigCamera, View
 from alight.settings import MotionSettings, Parallax
@@ -331,11 +332,8 @@ def test_the_gauge_covers_what_the_map_is_off() -> None:
         assert fit @ np.linalg.solve(found.gauge.covariance, fit) < 16.3  # 99.9 %
 
 
-def test_threads_do_not_matter(threads: Callable[[int], None]) -> None:
-    threads(1)
-    one = flown(white(5))
-    threads(2)
-    two = flown(white(5))
+def test_threads_do_not_matter(on_one_and_all: Callable[..., Any]) -> None:
+    one, two = on_one_and_all(lambda: flown(white(5)))
     assert one.height.tobytes() == two.height.tobytes()
     assert one.gauge is not None
     assert two.gauge is not None

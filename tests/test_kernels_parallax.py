@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-import numba
 import numpy as np
 import pytest
 import twins
@@ -418,11 +418,8 @@ CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_the_number_of_threads_changes_no_bit(name: str, threads: Callable[[int], None]) -> None:
-    threads(1)
-    alone = CALLS[name]()
-    threads(min(2, numba.config.NUMBA_NUM_THREADS))
-    for a, b in zip(alone, CALLS[name](), strict=True):
+def test_the_number_of_threads_changes_no_bit(name: str, on_one_and_all: Callable[..., Any]) -> None:
+    for a, b in zip(*on_one_and_all(CALLS[name]), strict=True):
         assert a.tobytes() == b.tobytes()
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
-from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, nees, run, seconds
+from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, fed, nees, run, seconds
 
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion import LateFilter
 from alight.motion.state import CORE, TIME, VEL, State
-from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
+from alight.records import Event, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
 from alight.settings import Filter
 
 SMALL = NOISE.model_copy(update={"points": 16})
@@ -17,17 +19,14 @@ SMALL = NOISE.model_copy(update={"points": 16})
 
 def flown(events: list[Event | Tracks], settings: Filter = SMALL) -> tuple[LateFilter, list[Motion]]:
     """What the filter that takes late events gives out."""
-    f, out = LateFilter(RIG, settings), []
-    for e in events:
-        if isinstance(e, ImuSample):
-            f.feed_imu(e)
-        elif isinstance(e, NavSample):
-            f.feed_nav(e)
-        elif isinstance(e, Tracks):
-            assert f.predict(e.t_ns) is not None
-            m = f.feed_tracks(e)
-            out += [m] if m is not None else []
-    return f, out
+    f = LateFilter(RIG, settings)
+
+    def expected() -> Iterator[Event | Tracks]:
+        for e in events:
+            assert not isinstance(e, Tracks) or f.predict(e.t_ns) is not None
+            yield e
+
+    return f, [m for m in fed(f, expected()) if m is not None]
 
 
 def delayed(events: list[Event | Tracks], kind: type, by: float, share: float) -> list[Event | Tracks]:

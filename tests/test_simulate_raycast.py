@@ -1,6 +1,5 @@
 """Rays, noise, light: exact against closed forms and plain NumPy twins; pictures do not depend on threads."""
 
-import numba
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
@@ -250,14 +249,9 @@ def meadow():
     return make_world(lambda x, y: 0.2 * np.sin(x), side=30.0)
 
 
-def test_picture_does_not_depend_on_threads(meadow):
-    most = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = draw(meadow, 10.0)
-    finally:
-        numba.set_num_threads(most)
-    assert np.array_equal(one, draw(meadow, 10.0))
+def test_picture_does_not_depend_on_threads(meadow, on_one_and_all):
+    one, other = on_one_and_all(lambda: draw(meadow, 10.0))
+    assert np.array_equal(one, other)
 
 
 def test_water_moves_and_ground_does_not(meadow):

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 
-import numba
 import numpy as np
 import pytest
 
@@ -288,14 +287,9 @@ def test_dust_darkens_specks_that_stay_where_they_are():
     assert 5 < (clean - dusty > 5).any(axis=2).sum() < 0.2 * 64 * 48
 
 
-def test_pictures_do_not_depend_on_threads():
-    many, one = numba.get_num_threads(), None
-    try:
-        numba.set_num_threads(1)
-        one = exposed(Imaging(), 0.4)
-    finally:
-        numba.set_num_threads(many)
-    assert np.array_equal(one, exposed(Imaging(), 0.4))
+def test_pictures_do_not_depend_on_threads(on_one_and_all):
+    one, other = on_one_and_all(lambda: exposed(Imaging(), 0.4))
+    assert np.array_equal(one, other)
     assert not np.array_equal(one, exposed(Imaging(), 0.4, key=6))
 
 

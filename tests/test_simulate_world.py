@@ -3,7 +3,6 @@
 import math
 import re
 
-import numba
 import numpy as np
 import pytest
 import rasterio
@@ -76,14 +75,9 @@ def test_a_patch_does_not_depend_on_what_was_asked_before(mixed):
     assert len(np.unique(one.patch(whole).label)) == 8
 
 
-def test_a_patch_does_not_depend_on_threads(mixed):
-    most = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        one = build(mixed, 5).patch((-20, -20, 20, 20))
-    finally:
-        numba.set_num_threads(most)
-    assert same(one, build(mixed, 5).patch((-20, -20, 20, 20)))
+def test_a_patch_does_not_depend_on_threads(mixed, on_one_and_all):
+    one, other = on_one_and_all(lambda: build(mixed, 5).patch((-20, -20, 20, 20)))
+    assert same(one, other)
 
 
 def test_small_and_large_patches_agree_on_every_cell(mixed):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from ground_views import Scene, Texture
@@ -55,11 +55,9 @@ def test_the_sums_over_blocks() -> None:
     assert_allclose(sums(), want, rtol=1e-4, atol=1e-4)
 
 
-def test_the_number_of_threads_changes_no_bit(threads: Callable[[int], None]) -> None:
-    threads(1)
-    alone = sums()
-    threads(min(2, numba.config.NUMBA_NUM_THREADS))
-    assert alone.tobytes() == sums().tobytes()
+def test_the_number_of_threads_changes_no_bit(on_one_and_all: Callable[..., Any]) -> None:
+    alone, together = on_one_and_all(sums)
+    assert alone.tobytes() == together.tobytes()
 
 
 def test_pairs_are_views_of_one_instant_by_two_cameras() -> None:

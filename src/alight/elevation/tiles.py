@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid, box_of
+from alight.geometry import Grid, box_of, plane_on
 from alight.records import Flag
 
 Key = tuple[int, int]  # (row, column) of a tile; rows count north
@@ -153,9 +153,7 @@ class Layer:
     def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
         """Add a plane to the tiles that are near."""
         for key, tile in self._near.items():
-            east, north = self.tile_grid(key).xy()
-            across, along = plane[1] * (east - about[0]) + plane[0], plane[2] * (north - about[1])
-            tile["height"] += across.astype(np.float32)[None, :] + along.astype(np.float32)[:, None]
+            tile["height"] += plane_on(*self.tile_grid(key).xy(), plane, about)
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle."""

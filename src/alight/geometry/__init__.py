@@ -2,7 +2,7 @@
 
 from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
 from alight.geometry.geodesy import LocalFrame
-from alight.geometry.grid import Grid, box_of, ground_projection
+from alight.geometry.grid import Grid, box_of, ground_projection, plane_on
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
     enu_from_flu,
@@ -26,6 +26,7 @@ __all__ = [
     "enu_from_flu",
     "ground_projection",
     "matrix_from_quaternion",
+    "plane_on",
     "quaternion_from_matrix",
     "skew",
     "slerp",

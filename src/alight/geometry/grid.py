@@ -70,6 +70,12 @@ def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
+def plane_on(xs: Array, ys: Array, plane: Array, about: Array) -> NDArray[np.float32]:
+    """Heights (R, C) at columns `xs` and rows `ys` of a plane (3,): up at `about` (2,), and rise east and north."""
+    up = plane[0] + plane[1] * (xs - about[0])[None, :] + plane[2] * (ys - about[1])[:, None]
+    return np.asarray(up, dtype=np.float32)
+
+
 def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[Array, Array]:
     """Return `H` (3, 3) and `b` (3,) in *normalised* image coordinates (K left out; the lens comes after, per cell)."""
     cam_from_world = world_from_cam.inverse

@@ -166,12 +166,8 @@ class MotionFilter:
             e = so3_log(found @ self._state.R.T)
             self._state.correct(e / SIGMA, np.diag(1.0 / SIGMA), np.arange(ATT.start, ATT.stop))
 
-    def ring(self) -> tuple[Motion, ...]:
-        """The keyframes of `posterior`, oldest first."""
-        return self.posterior().motions
-
     def posterior(self) -> PoseRing:
-        """The keyframes held, refined together with all that was seen from them (M23): consistent with each other.
+        """The keyframes held, oldest first, refined with all that was seen from them (M23): consistent with each other.
 
         Covariances of the single motions are marginals in the world; the joint one is in the map, whose place in the
         world (`offset_world`) no picture tells. GPS/INS corrections move all of them together.

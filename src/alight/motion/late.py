@@ -98,12 +98,8 @@ class LateFilter:
         """What can be said of later exposures now; None before the first GPS/INS row."""
         return self._filter.forecast()
 
-    def ring(self) -> tuple[Motion, ...]:
-        """The keyframes of `posterior`, oldest first."""
-        return self._filter.ring()
-
     def posterior(self) -> PoseRing:
-        """The keyframes held, refined together: consistent with each other."""
+        """The keyframes held, oldest first, refined together: consistent with each other."""
         return self._filter.posterior()
 
     def smoothed(self) -> list[Motion]:

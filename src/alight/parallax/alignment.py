@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid, Pose
+from alight.geometry import Grid, Pose, plane_on
 from alight.parallax.belief import PLANE, POSE, Belief, regression
-from alight.parallax.joint import CELLS, Ground, Look, Sight, plane_on, posed, refined, thinning
+from alight.parallax.joint import CELLS, Ground, Look, Sight, posed, refined, thinning
 from alight.parallax.views import Prepared
 from alight.records import F32, F64, REFUSED, ElevationMap, Flag, Gauge, PoseRing, View
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid, Pose, ground_projection
+from alight.geometry import Grid, Pose, ground_projection, plane_on
 from alight.kernels import joint as kernels
 from alight.kernels.parallax import template
 from alight.kernels.sorting import network
@@ -63,12 +63,6 @@ class Ground:
     def tilted(self, plane: F64) -> F32:
         """The heights with an error of the plane taken out."""
         return self.height + plane_on(self.xs, self.ys, plane, self.about)
-
-
-def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> F32:
-    """Heights (R, C) of a plane (3,) that is `plane[0]` high `about` (2,)."""
-    up = plane[0] + plane[1] * (xs - about[0])[None, :] + plane[2] * (ys - about[1])[:, None]
-    return np.asarray(up, dtype=np.float32)
 
 
 Look = tuple[list[Sight], Ground]  # pictures and cells of one linearisation
