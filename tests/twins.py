@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 
 import numpy as np
@@ -21,6 +22,39 @@ def sweep_cost(samples: F32, keep: float, truncation: float) -> tuple[F64, NDArr
         deviation = np.sort(np.abs(s - np.median(s)))[: max(2, int(np.ceil(keep * len(s))))]
         cost[r, c] = np.minimum(deviation, truncation).mean() * np.sqrt(len(s) / (len(s) - 1))
     return cost, count
+
+
+def sampled(picture: F32, scale: float, row: float, col: float, shape: tuple[int, int]) -> F64:
+    """A picture at `scale` times row and column, plus a shift: Catmull-Rom; NaN where a neighbour lies outside."""
+    out = np.full(shape, np.nan)
+    for r, c in np.ndindex(*shape):
+        y, x = scale * r + row, scale * c + col
+        i, j = math.floor(y), math.floor(x)
+        if 1 <= i < picture.shape[0] - 2 and 1 <= j < picture.shape[1] - 2:
+            near = picture[i - 1 : i + 3, j - 1 : j + 3].astype(np.float64)
+            out[r, c] = catmull_rom(y - i) @ near @ catmull_rom(x - j)
+    return out
+
+
+def catmull_rom(t: float) -> F64:
+    """Weights of four neighbours at a share `t` of the way from the second to the third."""
+    return 0.5 * np.array([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2])
+
+
+def splat(found: F32, ratio: F32, ground: float, cell: float, place: F64, shape: tuple[int, int]) -> tuple[F64, F64]:
+    """Every height at the cells about its place on its ray, highest last."""
+    height, which = np.full(shape, np.nan), np.full(shape, np.nan)
+    rows, cols = np.nonzero(np.isfinite(found))
+    for k in np.argsort(found[rows, cols], kind="stable"):
+        z = found[rows[k], cols[k]]
+        share = (place[4] - z) / (place[4] - ground)
+        east = place[2] + share * (place[0] + cell * cols[k] - place[2])
+        north = place[3] + share * (place[1] - cell * rows[k] - place[3])
+        for i in {round(-north / cell - 0.3), round(-north / cell + 0.3)}:
+            for j in {round(east / cell - 0.3), round(east / cell + 0.3)}:
+                if 0 <= i < shape[0] and 0 <= j < shape[1] and not height[i, j] >= z:
+                    height[i, j], which[i, j] = z, ratio[rows[k], cols[k]]
+    return height, which
 
 
 def scanline(cost: F64, image: F64, p1: float, p2: float, edge: float, dr: int, dc: int) -> F64:
@@ -118,7 +152,7 @@ def solve(lam: F32, eta: F32, s2: F32, h: F32, spread: F32, limit: float) -> tup
     for dy, dx in np.ndindex(5, 5):
         near = shifted(lam, dy - 2, dx - 2)
         d = (shifted(h, dy - 2, dx - 2) - h) / spread
-        w = np.where(near > 0, np.maximum(1 - (d / 2) ** 2, 0) ** 2, 0)
+        w = np.where(near > 0, np.maximum(1 - d**2, 0) ** 2, 0)
         w = np.nan_to_num(w)
         for k, v in enumerate((near, shifted(eta, dy - 2, dx - 2), shifted(s2, dy - 2, dx - 2), np.ones(h.shape))):
             sums[k] += w * np.nan_to_num(v)
@@ -142,7 +176,7 @@ def plane_prior(h: F32, precision: F32, noise: F32, spread: F32, strength: float
     sw, sh = np.zeros(h.shape), np.zeros(h.shape)
     for dx, dy in PRIOR_PAIRS:
         above = 0.5 * (shifted(h, dy, dx) + shifted(h, -dy, -dx)) - h
-        w = shifted(trust, dy, dx) * shifted(trust, -dy, -dx) * np.maximum(1 - 0.5 * (above / px) ** 2, 0) ** 2
+        w = shifted(trust, dy, dx) * shifted(trust, -dy, -dx) * np.maximum(1 - 2 * (above / px) ** 2, 0) ** 2
         sw += np.nan_to_num(w)
         sh += np.nan_to_num(w * above)
     pull = strength * (noise + 1e-3) / px**2 * np.minimum(1.0, sw)

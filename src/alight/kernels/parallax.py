@@ -260,7 +260,7 @@ def invert_row(x: F32, out: F32) -> None:
 def _tap(h: F32, lam: F32, eta: F32, s2: F32, i: int, here: np.float32, inverse: np.float32, sums: Four) -> Four:
     """Add one neighbour: 1 at the same height, nothing from two parallax pixels on."""
     d = (h[i] - here) * inverse
-    share = ONE - np.float32(0.25) * d * d
+    share = ONE - d * d
     share = share if share > ZERO else ZERO
     w = share * share
     known = ONE if lam[i] > ZERO else ZERO

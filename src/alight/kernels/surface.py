@@ -15,7 +15,7 @@ Two = tuple[np.float32, np.float32]
 REACH = 3  # cells to the farthest neighbour
 STRIDE = CHUNK + 2 * REACH
 CENTRE = REACH * STRIDE + REACH  # from the upper left neighbour to the cell
-ZERO, ONE = np.float32(0), np.float32(1)
+ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 
 
 @kernel
@@ -35,7 +35,7 @@ def _pair(height: F32, trust: F32, i: int, dx: int, dy: int, here: np.float32, i
     behind = i + np.uintp(CENTRE - dy * STRIDE - dx)
     above = np.float32(0.5) * (height[ahead] + height[behind]) - here
     off = above * inverse
-    share = ONE - np.float32(0.5) * off * off
+    share = ONE - TWO * off * off
     share = share if share > ZERO else ZERO
     w = trust[ahead] * trust[behind] * share * share
     return sums[0] + w, sums[1] + w * above

@@ -3,15 +3,18 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import kernel, minimum_kernel, parallel_kernel, prange
+from alight.kernels.compiler import inline, kernel, minimum_kernel, parallel_kernel, prange
 from alight.kernels.sorting import NOTHING, fill_row, median_row, sort_rows
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 I64 = NDArray[np.int64]
+F64 = NDArray[np.float64]
+Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 FAR = np.float32(1e9)  # cost beyond the first and last plane
+BAND = 16  # rows a thread takes at once
 
 
 @kernel
@@ -48,29 +51,85 @@ def _cost_row(total: F32, quota: F32, seen: F32, truncation: np.float32, cost: F
         count[c] = np.int32(k)
 
 
+@inline
+def _taps(t: float) -> Four:
+    """Weights of four neighbours at a share `t` of the way from the second to the third (Catmull-Rom).
+
+    Linear ones blur half-way samples, so that planes of such shifts win.
+    """
+    return (
+        np.float32(t * (-0.5 + t * (1.0 - 0.5 * t))),
+        np.float32(1.0 + t * t * (1.5 * t - 2.5)),
+        np.float32(t * (0.5 + t * (2.0 - 1.5 * t))),
+        np.float32(t * t * (0.5 * t - 0.5)),
+    )
+
+
+@kernel
+def _between(rows: F32, taps: Four, out: F32) -> None:
+    """The weighted sum of four rows (4, C)."""
+    a, b, c, d = rows[0], rows[1], rows[2], rows[3]
+    for k in range(out.size):
+        out[k] = taps[0] * a[k] + taps[1] * b[k] + taps[2] * c[k] + taps[3] * d[k]
+
+
+@kernel
+def _along(row: F32, first: I32, taps: F32, out: F32) -> None:
+    for c in range(out.size):
+        k = first[c]
+        out[c] = taps[0, c] * row[k] + taps[1, c] * row[k + 1] + taps[2, c] * row[k + 2] + taps[3, c] * row[k + 3]
+
+
+@kernel
+def _columns(scale: float, shift: float, size: int, first: I32, taps: F32) -> None:
+    """The first of the four pixels about each column in a row of `size`, and their weights; NaN outside."""
+    for c in range(first.size):
+        x = scale * c + shift
+        k = np.floor(x)
+        inside = (k >= 1.0) & (k + 2.0 < size)
+        first[c] = np.int32(k - 1.0) if inside else np.int32(0)
+        taps[0, c], taps[1, c], taps[2, c], taps[3, c] = _taps(x - k if inside else np.nan)
+
+
 @parallel_kernel
-def sweep_cost(samples: F32, pairs: I64, keep: float, truncation: float, cost: F32, count: I32) -> None:
+def sweep_cost(
+    pictures: F32, scale: F64, shift: F64, pairs: I64, keep: float, truncation: float, cost: F32, count: I32
+) -> None:
     """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
 
-    Occluded and moving views are the largest deviations; leaving them out is what keeps walls upright. `pairs`: the
-    sorting network of N.
+    `pictures` (N, P, Q) are registered on a plane; cell (r, c) lies at row `scale[i] r + shift[i, 0]` and column
+    `scale[i] c + shift[i, 1]` of picture i. Occluded and moving views are the largest deviations; leaving them out is
+    what keeps walls upright. `pairs`: the sorting network of N.
     """
-    n, rows, cols = samples.shape
-    for r in prange(rows):
-        views = np.empty((n, cols), np.float32)
-        rest = np.zeros((4, cols), np.float32)
+    n, height, width = pictures.shape
+    rows, cols = cost.shape
+    first, taps = np.empty((n, cols), np.int32), np.empty((n, 4, cols), np.float32)
+    for i in range(n):
+        _columns(scale[i], shift[i, 1], width, first[i], taps[i])
+    for band in prange((rows + BAND - 1) // BAND):
+        views, samples = np.empty((n, cols), np.float32), np.empty(cols, np.float32)
+        rest, row = np.empty((4, cols), np.float32), np.empty(width, np.float32)
         seen, median, quota, total = rest[0], rest[1], rest[2], rest[3]
-        for i in range(n):
-            fill_row(samples[i, r], views[i], seen)
-        sort_rows(views, pairs)
-        median_row(views, seen, median)
-        for i in range(n):
-            _deviate_row(views[i], median)
-        sort_rows(views, pairs)
-        _quota_row(seen, np.float32(keep), quota)
-        for i in range(n):
-            _add_row(views[i], np.float32(i), quota, np.float32(truncation), total)
-        _cost_row(total, quota, seen, np.float32(truncation), cost[r], count[r])
+        for r in range(band * BAND, min(rows, band * BAND + BAND)):
+            seen[:] = total[:] = np.float32(0)
+            for i in range(n):
+                y = scale[i] * r + shift[i, 0]
+                k = int(np.floor(y))
+                if 1 <= k < height - 2:
+                    _between(pictures[i, k - 1 : k + 3], _taps(y - k), row)
+                    _along(row, first[i], taps[i], samples)
+                else:
+                    samples[:] = np.float32(np.nan)
+                fill_row(samples, views[i], seen)
+            sort_rows(views, pairs)
+            median_row(views, seen, median)
+            for i in range(n):
+                _deviate_row(views[i], median)
+            sort_rows(views, pairs)
+            _quota_row(seen, np.float32(keep), quota)
+            for i in range(n):
+                _add_row(views[i], np.float32(i), quota, np.float32(truncation), total)
+            _cost_row(total, quota, seen, np.float32(truncation), cost[r], count[r])
 
 
 @minimum_kernel
@@ -169,3 +228,27 @@ def winner(total: F32, cost: F32, count: U8, height: F32, ratio: F32) -> None:
             for d in range(max(0, k - 1), min(depth, k + 2)):
                 low = min(low, cost[r, c, d])
             ratio[r, c] = low / max(second, np.float32(1e-6))
+
+
+@kernel
+def splat(found: F32, ratio: F32, ground: float, cell: float, place: F64, height: F32, which: F32) -> None:
+    """Move heights along their rays to the cells above which they lie; the highest stays, its `ratio` in `which`.
+
+    `place`: of the first ray's cell at `ground`, east and north of the first of `height`, then of the rays' origin, and
+    its height, metres.
+    """
+    rows, cols = found.shape
+    reach = np.float32(0.3)  # cells about a point that it covers
+    for r in range(rows):
+        north = place[1] - r * cell - place[3]
+        for c in range(cols):
+            z = found[r, c]
+            if z != z:
+                continue
+            s = (place[4] - z) / (place[4] - ground)
+            row = -(place[3] + s * north) / cell
+            col = (place[2] + s * (place[0] + c * cell - place[2])) / cell
+            for i in range(int(np.rint(row - reach)), int(np.rint(row + reach)) + 1):
+                for j in range(int(np.rint(col - reach)), int(np.rint(col + reach)) + 1):
+                    if 0 <= i < height.shape[0] and 0 <= j < height.shape[1] and not z <= height[i, j]:
+                        height[i, j], which[i, j] = z, ratio[r, c]

@@ -185,7 +185,7 @@ def veil(visible: U8, samples: F32) -> None:
 
 
 @kernel
-def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, ring: np.float32, worse: np.float32, keep: F32) -> None:
+def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, worse: np.float32, keep: F32) -> None:
     for c in range(h.size):
         was = s0[c] if s0[c] > LEAST else LEAST
         now = s[c] if s[c] > LEAST else LEAST
@@ -193,11 +193,11 @@ def _fuse_row(h: F32, s: F32, h0: F32, s0: F32, ring: np.float32, worse: np.floa
         stays = old & ((h[c] != h[c]) | ~(s[c] < worse * was))
         d = h[c] - h0[c]
         agree = old & (d * d < np.float32(9) * (was * was + now * now))
-        weight_old, weight_new = ONE / (was * was), ONE / (ring * now * now)
+        weight_old, weight_new = ONE / (was * was), ONE / (now * now)
         inverse = ONE / (weight_old + weight_new)
         mean = (weight_old * h0[c] + weight_new * h[c]) * inverse
         spread = np.sqrt(inverse)
-        least = np.float32(0.6) * s[c]
+        least = np.float32(0.95) * s[c]
         spread = spread if spread > least else least
         height = mean if agree else h[c]
         spread = spread if agree else s[c]
@@ -216,16 +216,16 @@ def _keep_row(keep: F32, new: F32, old: F32) -> None:
 @parallel_kernel
 def fuse(
     height: F32, sigma: F32, flags: U16, views: U8, residual: F32,
-    height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, ring: int, worse: float,
+    height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, worse: float,
 ) -> None:  # fmt: skip
     """Weigh a step (changed in place) against the map before it (`...0`) (eq. 16).
 
-    A step brings 1 / `ring` of its information. Heights that disagree by more than three sigma are not averaged: the
-    new one stands. A look whose sigma is `worse` times the map's changes nothing.
+    Heights that disagree by more than three sigma are not averaged: the new one stands. Steps see nearly the same
+    pictures, so that sigma hardly falls. A look whose sigma is `worse` times the map's changes nothing.
     """
     for r in prange(height.shape[0]):
         keep = np.empty(height.shape[1], np.float32)
-        _fuse_row(height[r], sigma[r], height0[r], sigma0[r], np.float32(ring), np.float32(worse), keep)
+        _fuse_row(height[r], sigma[r], height0[r], sigma0[r], np.float32(worse), keep)
         _keep_row(keep, flags[r], flags0[r])
         _keep_row(keep, views[r], views0[r])
         _keep_row(keep, residual[r], residual0[r])

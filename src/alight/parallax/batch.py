@@ -15,24 +15,16 @@ import numpy as np
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
-from alight.parallax.edges import sharpen
-from alight.parallax.sweep import planes, sweep
-from alight.parallax.views import Prepared, choose, coarser, maps, prepare, stack
+from alight.parallax.sweep import look, planes
+from alight.parallax.views import Prepared, choose, maps, prepare, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
-COARSE = 2  # cells of the sweep over cells of the grid
+SWEPT = 8  # views that are swept
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
 LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not
 WITNESSES = 6  # pairs of views of one instant that are asked what moves
-
-
-def interpolated(values: F32, grid: Grid) -> F32:
-    """Bring what the sweep found to the grid; bilinear where four neighbours are known, the nearest otherwise."""
-    shape = (values.shape[1] * COARSE, values.shape[0] * COARSE)
-    linear = cv2.resize(values, shape, interpolation=cv2.INTER_LINEAR)[: grid.rows, : grid.cols]
-    return np.where(np.isnan(linear), refine.enlarged(values, grid, COARSE), linear)
 
 
 class Images:
@@ -42,19 +34,17 @@ class Images:
         self.views = views
         self.cell = cell
         self.height = height  # metres, of the ground in general: for the ground sampling distance
-        self._ready: OrderedDict[tuple[int, bool], Prepared] = OrderedDict()
+        self._ready: OrderedDict[int, Prepared] = OrderedDict()
         self._keep = keep
 
-    def get(self, index: int, coarse: bool) -> Prepared:
-        """View `index` at the cell of the grid, or of the sweep."""
-        key = (index, coarse)
-        if key not in self._ready:
-            fine = None if not coarse else self.get(index, coarse=False)
-            self._ready[key] = coarser(fine) if fine else prepare(self.views[index], self.cell, self.height)
-            while len(self._ready) > 2 * self._keep:
+    def get(self, index: int) -> Prepared:
+        """View `index` at the cell of the grid."""
+        if index not in self._ready:
+            self._ready[index] = prepare(self.views[index], self.cell, self.height)
+            if len(self._ready) > self._keep:
                 self._ready.popitem(last=False)
-        self._ready.move_to_end(key)
-        return self._ready[key]
+        self._ready.move_to_end(index)
+        return self._ready[index]
 
 
 def match(images: Images, grid: Grid, low: float, high: float, settings: Parallax) -> Heights | None:
@@ -71,19 +61,17 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     chosen = choose(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
     if len(chosen) < 2:
         return None
-    wide = grid.coarser(COARSE)
-    coarse = [images.get(i, coarse=True) for i in chosen]
-    found, ratio = sweep(coarse, wide, planes(coarse, low, high, wide.cell), images.height)
-    start = interpolated(found, grid)
+    fine = [images.get(i) for i in chosen]
+    levels, ground = planes(fine, low, high, grid.cell), min(max(images.height, low), high)
+    some = choose([images.views[i] for i in chosen], grid, 0.5 * (low + high), SWEPT, MAX_TANGENT)
+    start, ratio = look([fine[i] for i in some], grid, levels, ground, np.ones(grid.shape, np.bool_))
     if not np.isfinite(start).any():
         return None
-    fine = [images.get(i, coarse=False) for i in chosen]
     per_px = refine.enlarged(refine.sight(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
-    start = sharpen(fine, grid, start, per_px)
     visible = refine.visible_from(fine, grid, start, per_px)
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, ITERATIONS)
     rgb = colour([images.views[i] for i in chosen], fine, grid, fit.height, visible)
-    heights = judged(fine, grid, fit, ratio, (low, high), rgb)
+    heights = judged(fine, grid, fit, trust.halved(np.where(np.isnan(ratio), np.float32(1), ratio)), (low, high), rgb)
     return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid))
 
 
@@ -94,7 +82,7 @@ def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(WITNESSES, len(asked))).astype(int))]
     if not len(asked):
         return np.zeros(grid.shape, np.uint16)
-    samples = stack([images.get(int(i), coarse=False) for i in asked.ravel()], grid, fit.height)
+    samples = stack([images.get(int(i)) for i in asked.ravel()], grid, fit.height)
     return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid, LEAST_VIEWS)
 
 

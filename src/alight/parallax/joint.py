@@ -25,6 +25,7 @@ from alight.records import F32, F64
 log = logging.getLogger(__name__)
 
 CELLS = 1500  # that take part
+TAKEN = 0.5  # share of the heights that a step takes from its own pictures (eq. 16)
 LEAST = 40  # cells that a view must share with others
 CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
 UNLIKELY = 6.0  # squared error over its covariance, a degree of freedom, at which nothing is believed
@@ -111,7 +112,7 @@ def refined(belief: Belief, looks: Sequence[Look], pixel: float, drop: float, ri
     across, shared = belief.covariance[:, rows], A / ring
     known = np.linalg.solve(one + shared @ P, shared)
     after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
-    follow = _following(seen, rows, len(after), 1 / ring)
+    follow = _following(seen, rows, len(after), TAKEN)
     return belief.corrected(across @ whitened, follow @ after @ follow.T), belief.plane + x[:PLANE]
 
 

@@ -17,8 +17,8 @@ from alight.geometry import Grid, box_of
 from alight.kernels import trust as kernels
 from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
-from alight.parallax.batch import COARSE, interpolated, judged, picture_at
-from alight.parallax.sweep import planes, sweep
+from alight.parallax.batch import judged, picture_at
+from alight.parallax.sweep import look, planes
 from alight.parallax.views import Buffers, coarser, maps, prepare
 from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
@@ -131,14 +131,14 @@ class Ring:
         visible = refine.visible_from(fine, grid, start, per_px)
         fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
-        ratio = trust.halved(np.where(np.isnan(ratio), UNKNOWN_RATIO, ratio))
+        ratio = trust.halved(np.where(np.isnan(ratio) | np.isnan(start), UNKNOWN_RATIO, ratio))
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
         found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
         samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
         moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
         found = replace(found, flags=found.flags | moves)
-        return replace(fused(found, known, self._settings.ring), gauge=self._alignment.gauge(grid))
+        return replace(fused(found, known), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, self._unknown, np.float32)
@@ -154,7 +154,7 @@ class Ring:
     def _first_look(
         self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: refine.Sight, low: float, high: float
     ) -> tuple[F32, NDArray[np.bool_]]:
-        """Sweep the rectangle about the cells that are seen well for the first time; `ratio` gets their ambiguity.
+        """Sweep the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
         First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
         differ by more than `SAME_PX`; what was not looked at yet is left out of the step.
@@ -164,26 +164,20 @@ class Ring:
         """
         above = views[-1][0].centre[2] - self._ground
         anew, wrong = np.isnan(ratio), np.zeros(grid.shape, np.bool_)
-        enough = (seen.baseline >= FIRST_LOOK * above) & (seen.count >= LEAST_VIEWS)
-        fresh = (np.isnan(before) | anew) & refine.enlarged(enough.view(np.uint8), grid, refine.SEEN_BLOCK).view(
-            np.bool_
-        )
+        base = np.where(seen.count >= LEAST_VIEWS, seen.baseline / np.float32(FIRST_LOOK * above), np.float32(0))
+        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a look in vain, twice the baseline
+        fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
             return start, wrong
-        where = box_of(fresh)
-        here, known = fresh[where], before[where]
-        part = grid.window(where[0].start, where[1].start, *here.shape)
-        wide = part.coarser(COARSE)
-        coarse = [c for _, _, c in views]
-        found, ambiguity = sweep(coarse, wide, planes(coarse, low, high, wide.cell), self._ground)
-        new = interpolated(found, part)
-        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)[where]
-        told, off = known + shift_of((new - known)[here], per_px[here]), here & np.isfinite(known)
-        same = np.abs(new - told) < SAME_PX * per_px
-        start[where] = np.where(here, np.where(same, told, new), start[where])
-        wrong[where] = off & (start[where] != known) & np.isfinite(new)
-        ratio[where] = np.where(here, refine.enlarged(ambiguity, part, COARSE), ratio[where])
+        fine = [f for _, f, _ in views]
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        new, found = look(fine, grid, planes(fine, low, high, grid.cell), min(max(self._ground, low), high), fresh)
+        told = before + shift_of((new - before)[fresh], per_px[fresh])
+        new = np.where(np.abs(new - told) < SAME_PX * per_px, told, new)
+        wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)
+        np.copyto(start, new, where=fresh)
+        np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
         return start, wrong
 
     def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
@@ -239,13 +233,12 @@ def spread_out(away: NDArray[np.float64], count: int) -> list[int]:
     return kept
 
 
-def fused(new: Heights, old: ElevationMap, ring: int) -> Heights:
+def fused(new: Heights, old: ElevationMap) -> Heights:
     """Weigh a step against the map (eq. 16).
 
-    Consecutive rings share all but one exposure, so a step brings 1/ring of its information. Heights that disagree by
-    more than three sigma are not averaged: the new one stands. Where the ring sees a cell much worse than it once did,
-    at the edge of its pictures, the map stays as it is.
+    Heights that disagree by more than three sigma are not averaged: the new one stands. Where the ring sees a cell much
+    worse than it once did, at the edge of its pictures, the map stays as it is.
     """
     out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
-    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), ring, WORSE)
+    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), WORSE)
     return out

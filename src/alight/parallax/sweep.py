@@ -1,23 +1,38 @@
-"""Plane sweep on the world grid with semi-global aggregation: heights from nothing (cold start, recorded flights)."""
+"""Heights from nothing: a plane sweep along the rays of one view with semi-global aggregation (cold start, recordings).
+
+The cells of the sweep are those of the world grid where its ground is, but a hypothesis about what stands higher moves
+along the ray to the reference view, not up: each ray then meets one surface. A cell of the world grid can be explained
+at the height of the ground by whatever stands before it, and things seen from the side went missing.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from dataclasses import dataclass
 
-from alight.geometry import Grid
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, box_of
 from alight.kernels import sweep as kernels
 from alight.kernels.sorting import network
-from alight.parallax.views import Prepared, stack
-from alight.records import F32
+from alight.parallax.views import Prepared, maps
+from alight.records import F32, F64
 
 KEEP = 0.7  # share of the views that has to agree
 TRUNCATION = np.float32(1.5)  # normalised grey
-P1, P2, EDGE = (
-    np.float32(0.05),
-    np.float32(0.5),
-    np.float32(0.5),
-)  # smoothness of one plane, of more, and at image edges
+P1, P2 = np.float32(0.1), np.float32(1.0)  # for one plane and for more between neighbours
+EDGE = np.float32(0.5)  # how much less of P2 where the reference has an edge
 MOST_PLANES = 192
+GAP = 2  # cells
+REFERENCES = 2  # views whose rays are swept: what one does not see another does
+LEAST_WANTED = 0.25  # of a block
+LEAST_BLOCKS = 4  # of a region
+SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
+
+Mask = NDArray[np.bool_]
+Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
 
 
 def parallax_per_metre(prepared: list[Prepared], height: float) -> float:
@@ -33,43 +48,158 @@ def planes(prepared: list[Prepared], low: float, high: float, cell: float) -> F3
     return np.linspace(low, high, count).astype(np.float32)
 
 
-def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float) -> tuple[F32, F32]:
-    """Find the height of every cell among `levels` (docs/method.md, eqs. 6 and 7).
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """Views registered on the plane at `ground`: there a hypothesis of another height is a shift and a scale."""
 
-    Cells that two views would not see if they lay at `ground` (metres) are left out: at the border of what is seen,
-    only a wrong height brings them into a second image.
+    grid: Grid
+    ground: float  # metres
+    pictures: F32  # (N, R, C) normalised grey, NaN outside
+    centres: F64  # (N, 3) metres
+
+    def at(self, cells: Grid, height: float, about: F64) -> tuple[F64, F64]:
+        """Scale (N,) and shift (N, 2) from row and column of `cells` that go to `height` along the rays to `about`."""
+        s = (about[2] - height) / (about[2] - self.ground)
+        t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - height)
+        first = np.array([cells.east, cells.north])
+        place = self.centres[:, :2] + t[:, None] * (about[:2] + s * (first - about[:2]) - self.centres[:, :2])
+        row, col = self.grid.index(place[:, 0], place[:, 1])
+        return s * t * (cells.cell / self.grid.cell), np.column_stack([row, col])
+
+
+def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32) -> Registered:
+    """Register views on the plane at `ground` about `grid`, so far beyond it as the `levels` need."""
+    centres = np.array([p.centre for p in prepared])
+    slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
+    share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in (levels[0], levels[-1]))
+    pad = math.ceil(slide * share / grid.cell) + 3
+    wide = grid.window(-pad, -pad, grid.rows + 2 * pad, grid.cols + 2 * pad)
+    level = np.full(wide.shape, ground, np.float32)
+    pictures = np.empty((len(prepared), *wide.shape), np.float32)
+    for i, p in enumerate(prepared):
+        cv2.remap(
+            p.norm,
+            *maps(p, wide, level),
+            cv2.INTER_CUBIC,
+            dst=pictures[i],
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=np.nan,
+        )
+    return Registered(wide, ground, pictures, centres)
+
+
+def lattice(grid: Grid, ground: float, levels: F32, reference: Prepared) -> Grid:
+    """The cells at `ground` whose rays to the reference cross `grid` at any of the `levels`, where it has a picture."""
+    about = reference.centre
+    x, y = (v[[0, -1]] for v in grid.xy())
+    share = np.array([(about[2] - ground) / (about[2] - z) for z in (levels[0], levels[-1])])
+    east = (about[0] + np.multiply.outer(share, x - about[0])).ravel()
+    north = (about[1] + np.multiply.outer(share, y - about[1])).ravel()
+    (top, bottom), (left, right) = ((math.floor(i.min()), math.ceil(i.max()) + 1) for i in grid.index(east, north))
+    wide = grid.window(top, left, bottom - top, right - left)
+    seen = np.full(wide.coarser(SEEN_BLOCK).shape, ground, np.float32)
+    rows, cols = box_of(maps(reference, wide.coarser(SEEN_BLOCK), seen)[0] >= 0)
+    top, left = max(rows.start - 1, 0) * SEEN_BLOCK, max(cols.start - 1, 0) * SEEN_BLOCK
+    bottom, right = min((rows.stop + 1) * SEEN_BLOCK, wide.rows), min((cols.stop + 1) * SEEN_BLOCK, wide.cols)
+    return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
+
+
+def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wanted: Mask) -> Swept:
+    """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
+
+    What that one does not see, behind a step or beyond its border, is swept along the rays of a second.
+    """
+    height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+    left = wanted.copy()
+    for _ in range(REFERENCES):
+        for where in regions(left):
+            rows, cols = where
+            part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
+            found, of = sweep(prepared, part, levels, ground, best_reference(prepared, part, ground, left[where]))
+            take = left[where] & np.isfinite(found)
+            np.copyto(height[where], found, where=take)
+            np.copyto(ratio[where], of, where=take)
+            left[where] &= ~take
+    return height, ratio
+
+
+def regions(wanted: Mask) -> list[tuple[slice, slice]]:
+    """The rectangles about blocks with wanted cells; a few of them in a block are not worth a sweep."""
+    shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
+    whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
+    whole[: wanted.shape[0], : wanted.shape[1]] = wanted
+    share = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
+    count, labels = cv2.connectedComponents((share > LEAST_WANTED).astype(np.uint8), connectivity=4)
+    boxes = [box_of(labels == k) for k in range(1, count)]
+    return [
+        (slice(r.start * SEEN_BLOCK, min(r.stop * SEEN_BLOCK, wanted.shape[0])),
+         slice(c.start * SEEN_BLOCK, min(c.stop * SEEN_BLOCK, wanted.shape[1])))
+        for r, c in boxes if (r.stop - r.start) * (c.stop - c.start) >= LEAST_BLOCKS
+    ]  # fmt: skip
+
+
+def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int:
+    """The view that sees most of the `wanted` cells as if they lay at `ground`, the steeper the better."""
+    wide = grid.coarser(SEEN_BLOCK)
+    share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
+    level = np.full(wide.shape, ground, np.float32)
+    x, y = np.meshgrid(*wide.xy())
+    worth = []
+    for p in prepared:
+        tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
+        worth.append(float((share * (maps(p, wide, level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()))
+    return int(np.argmax(worth))
+
+
+def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, reference: int) -> Swept:
+    """Find the height of every cell that view `reference` sees, among `levels` (docs/method.md, eqs. 6 and 7).
+
+    `ground`: metres, about where most of it lies.
 
     Returns:
-        heights (R, C), NaN where fewer than two views see, and best/second cost (R, C), near 1 where a second one fits.
+        heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
+        second one fits.
     """
-    rows, cols = grid.shape
-    cost = np.empty((rows, cols, len(levels)), np.float32)
-    plane, count = np.empty((rows, cols), np.float32), np.zeros((rows, cols), np.int32)
-    seen = np.zeros((rows, cols), np.int32)
-    usual = int(np.argmin(np.abs(levels - ground)))
+    about = prepared[reference].centre
+    rays = lattice(grid, ground, levels, prepared[reference])
+    views = register(prepared, rays, ground, levels)
+    cost = np.empty((*rays.shape, len(levels)), np.float32)
+    plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
+    pairs, usual = network(len(prepared)), int(np.argmin(np.abs(levels - ground)))
+    seen = np.zeros(rays.shape, np.int32)
     for k, z in enumerate(levels):
-        samples = stack(prepared, grid, np.full((rows, cols), z, np.float32))
-        kernels.sweep_cost(samples, network(len(samples)), KEEP, TRUNCATION, plane, count)
-        cost[:, :, k] = plane
-        if k == usual:
+        scale, shift = views.at(rays, float(z), about)
+        kernels.sweep_cost(views.pictures, scale, shift, pairs, KEEP, TRUNCATION, plane, count)
+        cost[:, :, k] = cv2.blur(plane, (3, 3))
+        if k == usual:  # beyond the border only a wrong height brings a second view in
             seen = count.copy()
-    smooth = window3(cost)
-    guide = stack(prepared[:1], grid, np.full((rows, cols), np.median(levels), np.float32))[0]
+    pad = (views.grid.rows - rays.rows) // 2
+    guide = np.ascontiguousarray(views.pictures[reference, pad : pad + rays.rows, pad : pad + rays.cols])
+    seen[np.isnan(guide)] = 0
     halves = np.empty((2, *cost.shape), np.float32)
-    kernels.aggregate(smooth, np.nan_to_num(guide), P1, P2, EDGE, halves)
+    kernels.aggregate(cost, np.nan_to_num(guide), P1, P2, EDGE, halves)
     total = np.add(halves[0], halves[1], out=halves[0])
-    index, ratio = np.empty((rows, cols), np.float32), np.empty((rows, cols), np.float32)
-    kernels.winner(total, smooth, seen, index, ratio)
+    index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
+    kernels.winner(total, cost, seen, index, ratio)
     spacing = levels[1] - levels[0]
-    return (levels[0] + spacing * index).astype(np.float32), ratio
+    found = cv2.medianBlur((levels[0] + spacing * index).astype(np.float32), 3)  # single spikes
+    return upright(found, ratio, rays, ground, about, grid)
 
 
-def window3(cost: F32) -> F32:
-    """Mean over 3x3 cells of a cost volume (R, C, D)."""
-    padded = np.pad(cost, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    rows, cols = cost.shape[:2]
-    out = np.zeros_like(cost)
-    for dr in range(3):
-        for dc in range(3):
-            out += padded[dr : dr + rows, dc : dc + cols]
-    return out / np.float32(9)
+def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid) -> Swept:
+    """Put what was found along the rays to `about` on the world grid: of several in one cell, the highest."""
+    height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+    to = np.array(
+        [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
+    )
+    kernels.splat(found, ratio, ground, rays.cell, to, height, which)
+    return closed(height), which
+
+
+def closed(height: F32) -> F32:
+    """Fill gaps of a few cells with the lowest height beside them: what a step hides lies at its foot."""
+    known = np.isfinite(height)
+    near = np.ones((2 * GAP + 1,) * 2, np.uint8)
+    gap = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known
+    lowest = cv2.erode(np.where(known, height, np.float32(np.inf)), near)
+    return np.where(gap, lowest, height)

@@ -23,10 +23,10 @@ MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: le
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby: there the smoothing overruled what the cells saw
 # sigma (eq. 14), fitted on simulated flights
-FIT = 0.35  # of noise over information
+FIT = 0.2  # of noise over information
 FLOOR_CELL = 0.1  # cells: a window is no point
 ROUGH = 7.0  # of the variance of the relief that is seen: what is not seen goes with it
-BESIDE = 0.1  # of the square of what neighbours lie off beyond two sigma
+BESIDE = 0.15  # of the square of what neighbours lie off beyond two sigma
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 NEAR = 5  # cells of half resolution: what is nearby

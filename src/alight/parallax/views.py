@@ -123,11 +123,11 @@ def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = Non
     return mapx, mapy
 
 
-def sample(image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None) -> F32:
+def sample(
+    image: NDArray[np.float32], mapx: F32, mapy: F32, out: F32 | None = None, how: int = cv2.INTER_LINEAR
+) -> F32:
     """Sample an image at the maps, NaN outside it."""
-    return np.asarray(
-        cv2.remap(image, mapx, mapy, cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
-    )
+    return np.asarray(cv2.remap(image, mapx, mapy, how, dst=out, borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan))
 
 
 def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None = None) -> F32:
