@@ -20,7 +20,7 @@ from alight.parallax.views import Prepared, choose, maps, prepare, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
-SWEPT = 8  # views that are swept
+SWEPT = 16  # views that are swept
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
 LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not

@@ -26,7 +26,7 @@ HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
 STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
 # of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they are not:
 # neighbours share pixels, so 100 left three times the noise on a concrete slab
-PRIOR = 2500.0
+PRIOR = 4500.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ P1, P2 = np.float32(0.1), np.float32(1.0)  # for one plane and for more between 
 EDGE = np.float32(0.5)  # how much less of P2 where the reference has an edge
 MOST_PLANES = 192
 GAP = 2  # cells
-REFERENCES = 2  # views whose rays are swept: what one does not see another does
+REFERENCES = 4  # most views whose rays are swept: what one does not see another does
 LEAST_WANTED = 0.25  # of a block
 LEAST_BLOCKS = 4  # of a region
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
@@ -115,7 +115,10 @@ def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wante
         for where in regions(left):
             rows, cols = where
             part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
-            found, of = sweep(prepared, part, levels, ground, best_reference(prepared, part, ground, left[where]))
+            reference = best_reference(prepared, part, ground, left[where])
+            if reference is None:
+                continue
+            found, of = sweep(prepared, part, levels, ground, reference)
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
@@ -138,8 +141,8 @@ def regions(wanted: Mask) -> list[tuple[slice, slice]]:
     ]  # fmt: skip
 
 
-def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int:
-    """The view that sees most of the `wanted` cells as if they lay at `ground`, the steeper the better."""
+def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int | None:
+    """The view that sees most of the `wanted` cells as if they lay at `ground`, the steeper the better; None sees any."""
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
     level = np.full(wide.shape, ground, np.float32)
@@ -148,7 +151,7 @@ def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: 
     for p in prepared:
         tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
         worth.append(float((share * (maps(p, wide, level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()))
-    return int(np.argmax(worth))
+    return int(np.argmax(worth)) if max(worth) > 0 else None
 
 
 def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, reference: int) -> Swept:
