@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.compiler import kernel
+from alight.kernels.compiler import kernel, sum_kernel
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -36,7 +36,7 @@ def _lay(patch: U8, x: float, y: float, turn: F64, half: int, out: F32) -> bool:
     return True
 
 
-@kernel
+@sum_kernel
 def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
     """Take the mean out of a patch, and of its gradients; sums: xx, xy, yy of these, and the patch's own power."""
     m = gx.shape[0]
@@ -63,7 +63,7 @@ def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
     sums[0], sums[1], sums[2], sums[3] = xx, xy, yy, power
 
 
-@kernel
+@sum_kernel
 def _compare(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F64, step: F64) -> float:
     """One step of least squares over shift, gain and offset of brightness; the correlation where it was taken."""
     m = gx.shape[0]

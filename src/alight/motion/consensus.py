@@ -12,12 +12,13 @@ Mask = NDArray[np.bool_]
 
 _KNEE = 3.0  # times the usual misfit from which on a feature counts for little
 _LEAST = 1e-3  # of the usual misfit, in squared sigmas: simulated features may have none
-_ROUNDS = 4
+_ROUNDS = 3
 
 
 def usual(misfit: F64) -> float:
-    """What features miss by: the median of their squared misfits a row."""
-    return max(float(np.median(misfit)), _LEAST) if len(misfit) else 1.0
+    """What features miss by: the (upper) median of their squared misfits a row."""
+    middle = len(misfit) // 2  # np.median takes 80 microseconds for the same
+    return max(float(np.partition(misfit, middle)[middle]), _LEAST) if len(misfit) else 1.0
 
 
 def belief(misfit: F64, usual_misfit: float) -> F64:

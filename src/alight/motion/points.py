@@ -124,7 +124,7 @@ def _watch(points: Sequence[Point], residual: F64) -> None:
     for q, r in zip(points, residual, strict=True):
         q.lag = q.lag + _RECENT * (r - q.lag)
         q.noise = q.noise + _RECENT * (float(r @ r) - q.noise)
-    limit = _LAG * _RECENT / (2.0 - _RECENT) * float(np.median([q.noise for q in points]))
+    limit = _LAG * _RECENT / (2.0 - _RECENT) * usual(np.array([q.noise for q in points]))
     for q in points:
         q.misses = MISSES if q.lag @ q.lag > limit else q.misses
 

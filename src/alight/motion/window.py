@@ -136,9 +136,9 @@ class Reduced:
     def misfits(self, error: F64) -> F64:
         """(N,) squared residual of each feature when the poses are moved by (6K,) errors and its point follows."""
         e = error.reshape(-1, 6)
-        along = np.einsum("nkij,ki->nj", self.V, e)
-        moved = np.einsum("ki,nkij,kj->n", e, self.A, e, optimize=True) - (along**2).sum(axis=1)
-        return np.asarray(self.misfit - 2.0 * np.einsum("nki,ki->n", self.b, e) + moved)
+        n, pull = len(self.b), (self.A @ e[..., None])[..., 0] - 2.0 * self.b
+        along = error @ self.V.reshape(n, -1, 3)
+        return np.asarray(self.misfit + pull.reshape(n, -1) @ error - (along**2).sum(axis=1))
 
     def distances(self, P: F64) -> F64:
         """(N,) squared Mahalanobis distance of each feature, the (6K, 6K) covariance `P` of the poses allowed for."""

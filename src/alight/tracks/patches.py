@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import cv2
@@ -9,9 +10,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from alight.geometry import Camera, Pose
+from alight.geometry import Pose
 from alight.kernels.patches import settle
 from alight.records import F64, U8
+from alight.tracks.lens import Lens
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -21,15 +23,15 @@ _BLUR = 0.7  # px; without, linear sampling follows the pixels and not the groun
 _STOP, _ROUNDS = 0.01, 12  # px; steps
 _CORRELATION = 0.8  # least, of a match
 _MOVED = 1.5  # px, at most, from where the picture before led to
-_SPAN = 0.125  # of the picture's width; features that moved further take a new patch
 _FAR = 1e6  # m, of features without any depth
 _ARM = 4.0  # px over which a map is differenced
+_ARMS = _ARM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 _SHALLOW = 0.2  # of the way down: rays that come in flatter are taken across the view
 
 
 def smooth(image: U8) -> U8:
     """Return the picture as patches are cut from it and looked for in it."""
-    return np.asarray(cv2.GaussianBlur(image, (5, 5), _BLUR))
+    return np.asarray(cv2.GaussianBlur(image, (3, 3), _BLUR))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,18 +49,35 @@ class Ground:
         return cls(up, float(np.median(known)) if len(known) else _FAR)
 
     def depths(self, rays: F64) -> F64:
-        """(N,) of (N, 3) rays, z = 1."""
+        """(...) of (..., 3) rays, z = 1."""
         down = rays @ self.up / min(float(self.up[2]), -1e-9)  # 1 along the optical axis
         steep = (down > _SHALLOW) & (self.up[2] < -_SHALLOW)
         return np.asarray(self.depth / np.where(steep, down, 1.0))
 
 
-def turns(pixels: F64, camera: Camera, other: Camera, other_from_camera: Pose, ground: Ground) -> F64:
-    """(N, 2, 2) px in another view by px here, for the ground about (N, 2) pixels."""
-    arms = _ARM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    rays = camera.rays((pixels[:, None] + arms).reshape(-1, 2))
-    there = other.project(other_from_camera.apply(rays * ground.depths(rays)[:, None])).reshape(-1, 4, 2)
-    return np.ascontiguousarray((there[:, ::2] - there[:, 1::2]).transpose(0, 2, 1) / (2 * _ARM))
+def _about(lens: Lens, pixels: F64) -> F64:
+    """(N, 4, 2) ideal coordinates either side of (N, 2) pixels."""
+    return lens.normalise((pixels[:, None] + _ARMS).reshape(-1, 2)).reshape(-1, 4, 2)
+
+
+def _slopes(values: F64) -> F64:
+    """(N, 2, 2) differences of what was taken either side."""
+    return np.asarray((values[:, ::2] - values[:, 1::2]).transpose(0, 2, 1))
+
+
+def turns(pixels: F64, lens: Lens, views: Sequence[Pose], ground: Ground, there: F64, other: Lens) -> F64:
+    """(N, 2, 2) px in other views by px here, for the ground about features.
+
+    Args:
+        pixels: (N, 2) here.
+        views: other_from_here, one for each feature or one for all.
+        there: (N, 2) pixels in the other views, through the lens `other`.
+    """
+    flat = _about(lens, pixels)
+    rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=2)
+    R, t = np.array([p.rotation for p in views]), np.array([p.translation for p in views])
+    x = (rays * ground.depths(rays)[..., None]) @ R.transpose(0, 2, 1) + t[:, None]
+    return np.asarray(np.linalg.solve(_slopes(_about(other, there)), _slopes(x[..., :2] / x[..., 2:])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +124,9 @@ class Patches:
 class Anchors:
     """The patches of the features of one camera, and where it was when they were cut."""
 
-    def __init__(self, camera: Camera, window: int) -> None:
-        self._camera, self._window = camera, window | 1
+    def __init__(self, lens: Lens, span: float, window: int) -> None:
+        """Take the lens, and px that a feature may move before it takes a new patch."""
+        self._lens, self._span, self._window = lens, span, window | 1
         self._poses: dict[int, Pose] = {}
         self._patches = self._none()
 
@@ -126,12 +146,13 @@ class Anchors:
             return pixels
         held = self._patches.rows(np.isin(self._patches.ids, ids))
         at = np.searchsorted(ids, held.ids)
-        turn, ground = np.empty((len(at), 2, 2)), Ground.below(pose, depth)
-        for k in np.unique(held.picture):
-            of = held.picture == k
-            turn[of] = turns(pixels[at[of]], self._camera, self._camera, self._poses[int(k)].inverse @ pose, ground)
+        if not len(at):
+            return pixels
+        then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
+        views = [then_from_now[k] for k in held.picture.tolist()]
+        turn = turns(pixels[at], self._lens, views, Ground.below(pose, depth), held.pixels, self._lens)
         there, good = held.found(image, pixels[at], turn, self._window)
-        good &= np.linalg.norm(there - held.pixels, axis=1) < _SPAN * self._camera.width
+        good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
         out = pixels.copy()
         out[at] = there
         self._patches = held.rows(good)

@@ -28,12 +28,13 @@ Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
-_STOP_BACK = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # half a pixel is all that is asked back
+_STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # of the way back, and where patches settle
 _FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
 _FEW = 0.1  # share of the features found below which the prediction is doubted
 _PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
 _SWEEP_STEP = 0.12  # of the logarithm of depth
 _SURE = 5.0  # px; where nine of ten guesses were off by more, nobody knows how patches lie (photos: 0.08, 0.04 degrees)
+_SPAN = 0.125  # of the width; features that moved further look otherwise by now
 _CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
 
 
@@ -62,7 +63,7 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
-        self._anchors = Anchors(self._cameras[0], settings.window_px)
+        self._anchors = Anchors(self._lenses[0], _SPAN * self._cameras[0].width, settings.window_px)
         self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
         self._next_id = 0
         self._memory: _Memory | None = None
@@ -111,7 +112,7 @@ class Tracker:
         return m.ids[good], pixels[good], depth[good]
 
     def _matched(self, m: _Memory, image: U8, guess: F32, expected: bool = False) -> tuple[F32, Mask]:
-        then, start = turned(m.image, m.pixels, guess)
+        then, start = (m.image, m.pixels) if expected and self._off[0] < _CLOSE else turned(m.image, m.pixels, guess)
         return self._match(then, image, start, guess, 0, expected)
 
     def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
@@ -164,8 +165,10 @@ class Tracker:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
         """
         a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
-        there, ok = self._flow(a, b, pixels, guess, min(s.levels, near) if expected else s.levels, _STOP)
-        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_BACK)  # from where it must end: wrong ones slide away
+        held = expected and near == 1  # its patch settles it
+        levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
+        there, ok = self._flow(a, b, pixels, guess, levels, stop)
+        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
         good, off = ok & ok_back & _inside(there, self._cameras[cam]), np.linalg.norm(there - guess, axis=1)
         good &= (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px) & (off < s.search_px)
         self._off[cam] = float(np.sort(off[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
@@ -222,10 +225,10 @@ class Tracker:
     ) -> F32:
         """Matches in another camera made better by their patches; those that are not found so are no longer good."""
         held = patches.rows(good[patches.ids])
-        to_first, camera, at = self._cam_from_first[i].inverse, self._cameras[i], held.ids
+        to_first, at = self._cam_from_first[i].inverse, held.ids
         ground = Ground.below(pose @ to_first if pose is not None else None, depth)
         guess = there[at].astype(np.float64)
-        turn = turns(guess, camera, self._cameras[0], to_first, ground)
+        turn = turns(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
         there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
         return there
 
