@@ -113,13 +113,13 @@ def measure(state: State, ids: Ints, sights: F64, sigma: F64, cams: Sequence[Pos
     if passed.any():
         misfit = distance / np.maximum(count, 1)
         weight = belief(misfit, usual(misfit[tried]))
-        _watch([q for q, ok in zip(points, tried, strict=True) if ok], rows.residual[tried])
+        watch([q for q, ok in zip(points, tried, strict=True) if ok], rows.residual[tried])
         _correct(state, clone, index[passed], rows.times(np.sqrt(weight)).only(passed))
     mean = float(distance[passed].sum() / max(count[passed].sum(), 1))
     return Votes(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
 
-def _watch(points: Sequence[Point], residual: F64) -> None:
+def watch(points: Sequence[Point], residual: F64) -> None:
     """Find points that lag behind what is seen of them, exposure after exposure: they move, slowly."""
     for q, r in zip(points, residual, strict=True):
         q.lag = q.lag + _RECENT * (r - q.lag)
