@@ -93,7 +93,7 @@ def _healthy(o: Outcome) -> bool:
 
 
 def part_damage(_: argparse.Namespace) -> None:
-    """Named damage, three flights each, the outage twelve: health states, error after it in its own sigma, drift of the outage."""
+    """Named damage, three flights each, the outage twelve: health states, error after it in its sigma, drift."""
     for scenario in ALL:
         found = [scenario.fly(seed) for seed in range(12 if scenario is OUTAGE else 3)]
         after = min(scenario.end + 5.0, scenario.length - 1.0)
