@@ -9,14 +9,15 @@ from hypothesis import strategies as st
 from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
-from alight.geometry import Pose, so3_exp
+from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.consensus import agreed
+from alight.motion.navigation import measurements
 from alight.motion.points import MISSES, watch
 from alight.motion.ring import refine
-from alight.motion.state import CORE, Point, State
+from alight.motion.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, Point, State
 from alight.motion.vision import project
 from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
-from alight.records import F64, Motion
+from alight.records import F64, Motion, NavSample
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
@@ -148,6 +149,41 @@ def test_a_point_that_lags_behind_is_dropped() -> None:
         residual[0] = 0.4 * np.array([1.0, -1.0, 1.0, -1.0]) + 0.02 * rng.normal(size=4)
         watch(points, residual)
     assert [q.misses >= MISSES for q in points] == [True] + [False] * 11
+
+
+def test_gps_and_ins_rows_agree_with_differences() -> None:
+    """The Jacobians of M14 to M16 by every part of the core: numerical ones of what the rows leave over."""
+    rng = np.random.default_rng(4)
+    state = State(0, so3_exp(rng.normal(size=3)), rng.normal(size=CORE), np.eye(CORE))
+    state.core[NAV_ATT] *= 1e-3  # degrees at most: H takes the error of a turned frame for that of the frame
+    sample = NavSample(0, rng.normal(size=3), state.R @ so3_exp([1e-3, 2e-3, -1e-3]), rng.normal(size=3))
+    sigma, h = np.ones(9), 1e-6
+
+    def left(error: F64) -> F64:
+        R = so3_exp(error[:3]) @ state.R
+        core = np.concatenate([state.core[:3], state.core[3:] + error[3:]])
+        return np.concatenate([r for r, _, _ in measurements(State(0, R, core, state.P), sample, sigma, NOISE)])
+
+    H = np.concatenate([H for _, H, _ in measurements(state, sample, sigma, NOISE)])
+    numeric = np.column_stack([(left(h * e) - left(-h * e)) / (2 * h) for e in np.eye(CORE)])
+    np.testing.assert_allclose(-H, numeric, atol=5e-3)
+
+
+def test_a_new_clone_agrees_with_differences() -> None:
+    """The derivative of a clone by attitude, position and mounting: what the rig's pose does when they change."""
+    rng, h = np.random.default_rng(6), 1e-6
+    state = State(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.diag(rng.uniform(1.0, 2.0, CORE)))
+    state.core[MOUNT], state.P[TIME, TIME] = 1e-3 * rng.normal(size=3), 0.0
+    before = np.maximum(state.P.diagonal(), 1.0)
+    state.add_clone(0)
+    J = state.P[state.clone_at(0), :CORE] / before
+    for part in (ATT, MOUNT):
+        for k, e in enumerate(h * np.eye(3)):
+            R = so3_exp(e) @ state.R if part is ATT else state.R
+            mount = state.core[MOUNT] + (e if part is MOUNT else 0.0)
+            turned = so3_log(R @ so3_exp(mount) @ state.rig.T) / h
+            np.testing.assert_allclose(J[:3, part][:, k], turned, atol=2e-3)
+    np.testing.assert_allclose(J[3:, POS], np.eye(3), atol=1e-12)
 
 
 def test_eliminated_rows_agree_with_differences() -> None:

@@ -23,11 +23,13 @@ def _lay(patch: U8, x: float, y: float, turn: F64, half: int, out: F32) -> bool:
     high = half * (abs(turn[1, 0]) + abs(turn[1, 1]))
     if not (x >= wide and y >= high and x + wide < n - 1 and y + high < n - 1):
         return False
+    along, aslant = np.float32(turn[0, 0]), np.float32(turn[1, 0])
     for r in range(2 * half + 1):
+        left = np.float32(x + turn[0, 1] * (r - half) - turn[0, 0] * half)
+        top = np.float32(y + turn[1, 1] * (r - half) - turn[1, 0] * half)
         for c in range(2 * half + 1):
-            px = np.float32(x + turn[0, 0] * (c - half) + turn[0, 1] * (r - half))
-            py = np.float32(y + turn[1, 0] * (c - half) + turn[1, 1] * (r - half))
-            i, j = int(py), int(px)
+            px, py = left + along * np.float32(c), top + aslant * np.float32(c)
+            i, j = np.uint32(py), np.uint32(px)  # not negative, and numba need not ask
             b, a = py - np.float32(i), px - np.float32(j)
             p, q = np.float32(patch[i, j]), np.float32(patch[i + 1, j])
             upper = p + a * (np.float32(patch[i, j + 1]) - p)
@@ -38,7 +40,7 @@ def _lay(patch: U8, x: float, y: float, turn: F64, half: int, out: F32) -> bool:
 
 @sum_kernel
 def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
-    """Take the mean out of a patch, and of its gradients; sums: xx, xy, yy of these, and the patch's own power."""
+    """Take the mean out of a patch, and of its gradients; sums: xx, xy, yy of these, the patch's power, both."""
     m = gx.shape[0]
     mean, mx, my = _ZERO, _ZERO, _ZERO
     for r in range(m):
@@ -50,7 +52,7 @@ def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
             my += gy[r, c]
     unit = np.float32(1.0 / (m * m))
     mean, mx, my = mean * unit, mx * unit, my * unit
-    xx, xy, yy, power = _ZERO, _ZERO, _ZERO, _ZERO
+    xx, xy, yy, power, tx, ty = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for r in range(m):
         for c in range(m):
             gx[r, c] -= mx
@@ -60,7 +62,9 @@ def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
             xy += gx[r, c] * gy[r, c]
             yy += gy[r, c] * gy[r, c]
             power += lay[r + 1, c + 1] * lay[r + 1, c + 1]
-    sums[0], sums[1], sums[2], sums[3] = xx, xy, yy, power
+            tx += gx[r, c] * lay[r + 1, c + 1]
+            ty += gy[r, c] * lay[r + 1, c + 1]
+    sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = xx, xy, yy, power, tx, ty
 
 
 @sum_kernel
@@ -72,25 +76,22 @@ def _compare(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F6
     b, a = np.float32(y - int(y)), np.float32(x - int(x))
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-    total, square, cross, ex, ey, tx, ty = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    total, square, cross, ex, ey = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for r in range(m):
         upper, lower = image[top + r, left : left + m + 1], image[top + r + 1, left : left + m + 1]
         for c in range(m):
             value = w00 * np.float32(upper[c]) + w01 * np.float32(upper[c + 1])
             value += w10 * np.float32(lower[c]) + w11 * np.float32(lower[c + 1])
-            t, g, h = lay[r + 1, c + 1], gx[r, c], gy[r, c]
             total += value
             square += value * value
-            cross += value * t
-            ex += g * value
-            ey += h * value
-            tx += g * t
-            ty += h * t
+            cross += lay[r + 1, c + 1] * value
+            ex += gx[r, c] * value
+            ey += gy[r, c] * value
     gain = cross / np.float32(sums[3])
     variance = square - total * total / np.float32(m * m)
     if gain <= _LEAST_GAIN or variance <= 0:
         return -1.0
-    off_x, off_y = ex / gain - tx, ey / gain - ty
+    off_x, off_y = ex / gain - np.float32(sums[4]), ey / gain - np.float32(sums[5])
     det = sums[0] * sums[2] - sums[1] * sums[1]
     step[0] = (sums[2] * off_x - sums[1] * off_y) / det
     step[1] = (sums[0] * off_y - sums[1] * off_x) / det
@@ -120,7 +121,7 @@ def settle(
     """
     h, w = image.shape
     half, gx, gy = slopes.shape[1] // 2, slopes[0], slopes[1]
-    sums, step = np.empty(4), np.empty(2)
+    sums, step = np.empty(6), np.empty(2)
     for k in range(patches.shape[0]):
         fit[k] = -1.0
         if not _lay(patches[k], places[k, 0], places[k, 1], turns[k], half + 1, lay):
