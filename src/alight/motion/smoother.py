@@ -60,7 +60,7 @@ def smooth(recording: Recording) -> list[Motion]:
     try:
         return _Batch(recording).run()
     except np.linalg.LinAlgError:
-        log.warning("the batch over %d exposures has no solution; the filter's poses are used", len(motions))
+        log.info("the batch over %d exposures has no solution; the filter's poses are used", len(motions))
         return motions
 
 

@@ -15,16 +15,26 @@ import numpy as np
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
-from alight.parallax.sweep import look, planes
+from alight.parallax.sweep import Swept, look, planes, sweep
 from alight.parallax.views import Prepared, choose, maps, prepare, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
-SWEPT = 16  # views that are swept
+REFERENCES = 2  # views along whose rays all is swept
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
 LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not
 WITNESSES = 6  # pairs of views of one instant that are asked what moves
+
+
+def agreed(looks: Sequence[Swept]) -> Swept:
+    """Of what several views saw in a cell the median, the lower of two, with its ratio."""
+    heights = np.stack([h for h, _ in looks])
+    order = np.argsort(heights, axis=0)  # NaN last
+    middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
+    which = np.take_along_axis(order, middle[None], axis=0)
+    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*looks, strict=True))
+    return height, ratio
 
 
 class Images:
@@ -63,8 +73,10 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
         return None
     fine = [images.get(i) for i in chosen]
     levels, ground = planes(fine, low, high, grid.cell), min(max(images.height, low), high)
-    some = choose([images.views[i] for i in chosen], grid, 0.5 * (low + high), SWEPT, MAX_TANGENT)
-    start, ratio = look([fine[i] for i in some], grid, levels, ground, np.ones(grid.shape, np.bool_))
+    of = choose([images.views[i] for i in chosen], grid, 0.5 * (low + high), REFERENCES, MAX_TANGENT)
+    start, ratio = agreed([sweep(fine, grid, levels, ground, k) for k in of])
+    rest, its_ratio = look(fine, grid, levels, ground, np.isnan(start))
+    start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None
     per_px = refine.enlarged(refine.sight(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)

@@ -142,7 +142,7 @@ def regions(wanted: Mask) -> list[tuple[slice, slice]]:
 
 
 def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int | None:
-    """The view that sees most of the `wanted` cells as if they lay at `ground`, the steeper the better; None sees any."""
+    """The view that sees most of the `wanted` cells were they at `ground`, the steeper the better; None: none sees."""
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
     level = np.full(wide.shape, ground, np.float32)
