@@ -247,6 +247,9 @@ class ElevationMap:
     rgb: U8
     residual: F32
     gauge: Gauge | None = None
+    fine: U8 | None = (
+        None  # (f R, f C, 3) the same ground on finer pixels, as the mean of several views; None: not known
+    )
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
