@@ -1,7 +1,6 @@
 """What covers the ground: weights of the evidence, and how well the classes do on flights.
 
     python bench/bench_terrain.py fit                # the table of alight/terrain/weights.py, from tuning flights
-    python bench/bench_terrain.py footprint          # the odds of alight/hazards/cover.py, from the same
     python bench/bench_terrain.py measure FLIGHT ... # refused and kept by true class; rungs, or folders with truth
     python bench/bench_terrain.py library            # the library with each site left out, and other scenes
 
@@ -15,22 +14,18 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from alight.hazards.cover import worst_odds
 from ground_flights import TEST, TUNING
 from ground_maps import judgeable
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
-from alight import hazards, terrain
-from alight.hazards.contact import any_near
+from alight import terrain
 from alight.records import F32, LANDABLE, U8, ElevationMap, Terrain
-from alight.settings import Settings, TerrainSettings
+from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
 from alight.terrain.appearance import appearance, seen
 from alight.terrain.classify import wetness
 from alight.terrain.confusion import lines_of
 from alight.terrain.evidence import terms
-from alight.terrain.patchwork import without_specks
 from alight.terrain.relief import relief
 from alight.terrain.train import elsewhere, fit_head, judge_pixels
 
@@ -47,7 +42,6 @@ OTHERS = {
     ("octave 0", "octave 1", "octave 2", "light detail"): 0.4,
     ("red detail", "blue detail"): 0.3,
 }  # 1-sigma of that shift, natural logarithms
-NEAR = 0.3  # metres: as near to its rim a hazard in a footprint is an edge drawn elsewhere
 LEAST = 200  # cells of a class in a flight that count
 
 
@@ -135,30 +129,6 @@ def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
     _tell("mean of the flights", [None if m is None else (float(m[0]), float(m[1])) for m in means])
 
 
-def footprint(scratch: Path) -> None:
-    """Fit the odds of `hazards.cover`: where the shape is safe, does the footprint hold another kind of ground?"""
-    lander, judge = Settings().lander, Settings().hazards
-    parts = []
-    for name, e, label in maps(list(TUNING), scratch):
-        cell = e.grid.cell
-        cover = terrain.classify(e, TerrainSettings(), read_model())
-        vetoed = any_near(cover.landable < judge.min_landable, lander.radius, cell)
-        p = np.where(vetoed, 0, np.nan_to_num(hazards.assess(e, None, lander, judge).p_safe))
-        hazard = without_specks((label > 0) & ~np.isin(label, [*LANDABLE, Terrain.ROCK]), cell)
-        bad = any_near(hazard, lander.radius - NEAR, cell)
-        odds = worst_odds(cover.landable, lander.radius, cell)
-        cells = np.flatnonzero((p >= 0.9).ravel())[:: max(1, int((p >= 0.9).sum() / 4000))]
-        print(f"{name}: {len(cells)} cells, {100 * bad.ravel()[cells].mean() if len(cells) else 0:.2f} % with a hazard")
-        if len(cells) > 100:
-            parts.append((odds.ravel()[cells].astype(np.float64), bad.ravel()[cells]))
-
-    def loss(b: NDArray[np.float64]) -> float:
-        each = [np.logaddexp(0, np.where(bad, 1, -1) * (b[0] + b[1] * odds)).mean() for odds, bad in parts]
-        return float(np.mean(each) + 1e-4 * b @ b)
-
-    print("ODDS =", minimize(loss, np.zeros(2), method="BFGS").x.round(2))
-
-
 def _tell(name: str, row: list[tuple[float, float] | None]) -> None:
     print(f"{name:<36}" + "".join(f"{'':>13}" if r is None else f"{r[0]:7.1f}/{r[1]:5.1f}" for r in row), flush=True)
 
@@ -177,7 +147,7 @@ def library(data: Path) -> None:
 def main() -> None:
     """One part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", nargs="?", default="measure", choices=["fit", "footprint", "measure", "library"])
+    parser.add_argument("part", nargs="?", default="measure", choices=["fit", "measure", "library"])
     parser.add_argument("flights", nargs="*", default=[])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
@@ -185,8 +155,6 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.part == "fit":
         fit(arguments.scratch)
-    elif arguments.part == "footprint":
-        footprint(arguments.scratch)
     elif arguments.part == "library":
         library(arguments.data)
     else:

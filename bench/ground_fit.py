@@ -28,22 +28,22 @@ from alight.settings import Settings
 stage = import_module("alight.hazards.assess")  # the module: the package names its function so
 
 SOME = 4000  # cells of a map
-STRICT = True
+STRICT = False
 PENALTY = 3e-5  # of squared costs
 QUANTILES = (0.02, 0.15, 0.35, 0.55, 0.75, 0.9, 0.98)
 COPIES = 3
 SHIFTS = {
-    ("dark", "bright"): 0.15, ("tint",): 0.15, ("residual", "worst residual"): 0.1, ("sigma",): 0.1,
+    ("dark", "bright"): 0.15, ("tint",): 0.1, ("residual", "worst residual"): 0.1, ("sigma",): 0.1,
     ("cover", "cover around", "cover in the mean"): 0.3,
 }  # fmt: skip
-SCALED = ("dark", "bright", "tint", "residual", "worst residual")  # these shifts are factors
+SCALED = ("dark", "bright", "residual", "worst residual")  # these shifts are factors
 # term: from where on, and how much at least, a unit of it costs, whatever flights say: on theirs no stone lies on bare
 # concrete and no gap is half a footprint
 LEAST = {
     "unknown": (0.05, 8.0), "even": (-0.7, 2.0), "rise": (-2.0, 0.5),
-    "dark": (0.25, 5.0), "bright": (0.3, 3.0), "tint": (0.3, 3.0),
+    "dark": (0.25, 5.0), "bright": (0.3, 3.0),
 }  # fmt: skip
-BEYOND = {"unknown": 0.35, "even": 0.0, "dark": 1.2, "bright": 1.2, "tint": 1.2}  # the last knot
+BEYOND = {"unknown": 0.35, "even": 0.0, "dark": 1.2, "bright": 1.2}  # the last knot
 FOLDS = (
     {"meadow"}, {"village", "yard"}, {"desert", "snow"}, {"lakes", "tall_grass"}, {"farmland", "forest"},
     {"car_park", "concrete", "quarry"},

@@ -18,6 +18,8 @@ from alight.settings import Hazards, Lander
 
 INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
 LEAST = 1e-4  # probability
+RESOLVED = 0.8  # of the limit, pixel: a stone as high is two of them wide
+USUAL = 0.01  # of a tint, that no ground is evener than
 SURE = np.float32(9.2)  # log odds: the cover where nobody judged it
 
 
@@ -49,15 +51,16 @@ def doubt_of(terrain: TerrainMap | None, shape: tuple[int, int]) -> F32:
 
 
 def coarseness(elevation: ElevationMap, lander: Lander) -> float:
-    """Log of the finest pixel that there is over the height that matters: a stone as high is two pixels wide at 0."""
+    """Log of the finest pixel that there is over the height that matters."""
     factor = 1 if elevation.fine is None else elevation.fine.shape[0] // elevation.grid.rows
     limit = lander.max_roughness if lander.belly_clearance is None else lander.belly_clearance
     return math.log(elevation.grid.cell / factor / limit)
 
 
 def unresolved(elevation: ElevationMap, lander: Lander, settings: Hazards) -> float:
-    """P(something too high is too small for any pixel): none to `hidden_hazard` from one to four times the limit."""
-    return settings.hidden_hazard * min(max(coarseness(elevation, lander) / math.log(4.0), 0.0), 1.0)
+    """P(something too high is too small for the pixels): 0 up to `RESOLVED` of the limit, at most `hidden_hazard`."""
+    excess = coarseness(elevation, lander) - math.log(RESOLVED)
+    return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 
 def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
@@ -67,7 +70,8 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
     doubt = doubt_of(terrain, elevation.grid.shape)
     around = cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5))
     sigma = np.nan_to_num(elevation.sigma, nan=1.0)
-    small = {name: worst_near(values, inner, cell) for name, values in spots(elevation).items()}
+    small = spots(elevation)
+    usual = mean_near(small["tint"], radius, cell) + np.float32(USUAL)
     residual = np.nan_to_num(elevation.residual)
     return {
         "coarse": np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
@@ -82,5 +86,7 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
         "cover": worst_near(doubt, inner, cell),
         "cover around": worst_near(np.asarray(around, np.float32), inner, cell),
         "cover in the mean": mean_near(doubt, radius, cell),
-        **small,
+        "dark": worst_near(small["dark"], inner, cell),
+        "bright": worst_near(small["bright"], inner, cell),
+        "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),
     }
