@@ -41,8 +41,6 @@ CONTEST = Lander(
 )
 # one survey: no tilt but what its pixels leave open, and nothing flattened
 SURVEY = Hazards(tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False)
-    tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False
-)  # one survey: no tilt but what its pixels leave open
 
 Pixels = NDArray[np.uint8]
 
