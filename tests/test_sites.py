@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from alight import sites
 from alight.hazards import assess
-from alight.records import ElevationMap, Sites, Terrain, TerrainMap
+from alight.records import ElevationMap, Hazard, HazardMap, Sites, Terrain, TerrainMap
 from alight.settings import Hazards, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
@@ -106,3 +107,32 @@ def test_ground_that_may_not_be_landed_on_is_named() -> None:
     found = choose(e, covered(e, 0.0, Terrain.WATER))
     assert found.sites == ()
     assert "100 % is covered by what cannot be landed on" in found.reason
+
+
+def doubtful(e: ElevationMap, p: np.ndarray, reasons: np.ndarray | None = None) -> HazardMap:
+    """A verdict with these probabilities, undecided everywhere or for these reasons."""
+    h = assess(e, None, LANDER, EXACT)
+    why = np.full(e.grid.shape, Hazard.DOUBT, np.uint8) if reasons is None else reasons
+    return replace(h, p_safe=p.astype(np.float32), reasons=why)
+
+
+def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> None:
+    e = ground(np.full((101, 101), 3.0))
+    r, c = np.mgrid[:101, :101]
+    p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
+    look = sites.next_look(doubtful(e, p), e, LANDER, above=40.0)
+    assert look is not None
+    assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
+    assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
+    assert look.p_safe == pytest.approx(0.9, abs=0.01)
+    low = sites.next_look(doubtful(e, p), e, LANDER, above=10.0)
+    assert low is not None
+    assert low.height == 8.0
+
+
+def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
+    e = ground(np.zeros((101, 101)))
+    refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
+    assert sites.next_look(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
+    refused[50, 50] = 0
+    assert sites.next_look(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None

@@ -323,6 +323,16 @@ class Sites:
 
 
 @dataclass(frozen=True, eq=False)
+class Look:
+    """A view that would reduce the doubt about the most promising place: a proposal to the executive."""
+
+    position_world: F64  # (3,) metres, of the cameras
+    place_world: F64  # (3,) metres, what to look at
+    p_safe: float  # of that place by now
+    height: float  # metres above it
+
+
+@dataclass(frozen=True, eq=False)
 class Waypoint:
     """A point of the route."""
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, F64, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap
+from alight.records import F32, F64, ElevationMap, Hazard, HazardMap, Look, Site, Sites, Terrain, TerrainMap
 from alight.settings import Lander, SitesSettings
 
 Bool = NDArray[np.bool_]
+NEARER = 0.5  # of the height above ground: half the pixel, half the noise
+LOWEST = 8.0  # metres above the place: lower, one is about to land
 
 _SPOKEN = {
     Hazard.ROUGHNESS: "is too rough",
@@ -153,3 +156,35 @@ def choose(
     if not peaks:
         return Sites((), why_none(hazards, elevation, settings))
     return Sites(tuple(_site(i + 1, at, hazards, terrain, elevation, lander, vehicle) for i, at in enumerate(peaks)))
+
+
+def next_look(hazards: HazardMap, elevation: ElevationMap, lander: Lander, above: float) -> Look | None:
+    """Say from where the most promising undecided place should be seen again: straight above it, and nearer.
+
+    Promising is what no limit refuses and of which P is highest over a footprint's surroundings; nearer by `NEARER`,
+    because pixels, the noise of heights and the size of what is flattened shrink with the distance.
+
+    Args:
+        hazards: the verdict.
+        elevation: heights, on the same grid.
+        lander: its footprint.
+        above: metres, the height above ground from which the map was seen.
+
+    Returns:
+        The view, or None where every place is refused for good or one is safe already.
+    """
+    undecided = (hazards.reasons == Hazard.DOUBT) & np.isfinite(hazards.p_safe)
+    if (hazards.reasons == 0).any() or not undecided.any():
+        return None
+    p = np.where(undecided, hazards.p_safe, np.float32(0))
+    side = 2 * max(1, round(lander.radius / hazards.grid.cell)) + 1
+    around = cv2.blur(p, (side, side), borderType=cv2.BORDER_CONSTANT)
+    row, col = divmod(int(np.argmax(np.where(undecided, around, -1.0))), p.shape[1])
+    rows, cols, disc = _within(p.shape, row, col, lander.radius / hazards.grid.cell)
+    ground = elevation.height[rows, cols][disc & elevation.trusted[rows, cols]]
+    if not ground.size:
+        return None
+    grid, up = hazards.grid, float(np.median(ground))
+    place = np.array([grid.east + col * grid.cell, grid.north - row * grid.cell, up])
+    height = max(NEARER * above, LOWEST)
+    return Look(place + np.array([0.0, 0.0, height]), place, float(p[row, col]), height)

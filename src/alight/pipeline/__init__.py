@@ -242,6 +242,9 @@ class Pipeline:
         start = self._timed("hazards", start)
         last = np.array(motions[-1].world_from_body.translation)
         chosen = sites.choose(danger, cover, elevation, s.sites, s.lander, last)
+        if not chosen.sites and (look := sites.next_look(danger, elevation, s.lander, above)) is not None:
+            east, north, up = look.position_world
+            notes["look next"] = f"east {east:.1f} north {north:.1f} up {up:.1f} m, where P(safe) is {look.p_safe:.2f}"
         way = route.plan(chosen.sites[0], elevation, last, s.route) if chosen.sites else None
         self._timed("sites and route", start)
         tell("judging", 1.0)
