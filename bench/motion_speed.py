@@ -13,8 +13,7 @@ from motion_common import DATA, Row, recording, say
 
 from alight.live import SideBySide
 from alight.motion.forecast import Forecast
-from alight.pipeline.side_by_side import Job
-from alight.records import U8, Tracks
+from alight.records import U8, Frame, Tracks
 from alight.settings import load
 
 T = TypeVar("T")
@@ -54,12 +53,12 @@ def part_speed(_: argparse.Namespace) -> None:
     counts, run, flow, before = list[int](), track.on(lane._tracking.run), Meter(), list[U8]()
     lane._filtering.see, lane._filtering.hear = see.on(lane._filtering.see), hear.on(lane._filtering.hear)  # type: ignore[method-assign]
 
-    def with_yardstick(job: Job, forecast: Forecast | None) -> Tracks:
+    def with_yardstick(frame: Frame, forecast: Forecast | None) -> Tracks:
         """What OpenCV takes on the same thread at the same time."""
-        tracks = run(job, forecast)
+        tracks = run(frame, forecast)
         counts.append(len(tracks.ids))
-        if job.frame.images[0] is not None:
-            before.append(cv2.cvtColor(job.frame.images[0], cv2.COLOR_RGB2GRAY))
+        if frame.images[0] is not None:
+            before.append(cv2.cvtColor(frame.images[0], cv2.COLOR_RGB2GRAY))
             corners = cv2.goodFeaturesToTrack(before[0], 200, 1e-3, 25)
             flow.on(cv2.calcOpticalFlowPyrLK)(before[0], before[-1], corners, None)
             del before[:-1]
@@ -69,7 +68,8 @@ def part_speed(_: argparse.Namespace) -> None:
     begin = time.perf_counter()
     for e in events:
         lane.feed(e)
-    frames = len(lane.finish())
+    lane.finish()
+    frames = len(counts)
     wall, yard = frames / (time.perf_counter() - begin), float(np.median(flow.ms))
     a, b, left = float(np.median(track.ms)), float(np.mean(see.ms)), 1.0 - sum(hear.ms) / (100.0 * frames)
     name = f"frames a second, {np.mean(counts):.0f} tracks:"

@@ -85,6 +85,11 @@ class Outcome:
                 out.append(float(np.linalg.norm(step - way)))
         return np.array(out)
 
+    def heading(self, t: float) -> float:
+        """Error of the heading at a time, rad."""
+        m = min(self.motions, key=lambda m: abs(seconds(m) - t))
+        return float(error(m, self.flight.truth(m.t_ns))[0][5])
+
     def drift(self) -> float:
         """Position error gained during the damage over the way flown in it."""
 

@@ -13,6 +13,7 @@ from alight.motion.vision import project
 from alight.motion.window import Poses, Sights, eliminate, meet
 from alight.tracks.corners import corners, strength
 from alight.tracks.lens import Lens
+from alight.tracks.patches import Patches
 
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
 
@@ -49,6 +50,40 @@ def test_corners_are_the_strongest_of_their_boxes() -> None:
 
 def test_an_empty_box_has_no_corner() -> None:
     assert corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
+
+
+def test_patches_settle_where_least_squares_says() -> None:
+    """Turned by 0.1 rad, half as bright and 20 levels up, from a pixel away: place and correlation are the twin's."""
+    image, rng = picture(4), np.random.default_rng(5)
+    pixels = rng.uniform(30, 90, (20, 2))
+    patches = Patches.cut(image, np.arange(20), pixels, 15)
+    c, s = np.cos(0.1), np.sin(0.1)
+    map_ = np.array([[c, -s, 8.3], [s, c, -5.6]])
+    turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
+    there, turn = pixels @ map_[:, :2].T + map_[:, 2], np.tile(np.array([[c, s], [-s, c]]), (20, 1, 1))
+    other = np.round(0.5 * turned + 20.0).astype(np.uint8)
+    found, good = patches.found(other, there + 0.6, turn, 15)
+    assert good.sum() >= 15
+    np.testing.assert_allclose(found[good], there[good], atol=0.05)
+    for k in np.flatnonzero(good)[:6]:
+        place, correlation = twins.settled(patches.grey[k], patches.places[k], turn[k], other, 7, there[k] + 0.6)
+        np.testing.assert_allclose(found[k], place, atol=0.01)
+        assert correlation > 0.95
+    np.testing.assert_array_equal(found[~good], there[~good] + 0.6)
+
+
+def test_what_is_not_there_is_not_found() -> None:
+    """Other ground, a flat patch, a place at the edge, a patch that would have to show more than it holds."""
+    image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
+    pixels = np.array([[80.0, 60.0]])
+    patch = Patches.cut(image, np.arange(1), pixels, 15)
+    assert patch.found(image, pixels, ahead, 15)[1].all()
+    assert not patch.found(elsewhere, pixels, ahead, 15)[1].any()
+    assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
+    assert not patch.found(image, pixels, 4.0 * ahead, 15)[1].any()
+    flat = Patches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
+    assert not flat.found(image, pixels, ahead, 15)[1].any()
+    assert len(Patches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 
 def test_the_table_takes_the_lens_out() -> None:

@@ -40,9 +40,12 @@ def in_turn(events: tuple[Event, ...]) -> list[Motion]:
     for e in events:
         job = desk.take(e)
         if job is not None:
+            tracking.hear(job.before)
             heard = filtering.hear(job.before)
+            if job.frame is None:
+                continue
             forecasts = forecasts or [heard]
-            motion, forecast = filtering.see(tracking.run(job, forecasts[forecast_for(len(forecasts) - 1)]))
+            motion, forecast = filtering.see(tracking.run(job.frame, forecasts[forecast_for(len(forecasts) - 1)]))
             forecasts.append(forecast)
             out += [motion] if motion else []
     return out
@@ -79,7 +82,7 @@ def test_what_was_used_flies_again_bit_for_bit() -> None:
     rig, events = flight()[0].rig, flight()[1]
     lane = SideBySide(rig, settings(), size=1)
     slow = lane._tracking.run
-    lane._tracking.run = lambda job, forecast: (time.sleep(0.02), slow(job, forecast))[1]  # type: ignore[method-assign]
+    lane._tracking.run = lambda frame, forecast: (time.sleep(0.02), slow(frame, forecast))[1]  # type: ignore[method-assign]
     for e in events:
         if isinstance(e, Frame):
             time.sleep(0.005)
@@ -87,7 +90,7 @@ def test_what_was_used_flies_again_bit_for_bit() -> None:
     motions = lane.finish()
     assert len(lane.consumed) < 31
     used = tuple(e for e in events if not isinstance(e, Frame) or e.t_ns in set(lane.consumed))
-    assert [m.t_ns for m in motions] == lane.consumed
+    assert [m.t_ns for m in motions] == list(lane.consumed)
     assert bits(motions) == bits(in_turn(used))
 
 
@@ -101,6 +104,33 @@ def test_a_thread_that_fails_says_so(caplog: pytest.LogCaptureFixture) -> None:
         lane.feed(wrong)
     assert "has failed" in caplog.text
     assert not any(t.is_alive() for t in lane._threads)
+
+
+def test_nothing_grows_with_the_flight() -> None:
+    """Asked to keep five exposures, it keeps the last five; the filter records nothing, whatever the settings say."""
+    rig, events = flight()[0].rig, flight()[1]
+    told: list[int] = []
+    smoothing = settings().model_copy(update={"motion": load("").motion})
+    lane = SideBySide(rig, smoothing, drop=False, tell=lambda m: told.append(m.t_ns), keep=5)
+    for e in events:
+        lane.feed(e)
+    assert [m.t_ns for m in lane.finish()] == list(lane.consumed) == told[-5:]
+    assert len(told) == 31
+    assert lane._filtering.filter.smoothed() == []
+
+
+def test_cameras_that_fail_leave_nothing_waiting() -> None:
+    """No exposure for long: before the first, old rows go; after it, the filter hears of all of them all the same."""
+    rows = [e for e in flight()[1] if not isinstance(e, Frame)] * 4
+    desk, frame = Desk(), next(e for e in flight()[1] if isinstance(e, Frame))
+    assert all(desk.take(e) is None for e in rows)
+    first = desk.take(frame)
+    assert first is not None
+    assert list(first.before) == rows[-1000:]
+    jobs = [j for j in (desk.take(e) for e in [*rows, frame]) if j is not None]
+    assert [j.frame for j in jobs] == [None] * (len(jobs) - 1) + [frame]
+    assert [e for j in jobs for e in j.before] == rows
+    assert max(len(j.before) for j in jobs) <= 1001
 
 
 def test_no_exposure_no_motion() -> None:

@@ -10,6 +10,8 @@ from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Frame, Rig, RigCamera
 from alight.settings import Tracks as Settings
 from alight.tracks import Tracker, corners, epipolar_distance, inverse_depth, strength
+from alight.tracks.lens import Lens
+from alight.tracks.patches import Ground, turns
 
 HEIGHT, FOCAL = 20.0, 300.0
 CAMERA = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5)
@@ -66,6 +68,57 @@ def test_features_follow_the_ground(ground: np.ndarray) -> None:
     assert np.sqrt(np.median(miss**2)) < 0.04
     assert np.sqrt((miss**2).mean()) < 0.16
     assert np.abs(np.median(miss, axis=0)).max() < 0.03
+
+
+def test_errors_do_not_add_up(ground: np.ndarray) -> None:
+    """Twelve steps over noisy pictures, turning: after the twelfth a feature is off by hardly more than after the
+    second, for it is held to what it looked like first (from picture to picture it would be 2.4 times as much)."""
+    tracker, path = Tracker(RIG, SETTINGS), [pose(0.1 * k, 0.05 * k, 0.02 * k) for k in range(13)]
+    rng, seen = np.random.default_rng(3), []
+    for k, p in enumerate(path):
+        images = [np.clip(i + rng.normal(0, 4, i.shape), 0, 255) for i in frame(ground, k, p).images if i is not None]
+        seen.append(tracker.feed(Frame(k, tuple(i.astype(np.uint8) for i in images)), poses(p)))
+    miss = []
+    for k in (2, 12):
+        _, a, b = np.intersect1d(seen[0].ids, seen[k].ids, return_indices=True)
+        off = seen[k].pixels[b, 0] - carried(seen[0].pixels[a, 0], path[0], path[k])
+        miss.append(float(np.median(np.hypot(*off.T))))
+    assert len(a) > 30
+    assert miss[1] < 1.5 * miss[0]
+    assert miss[1] < 0.1
+
+
+def test_cameras_need_not_be_equally_bright(ground: np.ndarray) -> None:
+    """Pale ground, the right camera 3 levels brighter, too little for a jump of the exposure: the disparity stays."""
+    here, tracker = pose(0.0), Tracker(RIG, SETTINGS)
+    pale = [140.0 + 0.15 * i.astype(np.float32) for i in frame(ground, 0, here).images if i is not None]
+    images = tuple(np.round(i + more).astype(np.uint8) for i, more in zip(pale, (0.0, 3.0), strict=True))
+    found = tracker.feed(Frame(0, images), poses(here))
+    disparity = found.pixels[:, 0, 0] - found.pixels[:, 1, 0]
+    off = disparity[np.isfinite(disparity)] - FOCAL * 0.5 / HEIGHT
+    assert len(off) > 40
+    assert np.median(np.abs(off)) < 0.03
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3, 1.45])
+def test_turns_are_those_of_the_ground(tilt: float) -> None:
+    """Against points of the plane projected through a lens with distortion; a view along the ground has no plane."""
+    camera = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5, "radial-tangential", (-0.1, 0.02, 1e-3, -5e-4))
+    here = pose(0.0) @ Pose(so3_exp([tilt, 0.0, 0.0]))
+    then = pose(0.4, -0.2, 0.1) @ Pose(so3_exp([tilt, 0.05, 0.0]))
+    pixels = np.array([[160.0, 120.0], [60.0, 200.0], [250.0, 180.0]])
+    below, then_from_here = Ground.below(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
+
+    def there(at: np.ndarray) -> np.ndarray:
+        rays = camera.rays(at)
+        world = rays @ here.rotation.T
+        depth = HEIGHT / -world[:, 2] if tilt < 1.0 else np.full(len(at), HEIGHT / np.cos(tilt))
+        return camera.project(then_from_here.apply(rays * depth[:, None]))
+
+    found = turns(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
+    for k, step in enumerate(np.eye(2)):
+        wanted = (there(pixels + step) - there(pixels - step)) / 2
+        np.testing.assert_allclose(found[:, :, k], wanted, atol=0.004)
 
 
 def test_stereo_gives_the_disparity_of_the_plane(ground: np.ndarray) -> None:

@@ -33,6 +33,28 @@ def strongest(image: U8, box: tuple[int, int, int, int], taken: F32, away: float
     return col + box[2], row + box[0], float(part[row, col])
 
 
+def _bilinear(image: F64, x: F64, y: F64) -> F64:
+    i, j = np.floor(y).astype(int), np.floor(x).astype(int)
+    b, a = y - i, x - j
+    upper = (1 - a) * image[i, j] + a * image[i, j + 1]
+    return np.asarray((1 - b) * upper + b * ((1 - a) * image[i + 1, j] + a * image[i + 1, j + 1]))
+
+
+def settled(patch: U8, place: F64, turn: F64, image: U8, half: int, start: F64, rounds: int = 30) -> tuple[F64, float]:
+    """Where a patch is in an image, and the correlation there: shift, gain and offset by least squares."""
+    v, u = np.mgrid[-half - 1 : half + 2, -half - 1 : half + 2].astype(float)
+    x, y = place[0] + turn[0, 0] * u + turn[0, 1] * v, place[1] + turn[1, 0] * u + turn[1, 1] * v
+    lay, inner, at = _bilinear(patch.astype(float), x, y), np.s_[1:-1, 1:-1], start.astype(float)
+    gy, gx = np.gradient(lay)
+    for _ in range(rounds):
+        seen = _bilinear(image.astype(float), at[0] + u[inner], at[1] + v[inner]).ravel()
+        t = lay[inner].ravel()
+        gain = np.linalg.lstsq(np.column_stack([t, np.ones(t.size)]), seen, rcond=None)[0][0]
+        slopes = np.column_stack([gx[inner].ravel(), gy[inner].ravel(), np.ones(t.size)])
+        at = at - np.linalg.lstsq(slopes, seen / gain - t, rcond=None)[0][:2]
+    return at, float(np.corrcoef(seen, t)[0, 1])
+
+
 def rays(camera: Camera, pixels: F64) -> F64:
     """Ideal coordinates of pixels."""
     return np.asarray(camera.rays(pixels)[:, :2])

@@ -1,6 +1,7 @@
 """A flight as it comes: tracker and filter on a thread each, fed through mailboxes that hold little.
 
-What was used is written down (`consumed`): fed again, those events alone give the same motions bit for bit.
+What was used is written down (`consumed`): fed again, those events alone give the same motions bit for bit. Nothing
+here grows with the flight unless all of it is to be kept.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class SideBySide:
         size: exposures that may wait to be tracked.
         drop: with the mailbox full, drop the oldest exposure (flight) instead of waiting (recordings).
         tell: called with every motion on the filter's thread, as soon as it is known.
+        keep: last motions, and stamps of the last exposures, that are kept; None: all of them.
     """
 
     def __init__(
@@ -81,9 +83,10 @@ class SideBySide:
         size: int = 2,
         drop: bool = True,
         tell: Callable[[Motion], None] = lambda motion: None,
+        keep: int | None = 1000,
     ) -> None:
-        self.consumed: list[int] = []  # stamps of the exposures that were tracked
-        self.motions: list[Motion] = []
+        self.consumed: deque[int] = deque(maxlen=keep)  # stamps of the exposures that were tracked
+        self.motions: deque[Motion] = deque(maxlen=keep)
         self._desk, self._tell = Desk(), tell
         self._tracking, self._filtering = TrackingStep(rig, settings), FilterStep(rig, settings)
         self._jobs = Mailbox[Job](size, (lambda old, new: new.after(old)) if drop else None)
@@ -106,7 +109,7 @@ class SideBySide:
             self._jobs.put(job)
 
     def finish(self) -> list[Motion]:
-        """Wait until all is done; the motions in the order in which they became known.
+        """Wait until all is done; the motions that are kept, in the order in which they became known.
 
         Raises:
             Exception: what a thread has failed with.
@@ -115,7 +118,7 @@ class SideBySide:
         for t in self._threads:
             t.join()
         self._raise()
-        return self.motions
+        return list(self.motions)
 
     def _raise(self) -> None:
         if self._failed:
@@ -135,14 +138,18 @@ class SideBySide:
 
     def _track(self) -> None:
         forecast: Forecast | None = None
-        known = -1  # number of that forecast
+        known, exposure = -1, 0  # number of that forecast, and of the exposure
         while True:
             job = self._jobs.get()
+            self._tracking.hear(job.before)
             self._work.put(job.before)
-            while known < forecast_for(len(self.consumed)):
+            if job.frame is None:
+                continue
+            while known < forecast_for(exposure):
                 forecast, known = self._forecasts.get(), known + 1
             self.consumed.append(job.frame.t_ns)
-            self._work.put(self._tracking.run(job, forecast))
+            exposure += 1
+            self._work.put(self._tracking.run(job.frame, forecast))
 
     def _filter(self) -> None:
         self._forecasts.put(self._filtering.hear(self._heard()))

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose, so3_log
+from alight.motion.consensus import agreed
 from alight.motion.dynamics import LONG
 from alight.motion.health import Votes
-from alight.motion.points import Gate, measure, take_up
+from alight.motion.points import MISSES, Gate, measure, take_up
 from alight.motion.ring import Refined, refine
 from alight.motion.state import POS, State
 from alight.motion.vision import sight_sigma
@@ -22,7 +23,6 @@ from alight.settings import Filter
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
 _LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
 _SPARE = 2  # rows beyond the three that make a point, to tell whether its sights agree
 _STALE = 0.04  # rad between a pose held and its first estimate from which Jacobians are no longer good
@@ -61,7 +61,7 @@ class Features:
                 self.forget(state)
         gone = self._superfluous(state)
         votes = self._use_up(state, ids, gone)
-        lost = [i for i, x in enumerate(state.points) if x.misses >= _MISSES or not _contains(ids, x.id)]
+        lost = [i for i, x in enumerate(state.points) if x.misses >= MISSES or not _contains(ids, x.id)]
         state.drop(clones=gone, points=lost)
         state.add_clone(tracks.t_ns)
         votes += measure(state, ids, seen, sigma, self._cams, self._gate)
@@ -100,10 +100,12 @@ class Features:
         x = meet(sights, poses, self._cams)
         found = eliminate(sights, poses, self._cams, x)
         known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
-        distance, freedom = found.distances(state.P[np.ix_(columns, columns)]), np.maximum(found.freedom, 1)
+        P, freedom = state.P[np.ix_(columns, columns)], np.maximum(found.freedom, 1)
+        distance = found.distances(P)
         inside = known & (distance <= self._gate.limits(freedom))
         if inside.any():
-            state.correct(*as_rows(*found.information(inside.astype(float))), columns)
+            weight = agreed(found, P, inside, np.zeros(len(P)))
+            state.correct(*as_rows(*found.information(weight)), columns)
         return Votes(
             int(inside.sum()),
             int((known & ~inside).sum()),

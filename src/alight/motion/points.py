@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from alight.geometry import Pose
+from alight.motion.consensus import belief, usual
 from alight.motion.health import Votes
 from alight.motion.state import Clone, Point, State
 from alight.motion.vision import depths, jacobians, project
@@ -18,6 +19,11 @@ from alight.records import F64
 
 Mask = NDArray[np.bool_]
 Ints = NDArray[np.int64]
+
+MISSES = 3  # exposures in a row outside its gate after which a point is dropped: it moves
+_RECENT = 0.3  # of a point's lag that the last exposure makes out
+_LAG = 9.0  # times what chance makes of a squared lag; points that lag more move
+_STEADY = 2.0  # times the usual misfit; features that miss more do not become points
 
 
 class Gate:
@@ -56,6 +62,15 @@ class PointRows:
         """Those of some points."""
         return PointRows(self.residual[which], self.by_clone[which], self.by_point[which], self.seen[which])
 
+    def times(self, unit: F64) -> PointRows:
+        """All rows of each point times its (N,) unit."""
+        return PointRows(
+            self.residual * unit[:, None],
+            self.by_clone * unit[:, None, None],
+            self.by_point * unit[:, None, None],
+            self.seen,
+        )
+
 
 def point_rows(clone: Clone, x: F64, first_x: F64, sights: F64, cams: Sequence[Pose], sigma: F64) -> PointRows:
     """Residuals at the estimates, Jacobians at the first ones (M11), of (N, 3) points seen at (N, cameras, 2).
@@ -90,15 +105,28 @@ def measure(state: State, ids: Ints, sights: F64, sigma: F64, cams: Sequence[Pos
     points, clone = [state.points[i] for i in index], len(state.clones) - 1
     x, first = np.array([q.x for q in points]), np.array([q.first_x for q in points])
     rows = point_rows(state.clones[clone], x, first, sights[at], cams, sigma[at])
-    tried, distance = rows.seen.any(axis=1), _distances(state, clone, index, rows)
+    tried, distance = np.asarray(rows.seen.any(axis=1)), _distances(state, clone, index, rows)
     count = rows.seen.sum(axis=1)
     passed = tried & (distance <= gate.limits(count))
     for q, bad in zip(points, tried & ~passed, strict=True):
         q.misses = q.misses + 1 if bad else 0
     if passed.any():
-        _correct(state, clone, index[passed], rows.only(passed))
+        misfit = distance / np.maximum(count, 1)
+        weight = belief(misfit, usual(misfit[tried]))
+        watch([q for q, ok in zip(points, tried, strict=True) if ok], rows.residual[tried])
+        _correct(state, clone, index[passed], rows.times(np.sqrt(weight)).only(passed))
     mean = float(distance[passed].sum() / max(count[passed].sum(), 1))
     return Votes(int(passed.sum()), int((tried & ~passed).sum()), mean)
+
+
+def watch(points: Sequence[Point], residual: F64) -> None:
+    """Find points that lag behind what is seen of them, exposure after exposure: they move, slowly."""
+    for q, r in zip(points, residual, strict=True):
+        q.lag = q.lag + _RECENT * (r - q.lag)
+        q.noise = q.noise + _RECENT * (float(r @ r) - q.noise)
+    limit = _LAG * _RECENT / (2.0 - _RECENT) * usual(np.array([q.noise for q in points]))
+    for q in points:
+        q.misses = MISSES if q.lag @ q.lag > limit else q.misses
 
 
 def _common(held: Ints, ids: Ints) -> tuple[Ints, Ints]:
@@ -146,6 +174,8 @@ def take_up(state: State, ids: Ints, x: F64, found: Reduced, gate: Gate) -> Mask
     columns = state.clone_columns()
     P = state.P[columns]
     passed = found.distances(P[:, columns]) <= gate.limits(found.freedom)
+    misfit = found.misfit / np.maximum(found.freedom, 1)
+    passed &= misfit <= _STEADY * usual(misfit)
     if not passed.any():
         return passed
     found, x = found.rows(passed), x[passed]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.geometry import Pose, so3_exp
+from alight.motion.consensus import Mask, agreed
 from alight.motion.state import OFFSET, State
 from alight.motion.window import Poses, Reduced, Sights, eliminate, meet
 from alight.records import F64
@@ -37,20 +38,18 @@ def refine(state: State, sights: Sights, cams: Sequence[Pose], share: float) -> 
     for _ in range(_ITERATIONS if len(sights.ids) else 0):
         x = meet(sights, poses, cams)
         found = eliminate(sights, poses, cams, x)
-        A, b = found.information(weights(found, x, poses, share))
+        A, b = found.information(agreed(found, P, clear(found, x, poses, share), error))
         gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
         error = P @ gain @ (b + A @ error)
         poses = _moved(held, error)
     return Refined(poses.R, poses.p, P @ gain, gain.T @ state.P[state.clone_columns(), OFFSET])
 
 
-def weights(found: Reduced, x: F64, poses: Poses, share: float) -> F64:
-    """Weights by feature: less where it misses by more than two sigma, none where its depth is too vague."""
+def clear(found: Reduced, x: F64, poses: Poses, share: float) -> Mask:
+    """(N,) features whose depth is known to a share of their distance."""
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
-    clear = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
-    clear &= found.freedom > 0
-    typical = found.misfit / np.maximum(found.freedom, 1)
-    return np.where(clear, 4.0 / np.maximum(typical, 4.0), 0.0)
+    known = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
+    return np.asarray(known & (found.freedom > 0))
 
 
 def _moved(poses: Poses, error: F64) -> Poses:

@@ -54,6 +54,8 @@ class Point:
     x: F64  # (3,) m, world
     first_x: F64
     misses: int = 0  # exposures in a row in which it was outside its gate
+    lag: F64 = field(default_factory=lambda: np.zeros(1))  # mean of the last residuals, in their sigma
+    noise: float = 0.0  # mean of their squares
 
 
 @dataclass(eq=False)

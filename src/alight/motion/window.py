@@ -133,6 +133,13 @@ class Reduced:
         V = (self.V * np.sqrt(weight)[:, None, None, None]).transpose(1, 2, 0, 3).reshape(6 * k, 3 * n)
         return np.asarray(A.reshape(6 * k, 6 * k) - V @ V.T), np.einsum("n,nki->ki", weight, self.b).ravel()
 
+    def misfits(self, error: F64) -> F64:
+        """(N,) squared residual of each feature when the poses are moved by (6K,) errors and its point follows."""
+        e = error.reshape(-1, 6)
+        n, pull = len(self.b), (self.A @ e[..., None])[..., 0] - 2.0 * self.b
+        along = error @ self.V.reshape(n, -1, 3)
+        return np.asarray(self.misfit + pull.reshape(n, -1) @ error - (along**2).sum(axis=1))
+
     def distances(self, P: F64) -> F64:
         """(N,) squared Mahalanobis distance of each feature, the (6K, 6K) covariance `P` of the poses allowed for."""
         n, k = self.b.shape[:2]

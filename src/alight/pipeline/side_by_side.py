@@ -17,15 +17,16 @@ from alight.records import Event, Frame, ImuSample, Motion, NavSample, Rig, Trac
 from alight.settings import Settings
 from alight.tracks import Tracker
 
+_MOST = 1000  # rows that wait for an exposure; 5 s of them
 _IMU_NS = 2_000_000_000  # ns of inertial measurements that a prediction may need
 Heard = NavSample | ImuSample
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One exposure, and what was heard before it."""
+    """One exposure, and what was heard before it; without exposure where none has come for long."""
 
-    frame: Frame
+    frame: Frame | None
     before: tuple[Heard, ...]
 
     def after(self, dropped: Job) -> Job:
@@ -34,18 +35,28 @@ class Job:
 
 
 class Desk:
-    """Gathers events into jobs, in the order of arrival."""
+    """Gathers events into jobs, in the order of arrival; it holds little, whatever fails to come."""
 
     def __init__(self) -> None:
-        self._before: list[Heard] = []
+        self._before: deque[Heard] = deque()
+        self._begun = False
 
     def take(self, event: Event) -> Job | None:
-        """Take an event; an exposure makes a job."""
-        if not isinstance(event, Frame):
-            self._before.append(event)
+        """Take an event; an exposure makes a job, and so do many rows without one. Before the first, old rows go."""
+        if isinstance(event, Frame):
+            self._begun = True
+            return self._job(event)
+        self._before.append(event)
+        if len(self._before) <= _MOST:
             return None
-        before, self._before = tuple(self._before), []
-        return Job(event, before)
+        if self._begun:
+            return self._job(None)
+        self._before.popleft()
+        return None
+
+    def _job(self, frame: Frame | None) -> Job:
+        before, self._before = tuple(self._before), deque()
+        return Job(frame, before)
 
 
 def forecast_for(exposure: int) -> int:
@@ -60,20 +71,22 @@ class TrackingStep:
         self._tracker = Tracker(rig, settings.tracks)
         self._imu: deque[ImuSample] = deque()
 
-    def run(self, job: Job, forecast: Forecast | None) -> Tracks:
-        """Follow the features into one exposure."""
-        t = job.frame.t_ns
-        self._imu.extend(e for e in job.before if isinstance(e, ImuSample))
-        while self._imu and self._imu[0].t_ns < t - _IMU_NS:
+    def hear(self, events: Sequence[Heard]) -> None:
+        """Take what came before an exposure."""
+        self._imu.extend(e for e in events if isinstance(e, ImuSample))
+        while self._imu and self._imu[0].t_ns < self._imu[-1].t_ns - _IMU_NS:
             self._imu.popleft()
-        return self._tracker.feed(job.frame, forecast.cameras(t, self._imu) if forecast else None)
+
+    def run(self, frame: Frame, forecast: Forecast | None) -> Tracks:
+        """Follow the features into one exposure."""
+        return self._tracker.feed(frame, forecast.cameras(frame.t_ns, self._imu) if forecast else None)
 
 
 class FilterStep:
-    """The filter, and what it lets expect."""
+    """The filter, and what it lets expect. It never smooths: that would keep the whole flight."""
 
     def __init__(self, rig: Rig, settings: Settings) -> None:
-        self.filter = LateFilter(rig, settings.motion.filter)
+        self.filter = LateFilter(rig, settings.motion.filter.model_copy(update={"smooth": False}))
 
     def hear(self, events: Sequence[Heard]) -> Forecast | None:
         """Take what came before an exposure."""

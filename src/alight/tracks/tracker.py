@@ -19,6 +19,7 @@ from alight.settings import Tracks as TracksSettings
 from alight.tracks.corners import BORDER, corners, spread, strength
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.lens import Lens
+from alight.tracks.patches import Anchors, Ground, Patches, smooth, turns
 from alight.tracks.whole import TURNS, agreement, common_shift, factor_of, found_again, lit_as, shrunken, turned
 
 Mask = NDArray[np.bool_]
@@ -27,11 +28,13 @@ Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
-_STOP_BACK = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # half a pixel is all that is asked back
+_STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # of the way back, and where patches settle
 _FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
 _FEW = 0.1  # share of the features found below which the prediction is doubted
 _PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
 _SWEEP_STEP = 0.12  # of the logarithm of depth
+_SURE = 5.0  # px; where nine of ten guesses were off by more, nobody knows how patches lie (photos: 0.08, 0.04 degrees)
+_SPAN = 0.125  # of the width; features that moved further look otherwise by now
 _CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
 
 
@@ -60,6 +63,7 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
+        self._anchors = Anchors(self._lenses[0], _SPAN * self._cameras[0].width, settings.window_px)
         self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
         self._next_id = 0
         self._memory: _Memory | None = None
@@ -77,8 +81,11 @@ class Tracker:
             return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
+        pose, soft = prediction[0] if prediction and self._off[0] < _SURE else None, smooth(image)
+        pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
         ids, pixels, depth = self._take_up(image, ids, pixels, depth)
-        seen, depth = self._across(frame, image, pixels, depth)
+        self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
+        seen, depth = self._across(frame, image, soft, pixels, depth, pose)
         self._memory = _Memory(image, prediction, ids, pixels, depth)
         return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
 
@@ -105,7 +112,7 @@ class Tracker:
         return m.ids[good], pixels[good], depth[good]
 
     def _matched(self, m: _Memory, image: U8, guess: F32, expected: bool = False) -> tuple[F32, Mask]:
-        then, start = turned(m.image, m.pixels, guess)
+        then, start = (m.image, m.pixels) if expected and self._off[0] < _CLOSE else turned(m.image, m.pixels, guess)
         return self._match(then, image, start, guess, 0, expected)
 
     def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
@@ -158,8 +165,10 @@ class Tracker:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
         """
         a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
-        there, ok = self._flow(a, b, pixels, guess, min(s.levels, near) if expected else s.levels, _STOP)
-        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_BACK)  # from where it must end: wrong ones slide away
+        held = expected and near == 1  # its patch settles it
+        levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
+        there, ok = self._flow(a, b, pixels, guess, levels, stop)
+        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
         good, off = ok & ok_back & _inside(there, self._cameras[cam]), np.linalg.norm(there - guess, axis=1)
         good &= (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px) & (off < s.search_px)
         self._off[cam] = float(np.sort(off[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
@@ -180,23 +189,27 @@ class Tracker:
             np.concatenate([depth, np.full(len(new), np.nan)]),
         )
 
-    def _across(self, frame: Frame, image: U8, pixels: F32, depth: F64) -> tuple[F64, F64]:
+    def _across(self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None) -> tuple[F64, F64]:
         """Match the features of the left camera in every other camera; pixels (N, cameras, 2) and depth (N,)."""
+        patches = Patches.cut(soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1)
         seen = np.full((len(pixels), len(self._cameras), 2), np.nan)
         seen[:, 0] = pixels
         for i in range(1, len(self._cameras)):
             other = frame.images[i]
             if other is not None and len(pixels):
-                found, z = self._stereo(i, image, grey(other), pixels, depth)
+                found, z = self._stereo(i, image, grey(other), pixels, depth, (patches, pose))
                 seen[:, i] = found
                 depth = np.where(np.isfinite(z), z, depth)
         return seen, depth
 
-    def _stereo(self, i: int, left: U8, right: U8, pixels: F32, depth: F64) -> tuple[F64, F64]:
+    def _stereo(
+        self, i: int, left: U8, right: U8, pixels: F32, depth: F64, soft: tuple[Patches, Pose | None]
+    ) -> tuple[F64, F64]:
         """Match along the epipolar line from the expected disparity on; pixels (N, 2) and depth (N,), NaN = none."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
         guess = self._transfer(pixels, depth, pose, camera)
         there, good = self._match(left, right, pixels, guess, i, bool(np.isfinite(depth).any()))
+        there = self._settled(i, smooth(right), *soft, there, good, depth)
         found = np.where(good[:, None], there.astype(np.float64), np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -206,6 +219,18 @@ class Tracker:
             z = np.where(good & (w * arm * camera.fu > 1.0), 1.0 / w, np.nan)  # under a pixel it says nothing
         found[~good] = np.nan
         return found, z
+
+    def _settled(
+        self, i: int, right: U8, patches: Patches, pose: Pose | None, there: F32, good: Mask, depth: F64
+    ) -> F32:
+        """Matches in another camera made better by their patches; those that are not found so are no longer good."""
+        held = patches.rows(good[patches.ids])
+        to_first, at = self._cam_from_first[i].inverse, held.ids
+        ground = Ground.below(pose @ to_first if pose is not None else None, depth)
+        guess = there[at].astype(np.float64)
+        turn = turns(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
+        there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
+        return there
 
     def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
