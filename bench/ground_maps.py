@@ -28,7 +28,7 @@ from alight.sources import Source, open_source
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]
 HOWS: tuple[How, ...] = ("batch", "ring")
-TINY, AROUND = 0.1, 0.5  # square metres of a patch; metres, 1-sigma of the ground that it is compared with
+TINY, AROUND = 0.5, 0.5  # square metres of a patch; metres, 1-sigma of the ground that it is compared with
 NOT_WATER = np.uint16(0xFFFF & ~int(Flag.WATER))  # the cover's verdict is made anew
 
 
