@@ -136,3 +136,25 @@ def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe()
     assert sites.next_look(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
     refused[50, 50] = 0
     assert sites.next_look(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None
+
+
+def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:
+    e = ground(np.zeros((101, 151)))
+    first = choose(e)
+    reserve = sites.Reserve().updated(first, assess(e, None, LANDER, EXACT), apart=1.0)
+    assert reserve.sites == first.sites
+    assert reserve.lost == ()
+    steep = ground(plane(101, 151, 0.4, 0.0))
+    none = sites.Reserve(first.sites).updated(choose(steep), assess(steep, None, LANDER, EXACT), apart=1.0)
+    assert none.sites == ()
+    assert [why for _, why in none.lost] == ["is too steep"] * len(first.sites)
+
+
+def test_reserve_sites_that_the_newer_map_does_not_see_are_kept_behind_those_that_it_does() -> None:
+    e = ground(np.zeros((101, 151)))
+    here = choose(e, settings=SitesSettings(count=2))
+    far = tuple(replace(s, east=s.east + 500.0) for s in here.sites)
+    both = sites.Reserve(far).updated(here, assess(e, None, LANDER, EXACT), apart=1.0)
+    assert both.sites[:2] == here.sites
+    assert [s.east for s in both.sites[2:]] == [s.east for s in far]
+    assert [s.rank for s in both.sites] == [1, 2, 3, 4]

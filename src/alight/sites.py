@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -188,3 +189,42 @@ def next_look(hazards: HazardMap, elevation: ElevationMap, lander: Lander, above
     place = np.array([grid.east + col * grid.cell, grid.north - row * grid.cell, up])
     height = max(NEARER * above, LOWEST)
     return Look(place + np.array([0.0, 0.0, height]), place, float(p[row, col]), height)
+
+
+@dataclass(frozen=True)
+class Reserve:
+    """The sites known in flight, kept up to date from map to map; what fell out, with the reason."""
+
+    sites: tuple[Site, ...] = ()
+    lost: tuple[tuple[Site, str], ...] = ()  # by the newest map
+
+    def updated(self, found: Sites, hazards: HazardMap, apart: float) -> Reserve:
+        """Take the sites of a newer map; older ones stay while nothing says otherwise.
+
+        Args:
+            found: chosen from the newer map.
+            hazards: its verdict, which confirms, refuses or does not see the older ones.
+            apart: metres within which two sites are the same.
+
+        Returns:
+            The newer sites first, then older ones that the newer map does not see; refused ones are lost.
+        """
+        kept, lost = list(found.sites), []
+        for old in self.sites:
+            if any(math.hypot(old.east - s.east, old.north - s.north) <= apart for s in kept):
+                continue
+            why = _refusal(hazards, old)
+            if why is None:
+                kept.append(old)
+            else:
+                lost.append((old, why))
+        return Reserve(tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), tuple(lost))
+
+
+def _refusal(hazards: HazardMap, site: Site) -> str | None:
+    """Why a verdict refuses the place of a site; None where it does not, or does not see it."""
+    row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
+    if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
+        return None
+    reasons = Hazard(int(hazards.reasons[row, col])) & ~(Hazard.EDGE | Hazard.UNKNOWN)
+    return ", ".join(_SPOKEN[bit] for bit in reasons) or None
