@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,6 +14,7 @@ from alight.records import F32, F64, ElevationMap, Hazard, HazardMap, Look, Site
 from alight.settings import Lander, SitesSettings
 
 Bool = NDArray[np.bool_]
+Term = tuple[float, F32]  # of Q: weight, and (R, C) values
 NEARER = 0.5  # of the height above ground: half the pixel, half the noise
 LOWEST = 8.0  # metres above the place: lower, one is about to land
 
@@ -28,7 +30,7 @@ _SPOKEN = {
 }
 
 
-def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None) -> F64:
+def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None, extra: Sequence[Term]) -> F64:
     """Worth of every cell (G11): quality, room around it, nearness; -inf where no touchdown is allowed."""
     allowed = (hazards.reasons == 0) & (hazards.clearance >= settings.margin) & np.isfinite(hazards.quality)
     room = np.minimum(hazards.clearance / settings.roomy, 1.0)
@@ -37,6 +39,9 @@ def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None) -> 
         east, north = hazards.grid.xy()
         away = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
         score -= settings.distance_weight * away
+    for weight, values in extra:
+        score -= weight * values
+        allowed &= np.isfinite(values)
     return np.where(allowed, score, -np.inf)
 
 
@@ -138,6 +143,7 @@ def choose(
     settings: SitesSettings,
     lander: Lander,
     vehicle: F64 | None = None,
+    extra: Sequence[Term] = (),
 ) -> Sites:
     """Rank the places where a touchdown is safe; the first is the choice, the others are kept in reserve.
 
@@ -148,12 +154,14 @@ def choose(
         settings: how many, how far apart, and what counts.
         lander: its footprint.
         vehicle: (3,) position in the world, metres: gives the heading of the approach; None for not known.
+        extra: further terms of Q (eq. 5), a weight and (R, C) values each, larger is worse: energy, wind, people. NaN
+            refuses the cell.
 
     Returns:
         Sites in order of rank. Without any, the reason is a sentence: it is an answer, not an error.
     """
     apart = settings.separation or 2 * lander.radius
-    peaks = _peaks(_score(hazards, settings, vehicle), settings.count, apart / hazards.grid.cell)
+    peaks = _peaks(_score(hazards, settings, vehicle, extra), settings.count, apart / hazards.grid.cell)
     if not peaks:
         return Sites((), why_none(hazards, elevation, settings))
     return Sites(tuple(_site(i + 1, at, hazards, terrain, elevation, lander, vehicle) for i, at in enumerate(peaks)))
