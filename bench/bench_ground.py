@@ -1,10 +1,8 @@
-"""Judging the ground: hazard terrains with truth, speed, reliability of P(safe).
+"""Judging the ground: hazard terrains with truth, and speed. Flights: bench/ground_flights.py.
 
 Run: python bench/bench_ground.py               (hazards and speed)
      python bench/bench_ground.py hazards [--data ../shared/data/hazard-contest]
      python bench/bench_ground.py speed
-     python bench/bench_ground.py reliability --runs RUN:FLIGHT ...   (simulated flights, with truth)
-     python bench/bench_ground.py odds --runs RUN:FLIGHT ...          (fits hidden.py, one left out)
 """
 
 from __future__ import annotations
@@ -12,24 +10,16 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.optimize import minimize
 
-from alight.evaluate.flight import at, read_truth
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.hazards.hidden import hidden_terms
 from alight.hazards.sharpen import sharpen
-from alight.outputs import read_run
-from alight.records import ElevationMap, Flag, HazardMap
+from alight.records import ElevationMap, HazardMap
 from alight.settings import Hazards, Lander
 
 CELL = 0.2  # metres, dem.raw
@@ -49,7 +39,8 @@ CONTEST = Lander(
     belly_clearance=0.39,
     max_slope=math.radians(10.0),
 )
-SURVEY = Hazards(tilt_sigma=0.001, noise_length=0.2, bridge=0.0)  # one survey: no tilt but what its pixels leave open
+# one survey: no tilt but what its pixels leave open, and nothing flattened
+SURVEY = Hazards(tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False)
 
 Pixels = NDArray[np.uint8]
 
@@ -128,107 +119,16 @@ def speed(cells: int = 1000) -> None:
         print(f"{name:26s} wall {min(t[0] for t in took):.2f} s  cpu {min(t[1] for t in took):.2f} s")
 
 
-@dataclass(frozen=True, eq=False)
-class Claims:
-    """The cells of one run that were judged, flat arrays."""
-
-    p: NDArray[np.float64]  # as claimed
-    bare: NDArray[np.float64]  # without the odds of what is hidden
-    terms: NDArray[np.float64]  # (N, 3) constant, log deviation over the limit, log darkness
-    level: NDArray[np.bool_]  # the shape of the ground is safe in truth
-    near: NDArray[np.bool_]  # within 0.3 m of such a cell
-    safe: NDArray[np.bool_]  # shape and cover are
-
-
-def read_claims(run: Path, flight: Path) -> Claims:
-    """Judge a run's heights anew and look up the truth; cover is left out, for that is the terrain's part."""
-    truth, had = read_truth(flight), read_run(run)
-    assert had.grid is not None
-    assert had.height is not None
-    assert had.sigma is not None
-    with rasterio.open(run / "ortho.tif") as d:
-        rgb = np.ascontiguousarray(np.moveaxis(d.read((1, 2, 3)), 0, 2))
-    lander, shape = Lander(), np.nan_to_num(truth.dem - np.nanmedian(truth.dem))
-    plain = Hazards(tilt_sigma=0.0, smoothed=False)
-    level = assess(as_map(shape, truth.grid.cell, np.zeros_like(shape)), None, lander, plain).reasons == 0
-    known = np.isfinite(had.height)
-    flags = np.where(known, 0, Flag.UNSEEN).astype(np.uint16)
-    height = (had.height - np.nanmedian(had.height)).astype(np.float32)
-    views = np.where(known | (rgb.sum(axis=2) > 0), 9, 0).astype(np.uint8)
-    e = ElevationMap(had.grid, height, had.sigma, flags, views, rgb, np.zeros_like(height))
-    found, bare = assess(e, None, lander, Hazards()), assess(e, None, lander, Hazards(smoothed=False))
-    east, north = np.meshgrid(*had.grid.xy())
-    away = distance_transform_edt(~level) * truth.grid.cell
-    there = {
-        k: at(v.astype(np.float32), truth.grid, east, north)
-        for k, v in {"level": level, "away": away, "safe": truth.safe(lander)}.items()
-    }
-    use = np.isfinite(bare.p_safe) & (bare.p_safe > 0) & np.isfinite(there["away"])
-    terms = np.stack([np.ones_like(height), *hidden_terms(e, found.roughness, lander.max_roughness, lander.radius)], -1)
-    return Claims(
-        found.p_safe[use],
-        bare.p_safe[use],
-        terms[use].astype(np.float64),
-        there["level"][use] > 0,
-        there["away"][use] <= 0.3,
-        there["safe"][use] > 0,
-    )
-
-
-BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)
-
-
-def tell(name: str, p: NDArray[np.float64], c: Claims) -> None:
-    """Claimed and true frequency, and what is false among the cells of P >= 0.99."""
-    sure = p >= 0.99
-    far, found = (sure & ~c.near).sum() / max(sure.sum(), 1), (sure & c.level).sum() / max(c.level.sum(), 1)
-    print(
-        f"{name}: P >= 0.99 {sure.sum()} cells, {100 * far:.2f} % false by more than 0.3 m, {100 * found:.0f} % found"
-    )
-    for low, high in pairwise(BINS):
-        here = (p >= low) & (p < high)
-        if here.sum() > 200:
-            print(
-                f"   {low:.2f}-{high:.2f} {here.sum():7d} claimed {p[here].mean():.3f} true {c.level[here].mean():.3f}"
-            )
-
-
-def fit_odds(claims: list[Claims]) -> NDArray[np.float64]:
-    """Logistic regression, every run with the same weight, over the cells that the limits leave likely."""
-
-    def loss(b: NDArray[np.float64]) -> float:
-        each = [np.logaddexp(0, -np.where(c.level, 1, -1) * (c.terms @ b))[c.bare > 0.3].mean() for c in claims]
-        return float(np.mean(each) + 1e-4 * b @ b)
-
-    return np.asarray(minimize(loss, np.array([0.0, -1.5, -2.0]), method="BFGS").x)
-
-
-def odds(runs: list[str]) -> None:
-    """Fit on all runs, and on all but each one, which then is the test."""
-    claims = {r: read_claims(*map(Path, r.split(":"))) for r in runs}
-    print("all runs:", fit_odds(list(claims.values())).round(2))
-    for left in runs if len(runs) > 1 else []:
-        b = fit_odds([c for r, c in claims.items() if r != left])
-        c = claims[left]
-        tell(f"without {left}: {b.round(2)}", c.bare / (1 + np.exp(-c.terms @ b)), c)
-
-
 def main() -> None:
     """One part of the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", nargs="?", default="all", choices=["all", "hazards", "speed", "reliability", "odds"])
+    parser.add_argument("part", nargs="?", default="all", choices=["all", "hazards", "speed"])
     parser.add_argument("--data", type=Path, default=Path("../shared/data/hazard-contest"))
-    parser.add_argument("--runs", nargs="*", default=[], metavar="RUN:FLIGHT")
     arguments = parser.parse_args()
     if arguments.part in ("all", "hazards") and arguments.data.is_dir():
         hazards(arguments.data)
     if arguments.part in ("all", "speed"):
         speed()
-    if arguments.part == "odds":
-        odds(arguments.runs)
-    for run in arguments.runs if arguments.part == "reliability" else []:
-        claims = read_claims(*map(Path, run.split(":")))
-        tell(run, claims.p, claims)
 
 
 if __name__ == "__main__":

@@ -1,56 +1,34 @@
 """What covers the ground: weights of the evidence, and how well the classes do on flights.
 
     python bench/bench_terrain.py fit                # the table of alight/terrain/weights.py, from tuning flights
-    python bench/bench_terrain.py footprint          # the odds of alight/hazards/cover.py, from the same
     python bench/bench_terrain.py measure FLIGHT ... # refused and kept by true class; rungs, or folders with truth
     python bench/bench_terrain.py library            # the library with each site left out, and other scenes
 
-Maps are made with true poses and kept under --scratch, because making them is most of the work.
+Maps are the product's own (bench/ground_maps.py) and kept under --scratch, because making them is most of the work.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from doubt import exposures
+from ground_flights import TEST, TUNING
+from ground_maps import judgeable
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
-from alight import hazards, terrain
-from alight.elevation import FIELDS
-from alight.evaluate.flight import at, read_truth
-from alight.geometry import Grid
-from alight.hazards.contact import any_near
-from alight.hazards.cover import worst_odds
-from alight.pipeline import Pipeline
-from alight.pipeline.terrain_lane import TerrainLane
+from alight import terrain
 from alight.records import F32, LANDABLE, U8, ElevationMap, Terrain
-from alight.settings import Settings, TerrainSettings
-from alight.simulate.ladder import rung
-from alight.sources import open_source
+from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
 from alight.terrain.appearance import appearance, seen
 from alight.terrain.classify import wetness
 from alight.terrain.confusion import lines_of
 from alight.terrain.evidence import terms
-from alight.terrain.patchwork import without_specks
 from alight.terrain.relief import relief
 from alight.terrain.train import elsewhere, fit_head, judge_pixels
 
-TUNING = (
-    "lakes/50m/tuning-1", "tall_grass/20m/tuning-1", "meadow/50m/tuning-1", "forest/50m/tuning-1",
-    "village/50m/tuning-1", "farmland/100m/tuning-1", "lakes/20m/tuning-2", "yard/20m/tuning-1",
-    "tall_grass/50m/tuning-2", "car_park/50m/tuning-1", "quarry/50m/tuning-1", "meadow/20m/tuning-2",
-    "lakes/100m/tuning-1", "snow/50m/tuning-1", "desert/50m/tuning-1",
-)  # fmt: skip
-TEST = (
-    "lakes/50m/test-1", "meadow/50m/test-1", "forest/50m/test-1", "village/50m/test-1", "tall_grass/20m/test-1",
-    "lakes/20m/test-1", "farmland/100m/test-1",
-)  # fmt: skip
 NEVER = (Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.WATER)
 ALL = (*NEVER, Terrain.STRUCTURE, Terrain.ROCK, *LANDABLE)
 EACH = 300  # cells a class and flight that the fit uses
@@ -61,54 +39,18 @@ OTHERS = {
     ("residual", "residual 2 m"): 0.4,
     ("rough 0.3 m", "rough 1 m"): 0.4,
     ("sigma",): 0.4,
+    ("octave 0", "octave 1", "octave 2", "light detail"): 0.4,
+    ("red detail", "blue detail"): 0.3,
 }  # 1-sigma of that shift, natural logarithms
-NEAR = 0.3  # metres: as near to its rim a hazard in a footprint is an edge drawn elsewhere
 LEAST = 200  # cells of a class in a flight that count
 
 
-def _label_of(truth: U8, grid: Grid, where: Grid) -> U8:
-    e, n = np.meshgrid(*where.xy())
-    return np.asarray(at(truth, grid, e, n), np.uint8)
-
-
-def _ladder(name: str) -> tuple[ElevationMap, U8]:
-    flight = rung(name).fly()
-    shots = list(exposures(flight))
-    views = [v for shot in shots for v in shot]
-    lane = TerrainLane(Settings())
-    if not lane.learn(views[:: max(1, len(views) // 24)]):
-        raise SystemExit(f"{name}: {lane.reason}")
-    lane.build(views, lambda share: None)
-    found = lane.map()
-    assert found is not None
-    return found, _label_of(flight.truth.label, flight.truth.grid, found.grid)
-
-
-def _recorded(folder: Path) -> tuple[ElevationMap, U8]:
-    source = open_source(folder, Settings())
-    pipeline = Pipeline(source.rig, source.kind, Settings(), source.truth_trajectory)
-    for event in source.events():
-        pipeline.feed(event)
-    decision = pipeline.finish()
-    assert decision.elevation is not None
-    truth = read_truth(folder)
-    plain = replace(decision.elevation, flags=decision.elevation.flags & np.uint16(1023))  # as before the cover
-    return plain, _label_of(truth.label, truth.grid, plain.grid)
-
-
-def maps(names: list[str], scratch: Path) -> Iterator[tuple[str, ElevationMap, U8]]:
+def maps(names: Sequence[str], scratch: Path) -> Iterator[tuple[str, ElevationMap, U8]]:
     """Name, map and true class of every flight."""
-    scratch.mkdir(parents=True, exist_ok=True)
     for name in names:
-        kept = scratch / f"{name.strip('/').replace('/', '_')}.npz"
-        if not kept.exists():
-            e, label = _recorded(Path(name)) if Path(name).is_dir() else _ladder(name)
-            g = np.array([e.grid.east, e.grid.north, e.grid.cell, *e.grid.shape])
-            np.savez_compressed(kept, grid=g, label=label, **{k: getattr(e, k) for k in FIELDS})
-        with np.load(kept) as z:
-            g = z["grid"]
-            grid = Grid(float(g[0]), float(g[1]), float(g[2]), int(g[3]), int(g[4]))
-            yield name, ElevationMap(grid, **{k: z[k] for k in FIELDS}), z["label"]
+        found = judgeable(name, "batch", scratch)
+        if found is not None:
+            yield name, found.elevation, found.label
 
 
 def evidence_of(e: ElevationMap) -> dict[str, F32]:
@@ -187,30 +129,6 @@ def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
     _tell("mean of the flights", [None if m is None else (float(m[0]), float(m[1])) for m in means])
 
 
-def footprint(scratch: Path) -> None:
-    """Fit the odds of `hazards.cover`: where the shape is safe, does the footprint hold another kind of ground?"""
-    lander, judge = Settings().lander, Settings().hazards
-    parts = []
-    for name, e, label in maps(list(TUNING), scratch):
-        cell = e.grid.cell
-        cover = terrain.classify(e, TerrainSettings(), read_model())
-        vetoed = any_near(cover.landable < judge.min_landable, lander.radius, cell)
-        p = np.where(vetoed, 0, np.nan_to_num(hazards.assess(e, None, lander, judge).p_safe))
-        hazard = without_specks((label > 0) & ~np.isin(label, [*LANDABLE, Terrain.ROCK]), cell)
-        bad = any_near(hazard, lander.radius - NEAR, cell)
-        odds = worst_odds(cover.landable, lander.radius, cell)
-        cells = np.flatnonzero((p >= 0.9).ravel())[:: max(1, int((p >= 0.9).sum() / 4000))]
-        print(f"{name}: {len(cells)} cells, {100 * bad.ravel()[cells].mean() if len(cells) else 0:.2f} % with a hazard")
-        if len(cells) > 100:
-            parts.append((odds.ravel()[cells].astype(np.float64), bad.ravel()[cells]))
-
-    def loss(b: NDArray[np.float64]) -> float:
-        each = [np.logaddexp(0, np.where(bad, 1, -1) * (b[0] + b[1] * odds)).mean() for odds, bad in parts]
-        return float(np.mean(each) + 1e-4 * b @ b)
-
-    print("ODDS =", minimize(loss, np.zeros(2), method="BFGS").x.round(2))
-
-
 def _tell(name: str, row: list[tuple[float, float] | None]) -> None:
     print(f"{name:<36}" + "".join(f"{'':>13}" if r is None else f"{r[0]:7.1f}/{r[1]:5.1f}" for r in row), flush=True)
 
@@ -229,16 +147,14 @@ def library(data: Path) -> None:
 def main() -> None:
     """One part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", nargs="?", default="measure", choices=["fit", "footprint", "measure", "library"])
+    parser.add_argument("part", nargs="?", default="measure", choices=["fit", "measure", "library"])
     parser.add_argument("flights", nargs="*", default=[])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--scratch", type=Path, default=Path("out/terrain-maps"))
+    parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     parser.add_argument("--model", type=Path, default=None, help="another model; 'none': without")
     arguments = parser.parse_args()
     if arguments.part == "fit":
         fit(arguments.scratch)
-    elif arguments.part == "footprint":
-        footprint(arguments.scratch)
     elif arguments.part == "library":
         library(arguments.data)
     else:

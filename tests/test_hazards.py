@@ -11,10 +11,13 @@ import pytest
 import rasterio
 from ground import covered, ground, plane
 from numpy.testing import assert_allclose
+from scipy.special import logit
 
 from alight.hazards import assess
-from alight.hazards.hidden import darkest_near, nothing_hidden
-from alight.records import Flag, Gauge, Hazard, HazardMap
+from alight.hazards.belief import safe_belief
+from alight.hazards.spots import spots
+from alight.hazards.weights import RAMPS
+from alight.records import ElevationMap, Flag, Gauge, Hazard, HazardMap
 from alight.settings import Hazards, Lander
 
 EXACT = Hazards(tilt_sigma=0.0, smoothed=False)
@@ -276,26 +279,68 @@ def test_the_rule_of_the_rendered_scene_is_reproduced(shared_data: Path) -> None
     assert_allclose(h.roughness[row, col], 0.043, atol=0.0005)
 
 
-def test_dark_spots_and_roughness_cost_probability_where_heights_are_matched() -> None:
-    e = ground(flat(), rgb=np.full((81, 81, 3), 150, np.uint8))
-    e.rgb[39:42, 40:43] = 20  # the shadow of a stone that the heights do not show
-    p = assess(e, None, Lander(radius=1.0), Hazards(tilt_sigma=0.0)).p_safe
-    assert p[MID] < Hazards().p_safe
-    assert p[40, 20] > 0.999
+def pictured(stone: bool, cell: float = 0.1) -> ElevationMap:
+    """Level ground, well measured, evenly grey on pixels of half a cell; the heights do not show the stone."""
+    fine = np.full((162, 162, 3), 150, np.uint8)
+    if stone:
+        fine[80:83, 82:85] = 40
+    return replace(ground(flat(), sigma=0.005, rgb=(150, 150, 150), cell=cell), fine=fine)
+
+
+def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_matched() -> None:
+    seen, clear = (assess(pictured(s), None, Lander(radius=1.0), Hazards()).p_safe for s in (True, False))
+    assert logit(clear[MID]) - logit(seen[MID]) > 3.0  # how sure it was without it is for the other terms to say
     r, c = np.mgrid[:81, :81]
-    under = np.hypot(r - 40, c - 40) <= 10
-    assert p[under & ~(np.abs(r - 40) > 35)].max() < p[40, 20]
-    resolved = assess(e, None, Lander(radius=1.0), EXACT).p_safe
-    assert_allclose(resolved[MID], 1.0)
-    rough = nothing_hidden(e, np.array([[0.02, 0.08, 0.14]], np.float32).repeat(81, 0).repeat(27, 1), 0.15, 1.0)
-    assert rough[70, 5] > rough[70, 40] > rough[70, 75]
+    assert seen[np.hypot(r - 40, c - 41) <= 7].max() < clear[MID]
+    assert_allclose(seen[40, 15], clear[40, 15], atol=1e-6)
+    assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # heights that show all
 
 
-def test_a_brighter_exposure_has_the_same_dark_spots() -> None:
+def test_a_brighter_exposure_and_another_white_balance_have_the_same_spots() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(40, 80, (81, 81, 3)).astype(np.uint8)
-    dim, bright = (darkest_near(ground(flat(), rgb=a), 1.0) for a in (rgb, 3 * rgb))
-    assert_allclose(dim, bright, rtol=0.03)
+    dim = spots(ground(flat(), rgb=rgb))
+    for gain in (np.array([3, 3, 3]), np.array([3, 2, 1])):
+        other = spots(ground(flat(), rgb=(gain * rgb).astype(np.uint8)))
+        assert_allclose(other["tint"], dim["tint"], atol=0.05)
+    bright = spots(ground(flat(), rgb=3 * rgb))
+    assert_allclose(bright["dark"], dim["dark"], atol=0.03)
+    assert dim["dark"].max() > 0.1
+
+
+def test_no_term_makes_a_touchdown_likelier_where_it_is_worse() -> None:
+    rng = np.random.default_rng(1)
+    for name, (knots, _) in RAMPS.items():
+        some = {k: np.full(50, rng.choice(kn), np.float32) for k, (kn, _) in RAMPS.items()}
+        some[name] = np.linspace(knots[0] - 1, knots[-1] + 1, 50, dtype=np.float32)
+        assert (np.diff(safe_belief(some)) <= 1e-7).all(), name
+
+
+def test_cells_too_coarse_for_the_limits_are_less_sure() -> None:
+    fine, coarse = (
+        assess(pictured(False, cell), None, Lander(radius=10 * cell), Hazards()).p_safe[MID] for cell in (0.1, 0.6)
+    )
+    assert fine > Hazards().p_safe > coarse
+
+
+def test_single_heights_far_beyond_their_sigma_refuse_even_where_their_mean_is_level() -> None:
+    z = flat()
+    z[MID] = 0.3
+    assert Hazard.ROUGHNESS in refused(assess(ground(z, sigma=0.03), None, Lander(radius=1.0), Hazards()))
+    assert Hazard.ROUGHNESS not in refused(assess(ground(z, sigma=0.06), None, Lander(radius=1.0), Hazards()))
+
+
+def test_ground_that_nobody_could_measure_is_not_safe_and_what_nobody_saw_even_less() -> None:
+    e = ground(flat(), sigma=0.005)
+    flags = e.flags.copy()
+    flags[30:51, 25:56] = Flag.UNSURE
+    half = replace(e, flags=flags)
+    assert Hazard.UNKNOWN in refused(assess(half, None, Lander(radius=1.0), Hazards(bridge=0.0)))
+    few = e.flags.copy()
+    few[38:42, 38:42] = Flag.UNSURE  # 5 % of the footprint
+    assert Hazard.UNKNOWN not in refused(assess(replace(e, flags=few), None, Lander(radius=1.0), Hazards(bridge=0.0)))
+    few[38:42, 38:42] = Flag.UNSEEN
+    assert Hazard.UNKNOWN in refused(assess(replace(e, flags=few), None, Lander(radius=1.0), Hazards(bridge=0.0)))
 
 
 def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from alight import sites
 from alight.hazards import assess
-from alight.records import ElevationMap, Sites, Terrain, TerrainMap
+from alight.records import ElevationMap, Hazard, HazardMap, Sites, Terrain, TerrainMap
 from alight.settings import Hazards, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
@@ -106,3 +107,68 @@ def test_ground_that_may_not_be_landed_on_is_named() -> None:
     found = choose(e, covered(e, 0.0, Terrain.WATER))
     assert found.sites == ()
     assert "100 % is covered by what cannot be landed on" in found.reason
+
+
+def doubtful(e: ElevationMap, p: np.ndarray, reasons: np.ndarray | None = None) -> HazardMap:
+    """A verdict with these probabilities, undecided everywhere or for these reasons."""
+    h = assess(e, None, LANDER, EXACT)
+    why = np.full(e.grid.shape, Hazard.DOUBT, np.uint8) if reasons is None else reasons
+    return replace(h, p_safe=p.astype(np.float32), reasons=why)
+
+
+def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> None:
+    e = ground(np.full((101, 101), 3.0))
+    r, c = np.mgrid[:101, :101]
+    p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
+    look = sites.next_look(doubtful(e, p), e, LANDER, above=40.0)
+    assert look is not None
+    assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
+    assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
+    assert look.p_safe == pytest.approx(0.9, abs=0.01)
+    low = sites.next_look(doubtful(e, p), e, LANDER, above=10.0)
+    assert low is not None
+    assert low.height == 8.0
+
+
+def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
+    e = ground(np.zeros((101, 101)))
+    refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
+    assert sites.next_look(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
+    refused[50, 50] = 0
+    assert sites.next_look(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None
+
+
+def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:
+    e = ground(np.zeros((101, 151)))
+    first = choose(e)
+    reserve = sites.Reserve().updated(first, assess(e, None, LANDER, EXACT), apart=1.0)
+    assert reserve.sites == first.sites
+    assert reserve.lost == ()
+    steep = ground(plane(101, 151, 0.4, 0.0))
+    none = sites.Reserve(first.sites).updated(choose(steep), assess(steep, None, LANDER, EXACT), apart=1.0)
+    assert none.sites == ()
+    assert [why for _, why in none.lost] == ["is too steep"] * len(first.sites)
+
+
+def test_reserve_sites_that_the_newer_map_does_not_see_are_kept_behind_those_that_it_does() -> None:
+    e = ground(np.zeros((101, 151)))
+    here = choose(e, settings=SitesSettings(count=2))
+    far = tuple(replace(s, east=s.east + 500.0) for s in here.sites)
+    both = sites.Reserve(far).updated(here, assess(e, None, LANDER, EXACT), apart=1.0)
+    assert both.sites[:2] == here.sites
+    assert [s.east for s in both.sites[2:]] == [s.east for s in far]
+    assert [s.rank for s in both.sites] == [1, 2, 3, 4]
+
+
+def test_terms_that_a_user_adds_move_the_choice_and_their_gaps_refuse() -> None:
+    e = ground(np.zeros((101, 151)))
+    h = assess(e, None, LANDER, EXACT)
+    east = np.broadcast_to(np.linspace(0, 1, 151, dtype=np.float32), (101, 151)).copy()
+
+    def first(values: np.ndarray) -> float:
+        found = sites.choose(h, None, e, SitesSettings(), LANDER, extra=[(100.0, values)]).sites
+        return found[0].east if found else math.nan
+
+    assert first(east) < 3.0
+    assert first(-east) > 12.0
+    assert math.isnan(first(np.full_like(east, np.nan)))

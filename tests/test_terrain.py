@@ -66,7 +66,7 @@ def test_a_grey_flat_slab_stays_possible_in_sun_and_shade() -> None:
     slab = (np.abs(R - 120) < 60) & (np.abs(C - 120) < 60)
     for colour in (GREY, (45, 50, 62)):
         t = classify(scene(noise(0.02), slab, colour, 0.02), SETTINGS)
-        assert (t.landable[slab] > 0.5).mean() > 0.95  # its rim is an edge
+        assert (t.landable[slab] > 0.5).mean() > 0.9  # its rim is an edge
 
 
 def test_restless_water_without_a_basin_is_refused() -> None:

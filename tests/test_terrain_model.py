@@ -14,14 +14,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from alight.cli import call
-from alight.records import LANDABLE, InputError, Terrain, TerrainMap
+from alight.records import LANDABLE, InputError, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import DEFAULT_MODEL, kind_of, model_bytes, read_labelled, read_library, read_model
-from alight.terrain import classify, fused, remember, says
-from alight.terrain.classify import KINDS
+from alight.terrain import classify, says
 from alight.terrain.confusion import Confusion
 from alight.terrain.features import against, frame_of, level_of, look, names
-from alight.terrain.fusion import worth
 from alight.terrain.model import Model, distance, log_probability, standardised
 from alight.terrain.patches import Patch
 from alight.terrain.train import elsewhere, judge, train
@@ -261,42 +259,6 @@ def test_appearance_takes_and_never_gives() -> None:
     assert "appearance" in says(e, TerrainSettings(), read_model())
     grey = replace(e, rgb=np.repeat(e.rgb[..., :1], 3, axis=2))
     assert "grey" in says(grey, TerrainSettings(), read_model())
-
-
-def seen_as(kind: Terrain, p: float, landable: float, shape: tuple[int, int] = (4, 5)) -> TerrainMap:
-    """A map on which every cell looks like that."""
-    e = ground(np.zeros(shape))
-    probability = np.full((*shape, len(KINDS)), (1 - p) / (len(KINDS) - 1), np.float16)
-    probability[..., kind - 1] = p
-    return TerrainMap(e.grid, np.full(shape, kind, np.uint8), np.full(shape, landable, np.float32), probability)
-
-
-def test_many_looks_that_agree_are_surer_than_one_but_never_many_times() -> None:
-    looks, p = None, []
-    for _ in range(30):
-        looks = remember(looks, seen_as(Terrain.WATER, 0.6, 0.3))
-        p.append(float(fused(looks).landable[0, 0]))
-    assert_allclose(p[0], 0.3, atol=1e-3)
-    assert p[0] > p[3] > p[29] > 0.2
-    assert looks is not None
-    assert (fused(looks).label == Terrain.WATER).all()
-    assert_allclose(worth(np.array([1, 2, 10000]), 0.5), [1, 4 / 3, 2], rtol=1e-3)
-
-
-def test_old_looks_fade_and_cells_not_seen_keep_what_was_known() -> None:
-    looks = None
-    for _ in range(20):
-        looks = remember(looks, seen_as(Terrain.SHORT_GRASS, 0.8, 0.9), memory=5)
-    blind = seen_as(Terrain.WATER, 0.9, 0.05)
-    blind.landable[0] = np.nan
-    for _ in range(20):
-        looks = remember(looks, blind, memory=5)
-    assert looks is not None
-    now = fused(looks)
-    assert (now.label[1:] == Terrain.WATER).all()
-    assert (now.landable[1:] < 0.2).all()
-    assert (now.label[0] == Terrain.SHORT_GRASS).all()
-    assert (now.landable[0] > 0.9).all()
 
 
 def test_the_library_is_judged_as_well_as_claimed(shared_data: Path) -> None:

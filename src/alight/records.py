@@ -247,6 +247,9 @@ class ElevationMap:
     rgb: U8
     residual: F32
     gauge: Gauge | None = None
+    fine: U8 | None = (
+        None  # (f R, f C, 3) the same ground on finer pixels, as the mean of several views; None: not known
+    )
 
     @property
     def trusted(self) -> NDArray[np.bool_]:
@@ -317,6 +320,16 @@ class Sites:
 
     sites: tuple[Site, ...]
     reason: str = ""  # why `sites` is empty
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """A view that would reduce the doubt about the most promising place: a proposal to the executive."""
+
+    position_world: F64  # (3,) metres, of the cameras
+    place_world: F64  # (3,) metres, what to look at
+    p_safe: float  # of that place by now
+    height: float  # metres above it
 
 
 @dataclass(frozen=True, eq=False)

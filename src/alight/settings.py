@@ -227,16 +227,17 @@ class Lander(_Model):
 class Hazards(_Model):
     """Judging the ground."""
 
-    unknown_share: Fraction = Field(0.02, description="largest share of the footprint that may be unknown")
+    unknown_share: Fraction = Field(0.02, description="largest share of the footprint that nobody may have seen")
+    doubtful_share: Fraction = Field(0.35, description="largest share of it without a height that can be trusted")
     bridge: NonNegative = Field(0.15, description="m; doubtful heights in gaps up to twice as wide count if they agree")
     alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
     p_safe: Fraction = Field(0.99, description="least probability of a safe touchdown")
-    min_landable: Fraction = Field(0.5, description="terrain below this probability is refused")
+    min_landable: Fraction = Field(0.2, description="terrain below this probability is refused; P weighs the rest")
     tilt_sigma: NonNegative = Field(
-        0.003, description="rad, least 1-sigma of the map's common tilt, where the poses do not claim a larger one"
+        0.008, description="rad, least 1-sigma of the map's common tilt, where the poses do not claim a larger one"
     )
-    noise_length: NonNegative = Field(0.4, description="m over which neighbouring heights share their noise")
+    noise_length: NonNegative = Field(0.8, description="m over which neighbouring heights share their noise")
     smoothed: bool = Field(True, description="heights come from matched images, which flatten what is small: P pays")
     usual_sigma: NonNegative = Field(0.03, description="m, 1-sigma of heights of a raster that does not say (hazards)")
     hidden_hazard: Fraction = Field(0.25, description="probability that a footprint nobody saw would hide a hazard")

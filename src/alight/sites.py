@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, F64, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap
+from alight.records import F32, F64, ElevationMap, Hazard, HazardMap, Look, Site, Sites, Terrain, TerrainMap
 from alight.settings import Lander, SitesSettings
 
 Bool = NDArray[np.bool_]
+Term = tuple[float, F32]  # of Q: weight, and (R, C) values
+NEARER = 0.5  # of the height above ground: half the pixel, half the noise
+LOWEST = 8.0  # metres above the place: lower, one is about to land
 
 _SPOKEN = {
     Hazard.ROUGHNESS: "is too rough",
@@ -24,7 +30,7 @@ _SPOKEN = {
 }
 
 
-def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None) -> F64:
+def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None, extra: Sequence[Term]) -> F64:
     """Worth of every cell (G11): quality, room around it, nearness; -inf where no touchdown is allowed."""
     allowed = (hazards.reasons == 0) & (hazards.clearance >= settings.margin) & np.isfinite(hazards.quality)
     room = np.minimum(hazards.clearance / settings.roomy, 1.0)
@@ -33,6 +39,9 @@ def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None) -> 
         east, north = hazards.grid.xy()
         away = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
         score -= settings.distance_weight * away
+    for weight, values in extra:
+        score -= weight * values
+        allowed &= np.isfinite(values)
     return np.where(allowed, score, -np.inf)
 
 
@@ -134,6 +143,7 @@ def choose(
     settings: SitesSettings,
     lander: Lander,
     vehicle: F64 | None = None,
+    extra: Sequence[Term] = (),
 ) -> Sites:
     """Rank the places where a touchdown is safe; the first is the choice, the others are kept in reserve.
 
@@ -144,12 +154,85 @@ def choose(
         settings: how many, how far apart, and what counts.
         lander: its footprint.
         vehicle: (3,) position in the world, metres: gives the heading of the approach; None for not known.
+        extra: further terms of Q (eq. 5), a weight and (R, C) values each, larger is worse: energy, wind, people. NaN
+            refuses the cell.
 
     Returns:
         Sites in order of rank. Without any, the reason is a sentence: it is an answer, not an error.
     """
     apart = settings.separation or 2 * lander.radius
-    peaks = _peaks(_score(hazards, settings, vehicle), settings.count, apart / hazards.grid.cell)
+    peaks = _peaks(_score(hazards, settings, vehicle, extra), settings.count, apart / hazards.grid.cell)
     if not peaks:
         return Sites((), why_none(hazards, elevation, settings))
     return Sites(tuple(_site(i + 1, at, hazards, terrain, elevation, lander, vehicle) for i, at in enumerate(peaks)))
+
+
+def next_look(hazards: HazardMap, elevation: ElevationMap, lander: Lander, above: float) -> Look | None:
+    """Say from where the most promising undecided place should be seen again: straight above it, and nearer.
+
+    Promising is what no limit refuses and of which P is highest over a footprint's surroundings; nearer by `NEARER`,
+    because pixels, the noise of heights and the size of what is flattened shrink with the distance.
+
+    Args:
+        hazards: the verdict.
+        elevation: heights, on the same grid.
+        lander: its footprint.
+        above: metres, the height above ground from which the map was seen.
+
+    Returns:
+        The view, or None where every place is refused for good or one is safe already.
+    """
+    undecided = (hazards.reasons == Hazard.DOUBT) & np.isfinite(hazards.p_safe)
+    if (hazards.reasons == 0).any() or not undecided.any():
+        return None
+    p = np.where(undecided, hazards.p_safe, np.float32(0))
+    side = 2 * max(1, round(lander.radius / hazards.grid.cell)) + 1
+    around = cv2.blur(p, (side, side), borderType=cv2.BORDER_CONSTANT)
+    row, col = divmod(int(np.argmax(np.where(undecided, around, -1.0))), p.shape[1])
+    rows, cols, disc = _within(p.shape, row, col, lander.radius / hazards.grid.cell)
+    ground = elevation.height[rows, cols][disc & elevation.trusted[rows, cols]]
+    if not ground.size:
+        return None
+    grid, up = hazards.grid, float(np.median(ground))
+    place = np.array([grid.east + col * grid.cell, grid.north - row * grid.cell, up])
+    height = max(NEARER * above, LOWEST)
+    return Look(place + np.array([0.0, 0.0, height]), place, float(p[row, col]), height)
+
+
+@dataclass(frozen=True)
+class Reserve:
+    """The sites known in flight, kept up to date from map to map; what fell out, with the reason."""
+
+    sites: tuple[Site, ...] = ()
+    lost: tuple[tuple[Site, str], ...] = ()  # by the newest map
+
+    def updated(self, found: Sites, hazards: HazardMap, apart: float) -> Reserve:
+        """Take the sites of a newer map; older ones stay while nothing says otherwise.
+
+        Args:
+            found: chosen from the newer map.
+            hazards: its verdict, which confirms, refuses or does not see the older ones.
+            apart: metres within which two sites are the same.
+
+        Returns:
+            The newer sites first, then older ones that the newer map does not see; refused ones are lost.
+        """
+        kept, lost = list(found.sites), []
+        for old in self.sites:
+            if any(math.hypot(old.east - s.east, old.north - s.north) <= apart for s in kept):
+                continue
+            why = _refusal(hazards, old)
+            if why is None:
+                kept.append(old)
+            else:
+                lost.append((old, why))
+        return Reserve(tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), tuple(lost))
+
+
+def _refusal(hazards: HazardMap, site: Site) -> str | None:
+    """Why a verdict refuses the place of a site; None where it does not, or does not see it."""
+    row, col = (int(np.rint(v)) for v in hazards.grid.index(np.array(site.east), np.array(site.north)))
+    if not (0 <= row < hazards.grid.rows and 0 <= col < hazards.grid.cols):
+        return None
+    reasons = Hazard(int(hazards.reasons[row, col])) & ~(Hazard.EDGE | Hazard.UNKNOWN)
+    return ", ".join(_SPOKEN[bit] for bit in reasons) or None

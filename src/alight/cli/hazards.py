@@ -29,7 +29,8 @@ from alight.settings import Settings
 if TYPE_CHECKING:
     from alight.sources.raster import Ground
 
-RESOLVED = "hazards.smoothed=false"  # heights made elsewhere show what there is, unless --set says otherwise
+# heights made elsewhere show what there is, and lie level, unless --set says otherwise
+SURVEYED = ("hazards.smoothed=false", "hazards.tilt_sigma=0.003", "hazards.noise_length=0.4")
 
 
 def _lander(file: Path | None) -> list[str]:
@@ -118,7 +119,7 @@ def judge(
     verbose: VerboseOption = False,
 ) -> None:
     """Judge any height raster: where this lander may touch down, how surely, and why not elsewhere."""
-    chosen = read_settings(settings, [RESOLVED, *_lander(lander), *(assign or ())])
+    chosen = read_settings(settings, [*SURVEYED, *_lander(lander), *(assign or ())])
     from alight.outputs.folder import prepare
     from alight.outputs.ground import write_verdict
     from alight.sources.raster import read_ground

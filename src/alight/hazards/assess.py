@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.hazards.belief import safe_belief
 from alight.hazards.contact import (
     Footprint,
     any_near,
@@ -18,14 +19,15 @@ from alight.hazards.contact import (
     share_near,
     step_of,
 )
-from alight.hazards.cover import cover_probability
-from alight.hazards.hidden import nothing_hidden
-from alight.hazards.known import judged_height
-from alight.hazards.probability import Margins, mean_near, safe_probability
-from alight.records import F32, U8, ElevationMap, Hazard, HazardMap, TerrainMap
+from alight.hazards.evidence import Shape, terms, unresolved
+from alight.hazards.known import evened, judged_height
+from alight.hazards.probability import SURELY, Margins, margins_over_sigma, mean_near, safe_probability
+from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import Hazards, Lander
 
 Bool = NDArray[np.bool_]
+ROUNDING = 1e-4  # of a share
+CLEARLY = 3.0  # sigmas by which single heights must break the limit where their mean keeps it
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,7 @@ class _Findings:
     rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
     blocked: Bool  # something stands in the belly's or rotor's way
     vetoed: Bool
+    even: F32  # metres, largest deviation of the heights that the limit is put to
 
 
 def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int]) -> Bool:
@@ -50,15 +53,17 @@ def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int])
 
 
 def _find(
-    height: F32, terrain: TerrainMap | None, spare: float, lander: Lander, settings: Hazards, cell: float
+    height: F32, unseen: Bool, terrain: TerrainMap | None, spare: float, lander: Lander, settings: Hazards, cell: float
 ) -> _Findings:
     fp = footprint_of(height, lander.radius, cell)
     edge = near_edge(height.shape, lander.radius, cell)
-    unknown = np.isnan(height) | np.isnan(fp.level) | (fp.unknown > settings.unknown_share)
+    doubtful = settings.doubtful_share if settings.smoothed else settings.unknown_share
+    unknown = np.isnan(fp.level) | (fp.unknown > doubtful) | (unseen if settings.smoothed else np.isnan(height))
+    unknown |= share_near(unseen, lander.radius, cell) > settings.unknown_share + ROUNDING
     blocked, slope, rise = np.zeros_like(edge), fp.slope, None
     if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
         blocked |= rotor_rise(height, fp, lander, cell) > lander.rotor_rise
-        unknown |= share_near(np.isnan(height), lander.rotor_radius, cell) > settings.unknown_share
+        unknown |= share_near(np.isnan(height), lander.rotor_radius, cell) > doubtful + ROUNDING
         edge |= near_edge(height.shape, lander.rotor_radius, cell)
     if lander.has_gear:
         slope, rise = gear_contact(height, fp, edge | unknown, lander, cell, spare)
@@ -66,7 +71,8 @@ def _find(
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
         rise = None if lander.belly_clearance is None else rise
     vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
-    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed)
+    even = footprint_of(evened(height, cell), lander.radius, cell).roughness if settings.smoothed else fp.roughness
+    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, even)
 
 
 def _spare(sigma: F32) -> float:
@@ -75,18 +81,23 @@ def _spare(sigma: F32) -> float:
     return 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0
 
 
-def _hidden(elevation: ElevationMap, f: _Findings, lander: Lander, settings: Hazards) -> F32 | None:
-    """What heights from matched images may have flattened."""
+def _probability(
+    elevation: ElevationMap, terrain: TerrainMap | None, f: _Findings, sigma: F32, lander: Lander, settings: Hazards
+) -> F32:
+    """P(safe) by the margins alone, or of all evidence where heights from matched images may hide what is small."""
+    cell = elevation.grid.cell
+    tilt, rise = margins_over_sigma(Margins(f.footprint, f.slope, f.rise, sigma), lander, settings, cell)
     if not settings.smoothed:
-        return None
-    limit = lander.max_roughness if f.rise is None else lander.belly_clearance
-    assert limit is not None
-    return nothing_hidden(elevation, f.footprint.roughness, limit, lander.radius)
+        return safe_probability(tilt, rise, f.footprint.unknown, settings)
+    level = safe_probability(tilt, np.full_like(tilt, SURELY), np.zeros_like(tilt), settings)
+    level = level * np.float32(1 - unresolved(elevation, lander, settings))
+    return level * safe_belief(terms(elevation, terrain, Shape(f.footprint, f.even, rise), lander))
 
 
-def _reasons(f: _Findings, lander: Lander) -> U8:
+def _reasons(f: _Findings, sigma: F32, lander: Lander) -> U8:
     """Every limit that a touchdown would break, as bits of `Hazard`."""
-    rough = f.footprint.roughness > lander.max_roughness
+    clearly = f.footprint.roughness > lander.max_roughness + np.float32(CLEARLY) * sigma
+    rough = (f.even > lander.max_roughness) | clearly
     if lander.has_gear and lander.belly_clearance is not None:  # the belly's own limit says more
         rough = np.zeros_like(rough)
     high_step = f.step > (np.inf if lander.max_step is None else lander.max_step)
@@ -149,12 +160,10 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     height = judged_height(elevation, lander, settings)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
-    found = _find(height, terrain, _spare(sigma), lander, settings, cell)
-    reasons = _reasons(found, lander)
-    covered = None if terrain is None else cover_probability(terrain.landable, lander.radius, cell)
-    hidden = _hidden(elevation, found, lander, settings)
-    margins = Margins(found.footprint, found.slope, found.rise, sigma, hidden, covered)
-    p = safe_probability(margins, lander, settings, cell)
+    unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
+    found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
+    reasons = _reasons(found, sigma, lander)
+    p = _probability(elevation, terrain, found, sigma, lander, settings)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))
     reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))

@@ -11,6 +11,8 @@ from alight.settings import Hazards, Lander
 
 Bool = NDArray[np.bool_]
 
+EVEN = 0.2  # metres, 1-sigma
+
 _NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.SATURATED | Flag.RANGE)  # no height, or none that could be right
 
 
@@ -50,3 +52,12 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: Hazards) ->
         agrees = np.abs(height - _neighbours_level(height, known, reach)) <= 0.5 * lander.max_roughness
         known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
+
+
+def evened(height: F32, cell: float) -> F32:
+    """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
+    known = np.isfinite(height).astype(np.float32)
+    sigma = max(EVEN / cell, 0.3)
+    total = cv2.GaussianBlur(np.nan_to_num(height), (0, 0), sigma)
+    share = cv2.GaussianBlur(known, (0, 0), sigma)
+    return np.asarray(np.where(known > 0, total / np.maximum(share, 1e-3), np.nan), np.float32)

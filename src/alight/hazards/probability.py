@@ -14,6 +14,8 @@ from alight.hazards.footprint import disc_mask, disc_spans, feet_of
 from alight.records import F32
 from alight.settings import Hazards, Lander
 
+SURELY = 40.0  # sigmas
+
 
 def mean_near(values: F32, radius: float, cell: float) -> F32:
     """Mean of the known values in the disc about every cell; NaN where none is known."""
@@ -28,12 +30,11 @@ def mean_near(values: F32, radius: float, cell: float) -> F32:
     return out
 
 
-def _below(limit: float, value: F32, sigma: F32) -> F32:
-    """P(true value <= limit); without noise it is 0 or 1."""
-    margin = np.float32(limit) - value
-    p = ndtr(margin / np.maximum(sigma, 1e-9))
-    out: F32 = np.where(sigma > 1e-9, p, margin >= 0).astype(np.float32)
-    return out
+def _over(margin: F32, sigma: F32) -> F32:
+    """The margin in sigmas; without noise it is kept or broken for sure."""
+    sure = np.where(margin >= 0, np.float32(SURELY), np.float32(-SURELY))
+    out = np.where(sigma > 1e-9, margin / np.maximum(sigma, np.float32(1e-9)), sure)
+    return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
 
 def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: Hazards) -> F32:
@@ -74,31 +75,29 @@ def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: Hazards) -> F3
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """What a touchdown meets, (R, C) each; the probability is that of the limits being kept in truth."""
+    """What a touchdown meets, (R, C) each."""
 
     footprint: Footprint
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
     sigma: F32  # metres, root mean square height sigma in the footprint
-    hidden: F32 | None  # probability that nothing too high was flattened by the matching window; None: no such window
-    cover: F32 | None = None  # probability that all of it is ground that may be landed on; None: nobody looked
 
 
-def safe_probability(m: Margins, lander: Lander, settings: Hazards, cell: float) -> F32:
-    """P(a touchdown keeps every limit) at every cell (G7 to G9b): tilt, ground below, what was not seen or resolved."""
+def margins_over_sigma(m: Margins, lander: Lander, settings: Hazards, cell: float) -> tuple[F32, F32]:
+    """How far tilt, and rise or deviation, stay below their limits, in sigmas (G7 to G9)."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
         tilt_sigma = gear_sigma(local, lander, cell, settings)
     else:
         tilt_sigma = slope_sigma(m.footprint, m.sigma, cell, settings)
-    p = _below(lander.max_slope, m.slope, tilt_sigma)
+    tilt = _over(lander.max_slope - m.slope, tilt_sigma)
     if m.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _alone(lander, cell, settings))) * local
-        p *= _below(lander.belly_clearance, m.rise, rise_sigma)
-    else:
-        p *= _below(lander.max_roughness, m.footprint.roughness, local)
-    p *= 1 - np.float32(settings.hidden_hazard) * m.footprint.unknown
-    for share in (m.hidden, m.cover):
-        if share is not None:
-            p *= share
-    return p
+        return tilt, _over(lander.belly_clearance - m.rise, rise_sigma)
+    return tilt, _over(lander.max_roughness - m.footprint.roughness, local)
+
+
+def safe_probability(tilt: F32, rise: F32, unknown: F32, settings: Hazards) -> F32:
+    """P(a touchdown keeps every limit) of heights that show all there is: tilt, ground below, what was not seen."""
+    p: F32 = ndtr(tilt) * ndtr(rise) * (1 - np.float32(settings.hidden_hazard) * unknown)
+    return np.asarray(p, np.float32)

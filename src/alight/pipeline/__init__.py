@@ -13,6 +13,7 @@ import numpy as np
 from alight import hazards, route, sites, terrain
 from alight.elevation import Far
 from alight.geometry import Grid
+from alight.parallax import ortho
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
 from alight.pipeline.terrain_lane import TerrainLane, footprint, looking_down
@@ -42,7 +43,8 @@ Tell = Callable[[str, float], None]  # stage, share done
 LAST_STEPS = 1000  # whose times are kept in flight
 FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
 FIND_BASELINE = 0.08  # of the height, that it takes in flight: at 97 m 4 m found a ground that was 36 m too high
-KEPT_BY_RING = 16  # keyframes whose pixels stay: the ring's own, and a few to find the ground with
+KEPT_BY_RING = 16  # keyframes that find the ground: the ring's own, and a few
+KEPT_TO_LOOK = 64  # keyframes whose pixels stay, to look at the ground more finely than at its heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,8 @@ class Pipeline:
             self._store.thin()
             self._first_step *= 2
         if self._recursive:
-            self._store.drop_oldest(max(0, len(self._store.frames) - KEPT_BY_RING))
+            most = KEPT_TO_LOOK if self._history else KEPT_BY_RING
+            self._store.drop_oldest(max(0, len(self._store.frames) - most))
 
     def _advance(self, frames: list[Frame]) -> None:
         for frame in frames:
@@ -165,7 +168,7 @@ class Pipeline:
         """The same in flight: with what is known of the last poses by now."""
         newer = self._navigation.posterior()
         motions = self._motions if newer is None else self._motions | {m.t_ns: m for m in newer.motions}
-        return views_of(self._store.frames, motions, self._navigation.rig)
+        return views_of(self._store.frames[-KEPT_BY_RING:], motions, self._navigation.rig)
 
     def _make_room(self) -> None:
         """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
@@ -220,6 +223,10 @@ class Pipeline:
     ) -> Decision:
         s, start = self._settings, self._clock()
         elevation = self._terrain.map()
+        start = self._timed("map", start)
+        if elevation is not None and s.terrain.enabled:
+            elevation = replace(elevation, fine=ortho(looking_down(self._views()), elevation))
+            start = self._timed("finer pixels", start)
         if elevation is None:
             return Decision(
                 Sites((), "no height could be measured: no place was seen by two views"),
@@ -235,6 +242,9 @@ class Pipeline:
         start = self._timed("hazards", start)
         last = np.array(motions[-1].world_from_body.translation)
         chosen = sites.choose(danger, cover, elevation, s.sites, s.lander, last)
+        if not chosen.sites and (look := sites.next_look(danger, elevation, s.lander, above)) is not None:
+            east, north, up = look.position_world
+            notes["look next"] = f"east {east:.1f} north {north:.1f} up {up:.1f} m, where P(safe) is {look.p_safe:.2f}"
         way = route.plan(chosen.sites[0], elevation, last, s.route) if chosen.sites else None
         self._timed("sites and route", start)
         tell("judging", 1.0)

@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.records import F32, REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen, smooth
+from alight.terrain.grain import grain
 from alight.terrain.relief import Relief
 from alight.terrain.weights import BIAS, WEIGHTS
 
@@ -59,6 +60,7 @@ def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str,
     usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
     restless, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
+    found = grain(elevation)
     residual, busy = _log(near(elevation.residual, 0.5), 0.02), _log(look.texture, 0.01)
     return {
         "rough 0.3 m": rough(0.3),
@@ -75,6 +77,8 @@ def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str,
         "texture": busy,
         "texture against the frame": _against(busy, looked),
         "plants": plants(look, shape, restless),
+        **found,
+        **{f"{name} against the frame": _against(values, looked) for name, values in found.items()},
     }
 
 

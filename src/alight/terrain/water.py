@@ -13,6 +13,7 @@ from alight.terrain.patchwork import without_specks
 from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
+SEEN_AS = 0.2  # share of what looks alike that must be water by itself: of ponds on flights 0.2 to 1, of pavement less
 
 
 def _ramp(values: F32, low: float, high: float) -> F32:
@@ -78,6 +79,9 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float) -> Bool:
     count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     for i in range(1, count):
         pond = labels == i
+        if seed[pond].mean() < SEEN_AS:  # a slab looks like water too, and a wet corner of it does not make it a pond
+            out |= pond & seed
+            continue
         known = pond & np.isfinite(bed)
         if not known.any():
             out |= pond

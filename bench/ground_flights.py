@@ -1,0 +1,177 @@
+"""P(safe) on flights with truth: what is claimed falsely, what is found, whether P is what it says.
+
+    python bench/ground_flights.py                       # test flights of the ladder and the sample, batch
+    python bench/ground_flights.py --set tuning --how ring
+    python bench/ground_flights.py --waterfall           # what keeps truly safe ground from being found
+    python bench/ground_flights.py --figure docs/figures/reliability.svg
+
+A touchdown counts as safe in truth where the simulator's brute force says so, or within 0.3 m of such a place: edges
+are drawn no better than that. Found is what is claimed of the truly safe cells that the map saw.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from ground_maps import HOWS, Judgeable, judgeable
+from heights_figures import Axis, chart
+from numpy.typing import NDArray
+
+from alight import hazards, terrain
+from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
+from alight.settings import Settings
+from alight.sources.library import read_model
+
+TUNING = (
+    "meadow/50m/tuning-1", "village/50m/tuning-1", "yard/20m/tuning-1", "desert/50m/tuning-1", "meadow/20m/tuning-2",
+    "car_park/50m/tuning-1", "lakes/50m/tuning-1", "farmland/100m/tuning-1", "quarry/50m/tuning-1",
+    "concrete/20m/tuning-1", "village/20m/tuning-2", "meadow/100m/tuning-2", "snow/50m/tuning-1",
+    "forest/50m/tuning-1", "desert/20m/tuning-2", "lakes/20m/tuning-2", "tall_grass/20m/tuning-1",
+    "farmland/50m/tuning-2", "yard/50m/tuning-2", "car_park/20m/tuning-2", "meadow/50m/tuning-3",
+    "village/50m/tuning-3",
+    "quarry/20m/tuning-2", "forest/20m/tuning-2", "lakes/50m/tuning-3", "meadow/20m/tuning-1", "snow/20m/tuning-2",
+    "concrete/50m/tuning-2",
+)  # fmt: skip
+TEST = (
+    "meadow/50m/test-1", "village/50m/test-1", "yard/20m/test-1", "desert/50m/test-1", "meadow/20m/test-2",
+    "car_park/50m/test-1", "lakes/20m/test-1", "farmland/100m/test-1", "concrete/20m/test-1", "quarry/50m/test-1",
+)  # fmt: skip
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0 + 1e-9)
+ENOUGH = 500  # cells of a bin
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """The seen cells of one flight, flat."""
+
+    name: str
+    p: NDArray[np.float32]  # claimed; 0 where it cannot be judged
+    safe: Bool
+    near: Bool  # or within 0.3 m of it
+
+    def line(self, least: float) -> str:
+        """What is claimed, falsely claimed and found."""
+        sure = self.p >= least
+        wrong, found = (sure & ~self.near).sum(), (sure & self.safe).sum()
+        return (
+            f"{self.name:36s} {100 * self.safe.mean():5.1f} % safe, claimed {sure.sum():7d}, "
+            f"false {100 * wrong / max(sure.sum(), 1):6.2f} %, found {100 * found / max(self.safe.sum(), 1):5.1f} %"
+        )
+
+
+def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
+    """The cells of several flights as of one."""
+    parts = [np.concatenate([getattr(j, k) for j in all_of]) for k in ("p", "safe", "near")]
+    return Judged(name, parts[0], parts[1], parts[2])
+
+
+def cover_of(j: Judgeable) -> TerrainMap:
+    """The classes as the product finds them."""
+    return terrain.classify(j.elevation, Settings().terrain, read_model())
+
+
+def verdict(j: Judgeable) -> HazardMap:
+    """As the product judges."""
+    s = Settings()
+    return hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
+
+
+def judged(j: Judgeable, found: HazardMap) -> Judged:
+    """The verdict beside the truth."""
+    safe, near = j.safe(Settings().lander)
+    here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
+    return Judged(j.name, np.nan_to_num(found.p_safe)[here], safe[here], near[here])
+
+
+def reliability(j: Judged) -> list[tuple[float, float, int]]:
+    """Claimed and true frequency, and the cells, of every bin that has enough."""
+    out = []
+    for low, high in pairwise(BINS):
+        here = (j.p >= low) & (j.p < high) & (j.p > 0)
+        if here.sum() >= ENOUGH:
+            out.append((float(j.p[here].mean()), float(j.near[here].mean()), int(here.sum())))
+    return out
+
+
+def _true_heights(j: Judgeable) -> ElevationMap:
+    e = j.elevation
+    unseen = (e.flags & np.uint16(Flag.UNSEEN)) | np.where(np.isfinite(j.height), 0, Flag.UNSEEN)
+    sigma = np.full(e.grid.shape, 0.01, np.float32)
+    return replace(e, height=j.height, sigma=sigma, flags=unseen.astype(np.uint16), gauge=None)
+
+
+def _true_cover(j: Judgeable) -> TerrainMap:
+    good = np.isin(j.label, [int(k) for k in LANDABLE]).astype(np.float32)
+    return TerrainMap(j.elevation.grid, j.label, np.where(j.label == Terrain.UNKNOWN, np.float32(np.nan), good))
+
+
+def waterfall(j: Judgeable) -> None:
+    """What would be found and false with parts of the truth put in, and what refuses truly safe cells."""
+    s, e, own, true = Settings(), j.elevation, cover_of(j), _true_cover(j)
+    level, plain = _true_heights(j), s.hazards.model_copy(update={"smoothed": False})
+    for name, height, cover, settings in (
+        ("as it is", e, own, s.hazards), ("cover left out", e, None, s.hazards),
+        ("true cover, heights as they are", e, true, plain), ("true heights, cover as it is", level, own, plain),
+        ("true heights, true cover", level, true, plain),
+    ):  # fmt: skip
+        print(
+            f"   {name:34s}" + judged(j, hazards.assess(height, cover, s.lander, settings)).line(s.hazards.p_safe)[36:]
+        )
+    safe = j.safe(s.lander)[0] & ((e.flags & np.uint16(Flag.UNSEEN)) == 0)
+    reasons = hazards.assess(e, own, s.lander, s.hazards).reasons[safe]
+    shares = {bit: 100 * float(((reasons & bit) != 0).mean()) for bit in Hazard} if safe.any() else {}
+    print("   truly safe and refused for: " + ", ".join(f"{b.name} {v:.0f} %" for b, v in shares.items() if v >= 1))
+
+
+def flights(options: argparse.Namespace) -> Iterator[Judgeable]:
+    """Those asked for."""
+    names = options.flights or {"tuning": TUNING, "test": TEST}[options.set]
+    if not options.flights and options.set == "test" and (options.data / "sample").is_dir():
+        names = (*names, str(options.data / "sample"))
+    for name in names:
+        found = judgeable(name, options.how, options.scratch, tuple({*HOWS, options.how}))
+        if found is not None:
+            yield found
+
+
+def figure(j: Judged) -> str:
+    """Claimed against true frequency."""
+    ticks = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+    lines = {"P(safe)": [(a, b) for a, b, _ in reliability(j)], "what it should be": [(0.0, 0.0), (1.0, 1.0)]}
+    title = "P(safe): claimed and true frequency, test flights"
+    return chart(title, Axis("claimed", ticks, log=False), Axis("true", ticks, log=False), lines)
+
+
+def main() -> None:
+    """The table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("flights", nargs="*", default=[], help="rungs of the ladder, or folders with truth")
+    parser.add_argument("--set", choices=["tuning", "test"], default="test")
+    parser.add_argument("--how", choices=["batch", "ring", "batch-true", "ring-true"], default="batch")
+    parser.add_argument("--waterfall", action="store_true")
+    parser.add_argument("--figure", type=Path, default=None)
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"))
+    parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
+    options = parser.parse_args()
+    least, done = Settings().hazards.p_safe, []
+    for j in flights(options):
+        done.append(judged(j, verdict(j)))
+        print(done[-1].line(least), flush=True)
+        if options.waterfall:
+            waterfall(j)
+    every = pooled(done)
+    print(every.line(least))
+    for claimed, true, cells in reliability(every):
+        print(f"   claimed {claimed:.3f}  true {true:.3f}  {cells:8d} cells")
+    if options.figure is not None:
+        options.figure.write_text(figure(every), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

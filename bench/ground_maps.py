@@ -1,0 +1,161 @@
+"""Maps of flights with truth, as the product makes them, kept for everything that judges them.
+
+Flying and matching are most of the work, and neither hangs on the judgement: a map is made once and judged often.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from alight.elevation import FIELDS
+from alight.evaluate.flight import NEAR, Truth, at, read_truth
+from alight.geometry import Grid
+from alight.pipeline import Pipeline
+from alight.records import F32, F64, LANDABLE, U8, ElevationMap, Flag, Gauge, Motion, Terrain
+from alight.settings import Lander, load, with_imu
+from alight.simulate import SimulatedFlight
+from alight.simulate.ladder import rung
+from alight.sources import Source, open_source
+
+Bool = NDArray[np.bool_]
+How = Literal["batch", "ring", "batch-true", "ring-true"]
+HOWS: tuple[How, ...] = ("batch", "ring")
+TINY, AROUND = 0.5, 0.5  # square metres of a patch; metres, 1-sigma of the ground that it is compared with
+NOT_WATER = np.uint16(0xFFFF & ~int(Flag.WATER))  # the cover's verdict is made anew
+
+
+@dataclass(frozen=True, eq=False)
+class Judgeable:
+    """One map, and the ground as it is, moved to where the map believes to be."""
+
+    name: str
+    elevation: ElevationMap
+    truth: Truth  # on its own grid, less the path's mean error
+
+    @cached_property
+    def label(self) -> U8:
+        """(R, C) true class of every cell of the map."""
+        return np.asarray(self._at(self.truth.label), np.uint8)
+
+    @cached_property
+    def known(self) -> Bool:
+        """(R, C): the truth knows the ground here."""
+        return np.isfinite(self._at(self.truth.dem))
+
+    @cached_property
+    def height(self) -> F32:
+        """(R, C) true heights, metres."""
+        return np.asarray(self._at(self.truth.dem), np.float32)
+
+    def safe(self, lander: Lander, strict: bool = True) -> tuple[Bool, Bool]:
+        """(R, C): a touchdown is truly safe; and it is, or is within 0.3 m of where it is.
+
+        `strict`: a single cell of the truth of another class refuses it, a blade of grass 2 cm high as well. Otherwise
+        what is smaller than 0.1 m^2 and lower than the lander's limit of roughness counts as the ground it stands on.
+        """
+        truth = self.truth if strict else replace(self.truth, label=of_consequence(self.truth, lander))
+        safe = truth.safe(lander)
+        away = distance_transform_edt(safe == 0) * truth.grid.cell if safe.any() else np.full(safe.shape, np.inf)
+        return self._at(safe) > 0, self._at((away <= NEAR).astype(np.uint8)) > 0
+
+    def _at(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
+        e, n = np.meshgrid(*self.elevation.grid.xy())
+        return at(values, self.truth.grid, e, n)
+
+
+def of_consequence(truth: Truth, lander: Lander) -> U8:
+    """The classes less what no lander with these limits feels: tiny and low."""
+    barred = (~np.isin(truth.label, [int(k) for k in LANDABLE])).astype(np.uint8)
+    height = np.nan_to_num(truth.dem - np.nanmedian(truth.dem)).astype(np.float32)
+    open_ground, sigma = 1 - barred.astype(np.float32), AROUND / truth.grid.cell
+    share = np.maximum(cv2.GaussianBlur(open_ground, (0, 0), sigma), 1e-3)
+    above = height - cv2.GaussianBlur(height * open_ground, (0, 0), sigma) / share
+    count, patch, stats = cv2.connectedComponentsWithStats(barred, connectivity=8)[:3]
+    highest = np.zeros(count)
+    np.maximum.at(highest, patch.ravel(), above.ravel())
+    small = (stats[:, cv2.CC_STAT_AREA] * truth.grid.cell**2 < TINY) & (highest < lander.max_roughness)
+    small[0] = False
+    return np.where(small[patch], np.uint8(Terrain.BARE), truth.label)
+
+
+def _write(path: Path, e: ElevationMap, truth: Truth) -> None:
+    gauge = e.gauge or Gauge(0.0, 0.0, np.zeros((3, 3)))
+    np.savez_compressed(
+        path,
+        grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
+        fine=np.zeros(0, np.uint8) if e.fine is None else e.fine, truth_grid=_numbers(truth.grid),
+        dem=truth.dem, label=truth.label,
+        **{k: getattr(e, k) for k in FIELDS},
+    )  # fmt: skip
+
+
+def _numbers(grid: Grid) -> F64:
+    return np.array([grid.east, grid.north, grid.cell, *grid.shape])
+
+
+def _grid(g: F64) -> Grid:
+    return Grid(float(g[0]), float(g[1]), float(g[2]), int(g[3]), int(g[4]))
+
+
+def _read(path: Path, name: str) -> Judgeable:
+    with np.load(path) as z:
+        g = z["gauge"]
+        gauge = Gauge(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
+        fine = z["fine"] if z["fine"].size else None
+        e = ElevationMap(_grid(z["grid"]), **{k: z[k] for k in FIELDS}, gauge=gauge, fine=fine)
+        return Judgeable(name, e, Truth(z["dem"], z["label"], _grid(z["truth_grid"])))
+
+
+def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
+    settings = with_imu(load("", [f"parallax.method={how.split('-')[0]}"]), source.notes.get("imu_noise", {}))
+    poses = source.truth_trajectory if how.endswith("true") else None
+    return Pipeline(source.rig, source.kind, settings, poses)
+
+
+def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:
+    """Mean of the path's error, (3,) metres."""
+    assert source.truth_trajectory is not None
+    true = {int(t): p.translation for t, p in zip(*source.truth_trajectory, strict=True)}
+    off = [m.world_from_body.translation - true[m.t_ns] for m in motions if m.t_ns in true]
+    return np.mean(off, axis=0) if off else np.zeros(3)
+
+
+def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
+    """Draw a flight once and feed it to every way of mapping."""
+    source = open_source(Path(name), load("")) if Path(name).is_dir() else rung(name).fly()
+    lanes = {how: _lane(source, how) for how in hows}
+    for event in source.events():
+        for lane in lanes.values():
+            lane.feed(event)
+    true = read_truth(Path(name)) if Path(name).is_dir() else None
+    if true is None:
+        assert isinstance(source, SimulatedFlight)
+        true = Truth(source.truth.height, source.truth.label, source.truth.grid)
+    for how, lane in lanes.items():
+        found = lane.finish()
+        if found.elevation is None:
+            print(f"{name}, {how}: {found.sites.reason}", flush=True)
+            continue
+        off = _drift(found.motions, source)
+        grid = replace(true.grid, east=true.grid.east + off[0], north=true.grid.north + off[1])
+        moved = Truth((true.dem + off[2]).astype(np.float32), true.label, grid)
+        _write(paths[how], replace(found.elevation, flags=found.elevation.flags & NOT_WATER), moved)
+
+
+def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) -> Judgeable | None:
+    """The map of a rung of the ladder or of a folder with truth; None where no height could be measured."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    stem = name.strip("/").replace("/", "_").replace("..", "")
+    paths = {h: scratch / f"{stem}-{h}.npz" for h in {*hows, how}}
+    if not paths[how].exists():
+        wanted = tuple(h for h, p in paths.items() if not p.exists())
+        _make(name, wanted, paths)
+    return _read(paths[how], f"{name}, {how}") if paths[how].exists() else None

@@ -1,0 +1,92 @@
+"""What a footprint is judged by, each term larger where it is less likely safe (docs/method-hazards.md, G7b)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.special import logit
+
+from alight.hazards.contact import Footprint
+from alight.hazards.footprint import disc_mask, disc_spans
+from alight.hazards.probability import mean_near
+from alight.hazards.spots import spots
+from alight.records import F32, ElevationMap, TerrainMap
+from alight.settings import Hazards, Lander
+
+INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
+LEAST = 1e-4  # probability
+RESOLVED = 0.8  # of the limit, pixel: a stone as high is two of them wide
+USUAL = 0.01  # of a tint, that no ground is evener than
+SURE = np.float32(9.2)  # log odds: the cover where nobody judged it
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What the geometry says of every footprint, (R, C) each."""
+
+    footprint: Footprint
+    even: F32  # metres, largest deviation of heights averaged over the noise's length
+    rise_margin: F32  # (limit - deviation or rise) / sigma
+
+
+def worst_near(values: F32, radius: float, cell: float) -> F32:
+    """The largest value in the disc about every cell."""
+    disc = disc_mask(disc_spans(max(radius, cell) / cell))
+    return np.asarray(cv2.dilate(values, disc, borderType=cv2.BORDER_REPLICATE), np.float32)
+
+
+def _log(values: F32, floor: float) -> F32:
+    return np.asarray(np.log(np.maximum(np.nan_to_num(values, nan=1.0), np.float32(floor))), np.float32)
+
+
+def doubt_of(terrain: TerrainMap | None, shape: tuple[int, int]) -> F32:
+    """Log odds against ground that may be landed on; nothing is said of cells without evidence."""
+    if terrain is None:
+        return np.full(shape, -SURE, np.float32)
+    landable = np.where(np.isfinite(terrain.landable), terrain.landable, 1.0)
+    return np.asarray(-logit(landable.clip(LEAST, 1 - LEAST)), np.float32)
+
+
+def coarseness(elevation: ElevationMap, lander: Lander) -> float:
+    """Log of the finest pixel that there is over the height that matters."""
+    factor = 1 if elevation.fine is None else elevation.fine.shape[0] // elevation.grid.rows
+    limit = lander.max_roughness if lander.belly_clearance is None else lander.belly_clearance
+    return math.log(elevation.grid.cell / factor / limit)
+
+
+def unresolved(elevation: ElevationMap, lander: Lander, settings: Hazards) -> float:
+    """P(something too high is too small for the pixels): 0 up to `RESOLVED` of the limit, at most `hidden_hazard`."""
+    excess = coarseness(elevation, lander) - math.log(RESOLVED)
+    return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
+
+
+def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
+    """The terms of `weights`, (R, C) each."""
+    cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
+    inner = radius - min(INNER, radius / 4)
+    doubt = doubt_of(terrain, elevation.grid.shape)
+    around = cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5))
+    sigma = np.nan_to_num(elevation.sigma, nan=1.0)
+    small = spots(elevation)
+    usual = mean_near(small["tint"], radius, cell) + np.float32(USUAL)
+    residual = np.nan_to_num(elevation.residual)
+    return {
+        "coarse": np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
+        "rise": -shape.rise_margin,
+        "deviation": _log(shape.footprint.roughness / np.float32(limit), 0.03),
+        "even": _log(shape.even / np.float32(limit), 0.03),
+        "scatter": _log(shape.footprint.scatter / np.float32(limit), 0.02),
+        "unknown": shape.footprint.unknown,
+        "sigma": _log(mean_near(sigma, radius, cell) / np.float32(limit), 0.02),
+        "residual": mean_near(residual, radius, cell),
+        "worst residual": worst_near(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
+        "cover": worst_near(doubt, inner, cell),
+        "cover around": worst_near(np.asarray(around, np.float32), inner, cell),
+        "cover in the mean": mean_near(doubt, radius, cell),
+        "dark": worst_near(small["dark"], inner, cell),
+        "bright": worst_near(small["bright"], inner, cell),
+        "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),
+    }
