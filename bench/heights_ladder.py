@@ -122,15 +122,24 @@ def sgbm(rungs: Ladder) -> list[Row]:
 
 
 def edges(rungs: Ladder) -> list[Row]:
-    """Bad cells beside steps, over those of the better way of StereoSGBM."""
+    """Bad cells beside steps, over those of StereoSGBM as a map of the same cells, and looked up along rays."""
     out = []
     for n in COUNTS:
-        theirs = min(rungs.median(m, "edge bad %", [MIDDLE], n) for m in MOTION)
+        cells = rungs.median("SGBM motion, map", "edge bad %", [MIDDLE], n)
+        rays = min(rungs.median(m, "edge bad %", [MIDDLE], n) for m in MOTION)
         for m in OURS:
-            ours = rungs.median(m, "edge bad %", [MIDDLE], n)
-            name = f"bad within 0.5 m of a step over SGBM's ({ours:.1f} / {theirs:.1f} %), {MIDDLE} m, N = {n}, {m}"
-            out.append(Row(name, ours / theirs, 1.0, 0.5))
+            bad = rungs.median(m, "edge bad %", [MIDDLE], n)
+            name = f"bad within 0.5 m of a step over SGBM's map ({bad:.1f} / {cells:.1f} %), {MIDDLE} m, N = {n}, {m}"
+            out.append(Row(name, bad / cells, 1.0, 0.5))
+            out.append(Row(f"... over SGBM looked up along the rays ({rays:.1f} %)", bad / rays, 1.0, 0.5))
+            given = (rungs.median(k, "edge bad given %", [MIDDLE], n) for k in (m, "SGBM motion, map"))
+            out.append(Row("... of those given out, over those that SGBM's map gives out", divided(*given), 1.0, 0.5))
     return out
+
+
+def divided(ours: float, theirs: float) -> float:
+    """Their ratio; NaN of nothing."""
+    return ours / theirs if theirs else math.nan
 
 
 COVERAGE = {

@@ -1,7 +1,7 @@
 """What is compared on simulated ground: the batch and the ring on the left pictures, StereoSGBM on the same frames.
 
-StereoSGBM gets pairs of the same motion (the median of those that see a point, and the widest pair alone) and the
-middle pair of the rig, plain and on pictures four times as wide.
+StereoSGBM gets pairs of the same motion (the median of those that see a point, and the widest pair alone, along the
+rays to the points and as a map of cells) and the middle pair of the rig, plain and on pictures four times as wide.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from collections.abc import Callable
 
 import numpy as np
 from heights_points import Answer, Mask, Points
-from matchers import by_pair
+from matchers import by_pair, map_of_pair
 
-from alight.pipeline.terrain_lane import TerrainLane
+from alight.parallax import ground_sampling
+from alight.pipeline.terrain_lane import TerrainLane, nice_cell
 from alight.records import F64, ElevationMap, View
 from alight.settings import Settings
 
@@ -74,6 +75,14 @@ def sgbm_widest(shots: Shots, points: Points) -> Answer:
     return claimless(*by_pair(shots[0][0], shots[-1][0], points.xyz))
 
 
+def sgbm_map(shots: Shots, points: Points) -> Answer:
+    """The widest pair's answer as a map of cells as large as Alight's."""
+    first, last = shots[0][0], shots[-1][0]
+    cell = nice_cell(ground_sampling(first, float(np.median(points.xyz[:, 2]))))
+    loose, strict = (map_of_pair(first, last, points.xyz, cell, s) for s in (False, True))
+    return claimless(np.where(np.isfinite(strict), strict, loose), np.isfinite(strict))
+
+
 def sgbm_rig(wider: int) -> Matcher:
     """The middle stereo pair, its pictures `wider` times as wide."""
 
@@ -86,5 +95,6 @@ def sgbm_rig(wider: int) -> Matcher:
 
 MATCHERS: dict[str, Matcher] = {
     "batch": batch, "ring": ring, "SGBM motion, median": sgbm_motion, "SGBM motion, widest": sgbm_widest,
+    "SGBM motion, map": sgbm_map,
     "SGBM rig": sgbm_rig(1), "SGBM rig x4": sgbm_rig(4),
 }  # fmt: skip

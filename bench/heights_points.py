@@ -79,6 +79,7 @@ def errors(answer: Answer, points: Points, both: Mask) -> Row:
         "edge bad %": percent(np.abs(edge) > BAD),
         "given %": 100 * float(answer.given.mean()),
         "bad given %": percent(np.abs(e[answer.given]) > BAD),
+        "edge bad given %": percent(np.abs(e[answer.given & points.edge]) > BAD),
     }
     for name, where in (("open", points.open & answer.given), ("edge", points.edge & answer.given)):
         if where.sum() > LEAST and np.isfinite(answer.sigma[where]).all():

@@ -171,6 +171,25 @@ def by_pair(a: View, b: View, xyz: F64, wider: int = 1) -> tuple[F64, Mask]:
     return np.where(known, pair.centre[2] + ray[:, 2] * depth, np.nan), strict > low
 
 
+def map_of_pair(a: View, b: View, xyz: F64, cell: float, strict: bool) -> F64:
+    """What StereoSGBM on two views says of points (N, 3) as a map: its pixels put into cells, the highest stays."""
+    pair = Rectified(a, b)
+    near, far = (float(v) for v in (pair.project(xyz)[1].min() - 1.0, pair.project(xyz)[1].max() + 1.0))
+    found = disparity(pair, near, far, strict)
+    row, col = np.nonzero(found > max(pair.f * pair.baseline / far - 4, 0.0))
+    ray = np.c_[col - pair.c[0], row - pair.c[1], np.full(len(row), pair.f)] @ pair.world_from_rect.T
+    seen = pair.centre + ray * (pair.baseline / found[row, col].astype(np.float64))[:, None]
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    grid = Grid(low[0], high[1], cell, *(int(n) + 1 for n in np.ceil((high - low)[::-1] / cell)))
+    height = np.full(grid.shape, -np.inf)
+    r, c = (np.rint(i).astype(int) for i in grid.index(seen[:, 0], seen[:, 1]))
+    ok = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
+    np.maximum.at(height, (r[ok], c[ok]), seen[ok, 2])
+    r, c = (np.rint(i).astype(int) for i in grid.index(xyz[:, 0], xyz[:, 1]))
+    out = height[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)]
+    return np.where(np.isfinite(out), out, np.nan)
+
+
 def _looked_up(found: F32, uv: F64) -> F64:
     """Values at the nearest pixels, far below all outside."""
     h, w = found.shape
