@@ -247,9 +247,13 @@ class ElevationMap:
     rgb: U8
     residual: F32
     gauge: Gauge | None = None
-    fine: U8 | None = (
-        None  # (f R, f C, 3) the same ground on finer pixels, as the mean of several views; None: not known
-    )
+    fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
+
+    @property
+    def finest(self) -> tuple[U8, int]:
+        """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
+        picture = self.rgb if self.fine is None else self.fine
+        return picture, picture.shape[0] // self.grid.rows
 
     @property
     def trusted(self) -> NDArray[np.bool_]:

@@ -52,7 +52,7 @@ def doubt_of(terrain: TerrainMap | None, shape: tuple[int, int]) -> F32:
 
 def coarseness(elevation: ElevationMap, lander: Lander) -> float:
     """Log of the finest pixel that there is over the height that matters."""
-    factor = 1 if elevation.fine is None else elevation.fine.shape[0] // elevation.grid.rows
+    factor = elevation.finest[1]
     limit = lander.max_roughness if lander.belly_clearance is None else lander.belly_clearance
     return math.log(elevation.grid.cell / factor / limit)
 

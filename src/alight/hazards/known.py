@@ -27,11 +27,15 @@ def _within_reach(known: Bool, reach_cells: float) -> Bool:
 
 def _neighbours_level(height: F32, known: Bool, reach_cells: float) -> F32:
     """Mean height of the known cells about each cell, weighed by nearness; NaN where none is near."""
-    weight = known.astype(np.float32)
-    total = cv2.GaussianBlur(np.where(known, height, 0).astype(np.float32), (0, 0), reach_cells)
-    share = cv2.GaussianBlur(weight, (0, 0), reach_cells)
-    out: F32 = np.where(share > 1e-3, total / np.maximum(share, 1e-3), np.nan).astype(np.float32)
-    return out
+    mean, share = _gathered(height, known, reach_cells)
+    return np.where(share > 1e-3, mean, np.float32(np.nan))
+
+
+def _gathered(height: F32, known: Bool, sigma_cells: float) -> tuple[F32, F32]:
+    """Gaussian mean of the known cells about each, and their share of its weight."""
+    total = cv2.GaussianBlur(np.where(known, height, np.float32(0)), (0, 0), sigma_cells)
+    share = np.asarray(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma_cells), np.float32)
+    return np.asarray(total / np.maximum(share, np.float32(1e-3)), np.float32), share
 
 
 def judged_height(elevation: ElevationMap, lander: Lander, settings: Hazards) -> F32:
@@ -56,8 +60,6 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: Hazards) ->
 
 def evened(height: F32, cell: float) -> F32:
     """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
-    known = np.isfinite(height).astype(np.float32)
-    sigma = max(EVEN / cell, 0.3)
-    total = cv2.GaussianBlur(np.nan_to_num(height), (0, 0), sigma)
-    share = cv2.GaussianBlur(known, (0, 0), sigma)
-    return np.asarray(np.where(known > 0, total / np.maximum(share, 1e-3), np.nan), np.float32)
+    known = np.isfinite(height)
+    mean, _ = _gathered(height, known, max(EVEN / cell, 0.3))
+    return np.where(known, mean, np.float32(np.nan))

@@ -8,17 +8,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from alight.records import F32, ElevationMap
+from alight.records import F32, U8, ElevationMap
 
 SURROUNDINGS = 0.25  # metres, 1-sigma of what a spot is compared with
 SPOT = 0.7  # fine pixels, 1-sigma: no spot is smaller than what a lens shows
 
 
-def _fine(elevation: ElevationMap) -> tuple[F32, F32]:
-    """The finest picture there is, (f R, f C, 3), and where it shows something."""
-    rgb = elevation.rgb if elevation.fine is None else elevation.fine
-    seen = cv2.erode((rgb.max(axis=2) > 0).astype(np.float32), np.ones((3, 3), np.uint8))
-    return rgb.astype(np.float32) + 2, np.asarray(seen, np.float32)
+def _shown(rgb: U8) -> F32:
+    """Where a picture shows something."""
+    return np.asarray(cv2.erode((rgb.max(axis=2) > 0).astype(np.float32), np.ones((3, 3), np.uint8)), np.float32)
 
 
 def _against_surroundings(values: F32, seen: F32, sigma: float) -> F32:
@@ -43,8 +41,8 @@ def spots(elevation: ElevationMap) -> dict[str, F32]:
     Returns:
         `dark` and `bright` of brightness, `tint` of red and blue over green together.
     """
-    picture, seen = _fine(elevation)
-    factor = picture.shape[0] // elevation.grid.rows
+    rgb, factor = elevation.finest
+    picture, seen = rgb.astype(np.float32) + 2, _shown(rgb)
     sigma = max(SURROUNDINGS * factor / elevation.grid.cell, 2 * SPOT)
     green = np.log(picture[..., 1])
     light, red, blue = (

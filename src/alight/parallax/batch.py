@@ -1,6 +1,6 @@
 """Batch parallax: one grid, all views that saw it, from nothing to heights with sigma and flags.
 
-Plane sweep with semi-global aggregation at half resolution, visibility by ray test, Gauss-Newton at full resolution.
+Plane sweeps along rays with semi-global aggregation, visibility by ray test, Gauss-Newton.
 For recorded flights, photos, and the restart after a gap.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
 from alight.parallax.sweep import Swept, look, planes, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare, stack
+from alight.parallax.views import Prepared, choose, maps, prepare, rgb_of, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
 
@@ -135,5 +135,4 @@ def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
     """The view's own picture at maps of its prepared image, (R, C, 3)."""
     scale = np.float32(view.camera.width / prepared.camera.width)
     offset = np.float32(0.5) * scale - np.float32(0.5)
-    picture = view.image if view.image.ndim == 3 else cv2.cvtColor(view.image, cv2.COLOR_GRAY2RGB)
-    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(rgb_of(view.image), mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

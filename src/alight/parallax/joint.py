@@ -18,8 +18,8 @@ from alight.kernels import joint as kernels
 from alight.kernels.parallax import template
 from alight.kernels.sorting import network
 from alight.parallax.belief import PLANE, POSE, Belief, moved
-from alight.parallax.refine import TAU, centres_of
-from alight.parallax.views import Buffers, Prepared, maps_at, sample
+from alight.parallax.refine import TAU
+from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
 from alight.records import F32, F64
 
 log = logging.getLogger(__name__)

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from alight.geometry import Grid, ground_projection
-from alight.kernels.projection import project
-from alight.parallax.views import radius2_limit
+from alight.parallax.views import project_cells, radius2_limit, rgb_of
 from alight.records import F32, U8, ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
@@ -47,16 +46,10 @@ def finer(grid: Grid, factor: int) -> Grid:
 
 def _seen_by(view: View, grid: Grid, height: F32) -> F32:
     """What a view shows of the grid's pixels, (R, C, 3); NaN outside of the picture."""
-    camera = view.camera
+    camera, (mapx, mapy) = view.camera, (np.empty_like(height), np.empty_like(height))
     H, b = ground_projection(camera, view.world_from_cam)
-    mapx, mapy = np.empty_like(height), np.empty_like(height)
-    lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
-    project(
-        H, b, lens, camera.coefficients, camera.code, radius2_limit(camera),
-        float(camera.width), float(camera.height), *grid.xy(), height, mapx, mapy,
-    )  # fmt: skip
-    picture = view.image if view.image.ndim == 3 else cv2.cvtColor(view.image, cv2.COLOR_GRAY2RGB)
-    seen: F32 = np.asarray(cv2.remap(picture, mapx, mapy, cv2.INTER_LINEAR), np.float32)
+    project_cells(camera, radius2_limit(camera), H, b, *grid.xy(), height, (mapx, mapy))
+    seen: F32 = np.asarray(cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR), np.float32)
     seen[mapx < 0] = np.nan
     return seen
 

@@ -15,7 +15,7 @@ from alight.kernels import parallax as kernels
 from alight.kernels import sight as looks
 from alight.kernels import surface, trust
 from alight.kernels.sorting import network
-from alight.parallax.views import Buffers, Prepared, maps, stack
+from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
 from alight.records import F32, F64
 
 TAU = np.float32(0.35)  # normalised grey: from four times this on a view counts nothing
@@ -40,11 +40,6 @@ class Fit:
     used: NDArray[np.uint8]  # views that agreed
     seen: NDArray[np.uint8]  # views that saw the cell
     metres_per_px: F32  # height that moves the outermost of them apart by one cell
-
-
-def centres_of(prepared: list[Prepared]) -> F64:
-    """Camera centres (N, 3)."""
-    return np.array([p.centre for p in prepared])
 
 
 def middle(height: F32) -> float:

@@ -19,7 +19,7 @@ from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import judged, picture_at
 from alight.parallax.sweep import look, planes
-from alight.parallax.views import Buffers, coarser, maps, prepare
+from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare
 from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
 
@@ -123,11 +123,11 @@ class Ring:
         views = [k for exposure in self._kept for k in exposure]
         fine = [f for _, f, _ in views]
         seen = refine.sight(fine, grid, known.height)
-        start, wrong = self._first_look(views, grid, known.height, ratio, seen, low, high)
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        start, wrong = self._first_look(fine, grid, known.height, ratio, seen, per_px, (low, high))
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
-        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
         visible = refine.visible_from(fine, grid, start, per_px)
         fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
@@ -152,7 +152,14 @@ class Ring:
         return out
 
     def _first_look(
-        self, views: list[Kept], grid: Grid, before: F32, ratio: F32, seen: refine.Sight, low: float, high: float
+        self,
+        fine: list[Prepared],
+        grid: Grid,
+        before: F32,
+        ratio: F32,
+        seen: refine.Sight,
+        per_px: F32,
+        searched: tuple[float, float],
     ) -> tuple[F32, NDArray[np.bool_]]:
         """Sweep the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
@@ -162,17 +169,15 @@ class Ring:
         Returns:
             Where to start from, (R, C) metres, and where what the map has is wrong.
         """
-        above = views[-1][0].centre[2] - self._ground
-        anew, wrong = np.isnan(ratio), np.zeros(grid.shape, np.bool_)
+        above, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
         base = np.where(seen.count >= LEAST_VIEWS, seen.baseline / np.float32(FIRST_LOOK * above), np.float32(0))
         asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a look in vain, twice the baseline
         fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
-            return start, wrong
-        fine = [f for _, f, _ in views]
-        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-        new, found = look(fine, grid, planes(fine, low, high, grid.cell), min(max(self._ground, low), high), fresh)
+            return start, fresh
+        levels, ground = planes(fine, *searched, grid.cell), float(np.clip(self._ground, *searched))
+        new, found = look(fine, grid, levels, ground, fresh)
         told = before + shift_of((new - before)[fresh], per_px[fresh])
         new = np.where(np.abs(new - told) < SAME_PX * per_px, told, new)
         wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from alight.geometry import Grid, box_of
 from alight.kernels import sweep as kernels
 from alight.kernels.sorting import network
-from alight.parallax.views import Prepared, maps
+from alight.parallax.views import Prepared, centres_of, maps, sample
 from alight.records import F32, F64
 
 KEEP = 0.7  # share of the views that has to agree
@@ -26,7 +26,7 @@ P1, P2 = np.float32(0.1), np.float32(1.0)  # for one plane and for more between 
 EDGE = np.float32(0.5)  # how much less of P2 where the reference has an edge
 MOST_PLANES = 192
 GAP = 2  # cells
-REFERENCES = 4  # most views whose rays are swept: what one does not see another does
+MOST_REFERENCES = 4  # views whose rays are swept: what one does not see another does
 LEAST_WANTED = 0.25  # of a block
 LEAST_BLOCKS = 4  # of a region
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
@@ -69,7 +69,7 @@ class Registered:
 
 def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32) -> Registered:
     """Register views on the plane at `ground` about `grid`, so far beyond it as the `levels` need."""
-    centres = np.array([p.centre for p in prepared])
+    centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
     share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in (levels[0], levels[-1]))
     pad = math.ceil(slide * share / grid.cell) + 3
@@ -77,14 +77,7 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32) -
     level = np.full(wide.shape, ground, np.float32)
     pictures = np.empty((len(prepared), *wide.shape), np.float32)
     for i, p in enumerate(prepared):
-        cv2.remap(
-            p.norm,
-            *maps(p, wide, level),
-            cv2.INTER_CUBIC,
-            dst=pictures[i],
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=np.nan,
-        )
+        sample(p.norm, *maps(p, wide, level), out=pictures[i], how=cv2.INTER_CUBIC)
     return Registered(wide, ground, pictures, centres)
 
 
@@ -107,11 +100,11 @@ def lattice(grid: Grid, ground: float, levels: F32, reference: Prepared) -> Grid
 def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wanted: Mask) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
-    What that one does not see, behind a step or beyond its border, is swept along the rays of a second.
+    What that one does not see, behind a step or beyond its border, is swept along the rays of others.
     """
     height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     left = wanted.copy()
-    for _ in range(REFERENCES):
+    for _ in range(MOST_REFERENCES):
         for where in regions(left):
             rows, cols = where
             part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)

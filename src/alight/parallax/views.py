@@ -34,11 +34,10 @@ class Prepared:
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
     ratio: float  # pixels a cell spans
 
-    @property
-    def intrinsics(self) -> F64:
-        """(fu, fv, cu, cv)."""
-        c = self.camera
-        return np.array([c.fu, c.fv, c.cu, c.cv])
+
+def rgb_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The image with three channels."""
+    return np.asarray(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
 
 
 def grey_of(image: NDArray[np.uint8]) -> F32:
@@ -107,6 +106,11 @@ class Buffers:
         return self._flat[name][:size].reshape(shape)
 
 
+def centres_of(prepared: list[Prepared]) -> F64:
+    """Camera centres (N, 3)."""
+    return np.array([p.centre for p in prepared])
+
+
 def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
     """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
     return maps_at(p, *grid.xy(), h, buffers)
@@ -115,12 +119,20 @@ def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tup
 def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
     """The same for columns evenly spaced at `xs` and rows at any `ys`."""
     held = buffers or Buffers()
-    mapx, mapy = held.get("mapx", h.shape), held.get("mapy", h.shape)
+    out = held.get("mapx", h.shape), held.get("mapy", h.shape)
+    project_cells(p.camera, p.r2_max, p.H, p.b, xs, ys, h, out)
+    return out
+
+
+def project_cells(
+    camera: Camera, r2_max: float, H: F64, b: F64, xs: F64, ys: F64, h: F32, out: tuple[F32, F32]
+) -> None:
+    """Fill `out` with the pixel coordinates of cells at height `h`; -1 outside of the picture."""
+    lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     project(
-        p.H, p.b, p.intrinsics, p.camera.coefficients, p.camera.code, p.r2_max,
-        float(p.camera.width), float(p.camera.height), xs, ys, h, mapx, mapy,
+        H, b, lens, camera.coefficients, camera.code, r2_max,
+        float(camera.width), float(camera.height), xs, ys, h, *out,
     )  # fmt: skip
-    return mapx, mapy
 
 
 def sample(

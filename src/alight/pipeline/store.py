@@ -27,7 +27,7 @@ class FrameStore:
             return False
         self.frames.append(frame)
         self.taken += 1
-        self.bytes += sum(i.nbytes for i in frame.images if i is not None)
+        self.bytes += _bytes(frame)
         self._last = motion or self._last
         return True
 
@@ -38,13 +38,19 @@ class FrameStore:
 
     def drop_oldest(self, count: int) -> None:
         """Forget the first `count` frames."""
-        gone, self.frames = self.frames[:count], self.frames[count:]
-        self.bytes -= sum(i.nbytes for f in gone for i in f.images if i is not None)
+        self._keep(self.frames[count:])
 
     def thin(self) -> None:
         """Forget every second frame, the newest not."""
-        gone, self.frames = self.frames[-2::-2], self.frames[::-1][::2][::-1]
-        self.bytes -= sum(i.nbytes for f in gone for i in f.images if i is not None)
+        self._keep(self.frames[::-2][::-1])
+
+    def _keep(self, frames: list[Frame]) -> None:
+        self.frames = frames
+        self.bytes = sum(_bytes(f) for f in frames)
+
+
+def _bytes(frame: Frame) -> int:
+    return sum(i.nbytes for i in frame.images if i is not None)
 
 
 def views_of(frames: Iterable[Frame], motions: dict[int, Motion], rig: Rig) -> list[View]:
