@@ -195,7 +195,7 @@ def _photos(source: Source, attitude: bool) -> list[Motion]:
         if isinstance(e, NavSample):
             estimator.feed_nav(e if attitude else replace(e, world_from_body=None, sigma_attitude=None))
         elif isinstance(e, Frame):
-            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns)))
+            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns, tracker.last_ns)))
     return estimator.smoothed()
 
 

@@ -40,6 +40,8 @@ class Tracks(_Model):
     window_px: int = Field(21, ge=5, description="side of the SSD window")
     levels: int = Field(4, ge=1, le=8, description="pyramid levels")
     search_px: Positive = Field(40.0, description="largest distance of a match from where the motion puts it")
+    search_sigmas: Positive = Field(4.0, description="the same in sigmas of that place, where the motion knows them")
+    search_sigma_px: Positive = Field(0.75, description="least sigma of that place")
     forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
     epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")
     texture: Positive = Field(2e-4, description="least Shi-Tomasi response, grey range 1 (smaller eigenvalue a pixel)")
