@@ -53,6 +53,10 @@ class Filter(_Model):
     points: int = Field(40, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
     pixel_sigma: Positive = Field(0.35, description="px, 1-sigma of a track on ground of the reference texture")
+    pixel_repeat: Positive = Field(
+        24.0,
+        description="sights that count as one in what is claimed of a ring: errors repeat, in time and side by side",
+    )
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
     vague_share: Positive = Field(
