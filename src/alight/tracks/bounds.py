@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from alight.records import F32, F64
 
 Mask = NDArray[np.bool_]
+# (3, 3, 3): points @ [i] is the i-th coordinate of what turns about each axis move them by
+_TURNS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]], float
+)
 
 
 def scatter(points: F64, by_depth: F64, focal: float, change: F64 | None) -> F64:
@@ -19,17 +23,21 @@ def scatter(points: F64, by_depth: F64, focal: float, change: F64 | None) -> F64
         focal: px.
         change: (6, 6) covariance by which all points are turned and moved together in that camera; None: by nothing.
     """
-    z = np.maximum(points[:, 2], 1e-9)
-    J = np.zeros((len(points), 2, 3))
-    J[:, 0, 0] = J[:, 1, 1] = focal / z
-    J[:, :, 2] = -focal * points[:, :2] / z[:, None] ** 2
-    along = (J @ by_depth[..., None])[..., 0]
+    along = _seen(points, by_depth[:, :, None], focal)[..., 0]
     out = along[:, :, None] * along[:, None, :]
     if change is None:
         return np.asarray(out)
-    turn = np.stack([np.cross(axis, points) for axis in np.eye(3)], axis=-1)
-    by_change = J @ np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], axis=2)
-    return np.asarray(out + by_change @ change @ by_change.transpose(0, 2, 1))
+    value, vector = np.linalg.eigh(change)
+    root = vector * np.sqrt(np.maximum(value, 0.0))
+    moves = points @ _TURNS @ root[:3] + root[3:, None]  # (3, N, 6) of the points, in the camera
+    by_change = _seen(points, moves.transpose(1, 0, 2), focal)
+    return np.asarray(out + by_change @ by_change.transpose(0, 2, 1))
+
+
+def _seen(points: F64, moves: F64, focal: float) -> F64:
+    """(N, 2, M) px by which (N, 3, M) moves of (N, 3) points show."""
+    z = np.maximum(points[:, 2, None], 1e-9)
+    return np.asarray(focal / z[..., None] * (moves[:, :2] - (points[:, :2] / z)[..., None] * moves[:, 2:]))
 
 
 def within(off: F32, covariance: F64, sigmas: float, least: float) -> Mask:

@@ -1,7 +1,8 @@
 """Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
 
 The search starts where the predicted motion puts a feature and is bounded about that place; every match is made
-forward and backward, and matches between cameras are checked against the epipolar line (docs/method-motion.md, M1-M3).
+forward and backward; matches between cameras are held against the patch and the epipolar line (docs/method-motion.md,
+M1-M3).
 """
 
 from __future__ import annotations
@@ -196,7 +197,7 @@ class Tracker:
         return Guess(np.where(np.isfinite(out), out, pixels), open_)
 
     def _match(self, a: U8, b: U8, pixels: F32, guess: Guess, cam: int, expected: bool = False) -> tuple[F32, Mask]:
-        """Lucas-Kanade from `a` to `b` (of camera `cam`) and back; good where both agree, near the guess and inside.
+        """Lucas-Kanade from `a` to `b` (of camera `cam`), in time there and back; good near the guess and inside.
 
         Args:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
@@ -205,9 +206,10 @@ class Tracker:
         held = expected and near == 1  # its patch settles it
         levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
         there, ok = self._flow(a, b, pixels, guess.pixels, levels, stop)
-        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
-        good = ok & ok_back & _inside(there, self._cameras[cam])
-        good &= np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px
+        good = ok & _inside(there, self._cameras[cam])
+        if cam == 0:  # a match in another camera is held against its patch instead
+            back, ok = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
+            good &= ok & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
         off = there - guess.pixels
         far = np.linalg.norm(off, axis=1)
         good &= far < s.search_px
