@@ -119,7 +119,7 @@ def supported(points: F64, height_of_camera: float) -> F64:
     like = LIKE * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
     _, near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)
     agree = np.abs(points[near[:, 1:], 2] - points[:, 2:]) < like
-    return points[agree.sum(axis=1) >= SUPPORTERS]
+    return np.asarray(points[agree.sum(axis=1) >= SUPPORTERS])
 
 
 def height_range(
