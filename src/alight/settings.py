@@ -252,6 +252,7 @@ class SitesSettings(_Model):
     roomy: Positive = Field(5.0, description="m of clearance beyond which more is worth nothing")
     room_weight: NonNegative = Field(1.0, description="what that clearance is worth against Q")
     distance_weight: NonNegative = Field(0.0, description="what each metre to the vehicle costs against Q")
+    every: int = Field(32, ge=0, description="keyframes from one judgement in flight (ring) to the next; 0: at the end")
 
 
 class RouteSettings(_Model):
