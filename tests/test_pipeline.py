@@ -224,7 +224,7 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     assert now is not None
     held = p.reserve.sites
     assert held[: len(now.sites.sites)] == now.sites.sites
-    east, north = now.elevation.grid.xy()
+    east, _ = now.elevation.grid.xy()
     behind = [s for s in held[len(now.sites.sites) :] if not (east[0] <= s.east <= east[-1])]
     assert behind
     end = p.finish()
