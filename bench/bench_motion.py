@@ -195,7 +195,7 @@ def _photos(source: Source, attitude: bool) -> list[Motion]:
         if isinstance(e, NavSample):
             estimator.feed_nav(e if attitude else replace(e, world_from_body=None, sigma_attitude=None))
         elif isinstance(e, Frame):
-            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns)))
+            estimator.feed_tracks(tracker.feed(e, estimator.predict(e.t_ns, tracker.last_ns)))
     return estimator.smoothed()
 
 
@@ -255,14 +255,16 @@ PARTS = {
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", default=list(PARTS), choices=list(PARTS))
+    parser.add_argument("parts", nargs="*", help=" ".join(PARTS) + "; without any: all")
     parser.add_argument("--scenes", default=",".join(ladder.SCENES), help="of the ladder, with commas between")
     parser.add_argument("--heights", default="20,50,100,150", help="of the ladder, metres")
     parser.add_argument("--seeds", type=int, default=1, help="of the ladder, flights of each scene and height")
     options = parser.parse_args()
+    if unknown := set(options.parts) - set(PARTS):  # `choices` refuses to be given none
+        parser.error(f"no part is called {', '.join(sorted(unknown))}; choose from {', '.join(PARTS)}")
     logging.basicConfig(level=logging.ERROR)
     print(f"{'':66s}{'measured':>10s} {'':6s}{'must':>10s}{'aim':>10s}")
-    for part in options.parts:
+    for part in options.parts or PARTS:
         try:
             PARTS[part](options)
         except InputError as e:

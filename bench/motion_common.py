@@ -84,7 +84,7 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
         elif isinstance(event, NavSample):
             estimator.feed_nav(event)
         elif isinstance(event, Frame):
-            tracks = tracker.feed(event, estimator.predict(event.t_ns))
+            tracks = tracker.feed(event, estimator.predict(event.t_ns, tracker.last_ns))
             motion, ring = estimator.feed_tracks(tracks), estimator.posterior().motions
             out.online += [motion] if motion else []
             if len(ring) >= settings.motion.filter.clones:

@@ -73,7 +73,7 @@ def test_it_is_as_good_as_predicting_from_the_last_exposure() -> None:
     last = in_turn(events)[-1]
     off = last.world_from_body.rotation @ f.pose(last.t_ns).rotation.T
     assert np.arccos(np.clip((np.trace(off) - 1) / 2, -1, 1)) < np.radians(2.0)
-    assert last.tracks >= 12
+    assert last.tracks >= 16
 
 
 def test_what_was_used_flies_again_bit_for_bit() -> None:

@@ -9,19 +9,21 @@ from hypothesis import strategies as st
 from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
-from alight.geometry import Pose, so3_exp, so3_log
+from alight.geometry import Camera, Pose, skew, so3_exp, so3_log
 from alight.motion.consensus import agreed
 from alight.motion.navigation import measurements
 from alight.motion.points import MISSES, watch
 from alight.motion.ring import refine
 from alight.motion.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, Point, State
-from alight.motion.vision import project
+from alight.motion.vision import project, sight_sigma
 from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
-from alight.records import F64, Motion, NavSample
+from alight.records import F64, Motion, NavSample, Tracks
+from alight.settings import Filter
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
 SMALL = NOISE.model_copy(update={"points": 12, "clones": 6})
+ALIKE = NOISE.model_copy(update={"vague_share": 10.0, "pixel_repeat": 1e-9})  # each error by itself, any depth
 
 
 @pytest.fixture(scope="module")
@@ -127,10 +129,10 @@ def test_most_of_the_ground_is_believed() -> None:
         state.P[CORE:, :] = state.P[:, CORE:] = 0.0
         state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 1e-2], 3), 6))
         found = eliminate(sights, poses, CAMS, meet(sights, poses, CAMS))
-        weight = agreed(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))
+        weight = agreed(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
         for name, some in (("all", sights), ("still", sights.rows(~moves))):
-            p = refine(state, some, CAMS, 10.0).p - poses.p
+            p = refine(state, some, CAMS, ALIKE).p - poses.p
             off[name].append(float(np.linalg.norm(p[-1] - p[0])))
         A, b = found.information(np.ones(60))
         e = (np.linalg.solve(np.eye(36) + state.P[CORE:, CORE:] @ A, state.P[CORE:, CORE:] @ b)).reshape(-1, 6)
@@ -240,8 +242,40 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
         at = state.clone_at(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))
-    found = refine(state, seen_from(true, x, rng, 1e-3), CAMS, 1.0)
+    found = refine(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE)
     e = (found.p - true.p).ravel()
     assert np.abs(e).max() < 0.15
     sigma = np.sqrt(np.diag(found.covariance).reshape(4, 6)[1:, 3:]).ravel()
     assert 0.4 < np.sqrt(np.mean((e[3:] / sigma) ** 2)) < 1.6
+
+
+def test_a_ring_claims_less_where_the_sights_disagree() -> None:
+    """Sights that miss by five times their sigma, ten of which count as one: poses as seen from the last one get 10 x
+    25 times the variance, and what is claimed of that one stays."""
+    rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
+    true, x = row_of_poses(rng, 4), ground(rng, 200)
+    state = State(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    for k in range(4):
+        state.R, state.core[3:6] = true.R[k], true.p[k]
+        state.add_clone(k)
+    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
+    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-2, 100.0], 3), 4))
+    sights = seen_from(true, x, rng, 5e-3)
+    tight, loose = (refine(state, sights, CAMS, s) for s in (ALIKE, wide))
+    np.testing.assert_array_equal(loose.p, tight.p)
+    np.testing.assert_allclose(loose.covariance[-6:, -6:], tight.covariance[-6:, -6:])
+    seen = []
+    for found in (tight, loose):
+        as_seen = np.eye(24)[:6] - np.eye(24)[-6:]
+        as_seen[3:, -6:-3] = skew(found.p[0] - found.p[-1])
+        seen.append(as_seen @ found.covariance @ as_seen.T)
+    np.testing.assert_allclose(seen[1], seen[0] * (seen[1][0, 0] / seen[0][0, 0]), rtol=1e-6, atol=1e-12)
+    assert 0.8 * 250.0 < seen[1][0, 0] / seen[0][0, 0] < 1.2 * 250.0
+
+
+def test_a_track_that_looks_otherwise_is_believed_less() -> None:
+    n, camera = 3, Camera(64, 48, 100.0, 100.0, 31.5, 23.5)
+    texture, none = np.full(n, Filter().texture_reference), np.zeros((n, 1, 2))
+    tracks = Tracks(0, np.arange(n), none, none, texture, np.array([0.0, 0.04, 0.36]))
+    noise = Filter(pixel_sigma=0.1, pixel_slip=1.0)
+    np.testing.assert_allclose(100.0 * sight_sigma(tracks, camera, noise), np.sqrt([0.01, 0.05, 0.37]))

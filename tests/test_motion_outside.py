@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from point_flight import PointFlight, best, run
-from test_motion_consistency import CAMS, ground, row_of_poses, seen_from
+from test_motion_consistency import ALIKE, CAMS, ground, row_of_poses, seen_from
 
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.ring import refine
@@ -38,7 +38,7 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("alight.motion.consensus.belief", lambda misfit, usual: np.ones(len(misfit)))
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed: pip install 'alight[reference]'")
     state, sights, x = loose_state(1)
-    found = refine(state, sights, CAMS, 10.0)  # type: ignore[arg-type]
+    found = refine(state, sights, CAMS, ALIKE)  # type: ignore[arg-type]
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([2e-3, 0.1], 3))
     pixel, lens = gtsam.noiseModel.Isotropic.Sigma(2, 1e-3), gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)

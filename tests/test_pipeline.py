@@ -161,14 +161,14 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     a, b = trusted_of(batch().decision), trusted_of(bounded.decision)
     assert b.trusted.sum() > 0.95 * a.trusted.sum()
     r, c = round((a.grid.north - b.grid.north) / 0.25), round((b.grid.east - a.grid.east) / 0.25)
-    rows = slice(max(0, r), min(a.grid.rows + r, b.grid.rows))  # rows of b that a has as well
+    rows = slice(max(0, -r), min(a.grid.rows - r, b.grid.rows))  # rows of b that a has as well
     cols = slice(max(0, -c), min(a.grid.cols - c, b.grid.cols))
-    part = np.s_[rows.start - r : rows.stop - r, cols.start + c : cols.stop + c]
+    part = np.s_[rows.start + r : rows.stop + r, cols.start + c : cols.stop + c]
     both = b.trusted[rows, cols] & a.trusted[part]
-    assert both.sum() > 0.6 * a.trusted.sum()
+    assert both.sum() > 0.9 * a.trusted.sum()
     apart = np.abs(b.height[rows, cols] - a.height[part])[both]
-    assert np.median(apart) < 0.1
-    assert np.percentile(apart, 95) < 0.3
+    assert np.median(apart) < 0.03
+    assert np.percentile(apart, 95) < 0.15
     error = errors(b)[b.trusted]
     assert np.nanmedian(np.abs(error)) < 0.005 * 15.0
 

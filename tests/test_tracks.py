@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from alight.geometry import Camera, Pose, so3_exp
-from alight.records import Frame, Rig, RigCamera
+from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import Tracks as Settings
 from alight.tracks import Tracker, corners, epipolar_distance, inverse_depth, strength
 from alight.tracks.lens import Lens
@@ -47,6 +47,10 @@ def poses(left: Pose) -> tuple[Pose, Pose]:
     return left @ RIG.cameras[0].body_from_cam, left @ RIG.cameras[1].body_from_cam
 
 
+def expected(left: Pose, cameras: int = 2) -> Prediction:
+    return Prediction(poses(left)[:cameras])
+
+
 def frame(ground: np.ndarray, k: int, left: Pose) -> Frame:
     return Frame(k * 100_000_000, tuple(picture(ground, p) for p in poses(left)))
 
@@ -60,7 +64,7 @@ def carried(pixels: np.ndarray, then: Pose, now: Pose) -> np.ndarray:
 
 def test_features_follow_the_ground(ground: np.ndarray) -> None:
     tracker, path = Tracker(RIG, SETTINGS), [pose(0.23 * k, 0.1 * k, 0.03 * k) for k in range(6)]
-    seen = [tracker.feed(frame(ground, k, p), poses(p)) for k, p in enumerate(path)]
+    seen = [tracker.feed(frame(ground, k, p), expected(p)) for k, p in enumerate(path)]
     first, last = seen[0], seen[-1]
     both, a, b = np.intersect1d(first.ids, last.ids, return_indices=True)
     assert len(both) > 40
@@ -77,7 +81,7 @@ def test_errors_do_not_add_up(ground: np.ndarray) -> None:
     rng, seen = np.random.default_rng(3), []
     for k, p in enumerate(path):
         images = [np.clip(i + rng.normal(0, 4, i.shape), 0, 255) for i in frame(ground, k, p).images if i is not None]
-        seen.append(tracker.feed(Frame(k, tuple(i.astype(np.uint8) for i in images)), poses(p)))
+        seen.append(tracker.feed(Frame(k, tuple(i.astype(np.uint8) for i in images)), expected(p)))
     miss = []
     for k in (2, 12):
         _, a, b = np.intersect1d(seen[0].ids, seen[k].ids, return_indices=True)
@@ -93,7 +97,7 @@ def test_cameras_need_not_be_equally_bright(ground: np.ndarray) -> None:
     here, tracker = pose(0.0), Tracker(RIG, SETTINGS)
     pale = [140.0 + 0.15 * i.astype(np.float32) for i in frame(ground, 0, here).images if i is not None]
     images = tuple(np.round(i + more).astype(np.uint8) for i, more in zip(pale, (0.0, 3.0), strict=True))
-    found = tracker.feed(Frame(0, images), poses(here))
+    found = tracker.feed(Frame(0, images), expected(here))
     disparity = found.pixels[:, 0, 0] - found.pixels[:, 1, 0]
     off = disparity[np.isfinite(disparity)] - FOCAL * 0.5 / HEIGHT
     assert len(off) > 40
@@ -135,7 +139,7 @@ def test_stereo_gives_the_disparity_of_the_plane(ground: np.ndarray) -> None:
 def test_features_are_spread_and_bounded(ground: np.ndarray) -> None:
     tracker = Tracker(RIG, SETTINGS)
     for k in range(5):
-        tracks = tracker.feed(frame(ground, k, pose(0.6 * k)), poses(pose(0.6 * k)))
+        tracks = tracker.feed(frame(ground, k, pose(0.6 * k)), expected(pose(0.6 * k)))
         quarter = (tracks.pixels[:, 0, 0] > 160).astype(int) + 2 * (tracks.pixels[:, 0, 1] > 120)
         assert np.bincount(quarter, minlength=4).min() > 10
         assert len(tracks.ids) <= 3 * SETTINGS.count
@@ -152,7 +156,7 @@ def test_a_long_way_is_followed(ground: np.ndarray, predicted: bool, cameras: in
     seen = []
     for k, p in enumerate((there, here)):
         whole = frame(ground, k, p)
-        seen.append(tracker.feed(Frame(k, whole.images[:cameras]), poses(p)[:cameras] if predicted else None))
+        seen.append(tracker.feed(Frame(k, whole.images[:cameras]), expected(p, cameras) if predicted else None))
     both, a, b = np.intersect1d(seen[0].ids, seen[1].ids, return_indices=True)
     assert len(both) > 25
     assert np.median(np.abs(seen[1].pixels[b, 0] - carried(seen[0].pixels[a, 0], there, here))) < 0.1
@@ -160,8 +164,8 @@ def test_a_long_way_is_followed(ground: np.ndarray, predicted: bool, cameras: in
 
 def test_half_a_turn_that_nobody_predicted_is_found(ground: np.ndarray) -> None:
     tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(3.0, 1.0, np.pi)
-    first = tracker.feed(frame(ground, 0, there), poses(there))
-    second = tracker.feed(frame(ground, 1, here), poses(pose(3.0, 1.0)))
+    first = tracker.feed(frame(ground, 0, there), expected(there))
+    second = tracker.feed(frame(ground, 1, here), expected(pose(3.0, 1.0)))
     both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
     assert len(both) > 20
     assert np.median(np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here))) < 0.15
@@ -169,8 +173,8 @@ def test_half_a_turn_that_nobody_predicted_is_found(ground: np.ndarray) -> None:
 
 def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None:
     tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(1.0)
-    first = tracker.feed(frame(ground, 0, there), poses(there))
-    second = tracker.feed(frame(ground, 1, here), poses(pose(0.6)))
+    first = tracker.feed(frame(ground, 0, there), expected(there))
+    second = tracker.feed(frame(ground, 1, here), expected(pose(0.6)))
     both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
     assert len(both) > 40
     assert np.abs(second.pixels[b, 0] - carried(first.pixels[a, 0], there, here)).mean() < 0.1
@@ -179,10 +183,10 @@ def test_a_wrong_prediction_is_caught_by_the_pyramid(ground: np.ndarray) -> None
 def moved_and(ground: np.ndarray, how: object) -> tuple[int, float]:
     """Features followed over 12 px into a picture that is changed by `how`, and by how much they miss (RMS, px)."""
     tracker, there, here = Tracker(RIG, SETTINGS), pose(0.0), pose(0.4, 0.2, 0.02)
-    first = tracker.feed(frame(ground, 0, there), poses(there))
+    first = tracker.feed(frame(ground, 0, there), expected(there))
     images = [how(i.astype(np.float32)) for i in frame(ground, 1, here).images if i is not None]  # type: ignore[operator]
     changed = Frame(1, tuple(np.clip(np.round(i), 0, 255).astype(np.uint8) for i in images))
-    second = tracker.feed(changed, poses(here))
+    second = tracker.feed(changed, expected(here))
     both, a, b = np.intersect1d(first.ids, second.ids, return_indices=True)
     miss = second.pixels[b, 0] - carried(first.pixels[a, 0], there, here)
     return len(both), float(np.sqrt((miss**2).mean()))
@@ -213,9 +217,9 @@ def test_a_covered_lens_has_no_features_and_new_ones_come_after(ground: np.ndarr
 
 def test_features_wait_out_a_dropped_frame(ground: np.ndarray) -> None:
     tracker = Tracker(RIG, SETTINGS)
-    before = tracker.feed(frame(ground, 0, pose(0.0)), poses(pose(0.0)))
-    dropped = tracker.feed(Frame(1, (None, None)), poses(pose(0.2)))
-    after = tracker.feed(frame(ground, 2, pose(0.4)), poses(pose(0.4)))
+    before = tracker.feed(frame(ground, 0, pose(0.0)), expected(pose(0.0)))
+    dropped = tracker.feed(Frame(1, (None, None)), expected(pose(0.2)))
+    after = tracker.feed(frame(ground, 2, pose(0.4)), expected(pose(0.4)))
     assert len(dropped.ids) == 0
     assert len(np.intersect1d(before.ids, after.ids)) > 40
 

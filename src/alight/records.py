@@ -105,6 +105,22 @@ class Tracks:
     pixels: F64  # (N, cameras, 2) pixels as the image has them; NaN = not seen by that camera
     normalised: F64  # (N, cameras, 2) x/z, y/z with the lens taken out; NaN = not seen by that camera
     texture: F64 | None = None  # (N,) Shi-Tomasi response a pixel over the SSD window, grey range 1; None: unknown
+    misfit: F64 | None = (
+        None  # (N,) share of its contrast by which each looks otherwise than at first; NaN, None: unknown
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Where the cameras will be at an exposure as the motion lets expect it, and how well that is known.
+
+    What tells how features move is the change of the pose, and that is known far better than the pose: both poses are
+    of one estimate, with the covariance of the one as seen from the other.
+    """
+
+    world_from_cams: tuple[Pose, ...]
+    earlier: tuple[Pose, ...] | None = None  # world_from_cam at the exposure before; None: no longer known
+    covariance: F64 | None = None  # (6, 6) of earlier points in camera 0 now: turned by [rad], then moved by [m]
 
 
 class MotionState(IntEnum):

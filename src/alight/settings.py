@@ -40,6 +40,8 @@ class Tracks(_Model):
     window_px: int = Field(21, ge=5, description="side of the SSD window")
     levels: int = Field(4, ge=1, le=8, description="pyramid levels")
     search_px: Positive = Field(40.0, description="largest distance of a match from where the motion puts it")
+    search_sigmas: Positive = Field(4.0, description="the same in sigmas of that place, where the motion knows them")
+    search_sigma_px: Positive = Field(0.75, description="least sigma of that place")
     forward_backward_px: Positive = Field(0.5, description="largest forward-backward disagreement")
     epipolar_px: Positive = Field(1.5, description="largest distance from the epipolar line")
     texture: Positive = Field(2e-4, description="least Shi-Tomasi response, grey range 1 (smaller eigenvalue a pixel)")
@@ -50,7 +52,12 @@ class Filter(_Model):
 
     points: int = Field(40, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
-    pixel_sigma: Positive = Field(0.35, description="px, 1-sigma of a track on ground of the reference texture")
+    pixel_sigma: Positive = Field(0.1, description="px, 1-sigma of a track on ground of the reference texture")
+    pixel_slip: NonNegative = Field(1.2, description="px, 1-sigma of a track that has nothing left of its first look")
+    pixel_repeat: Positive = Field(
+        24.0,
+        description="sights that count as one in what is claimed of a ring: errors repeat, in time and side by side",
+    )
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")
     depth_share: Positive = Field(0.05, description="sigma of the depth over depth, at which a point enters the state")
     vague_share: Positive = Field(
@@ -155,8 +162,8 @@ class Parallax(_Model):
 class Elevation(_Model):
     """The map."""
 
-    tile: int = Field(384, ge=64, description="cells a side")
-    max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 1 % of the height")
+    tile: int = Field(128, ge=64, description="cells a side; each chooses its own views")
+    max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 0.5 % of the height")
     most_cells: int = Field(
         16_000_000, ge=10_000, description="of the rasters of a run; where finer ones were used they are averaged"
     )

@@ -27,18 +27,19 @@ def belief(misfit: F64, usual_misfit: float) -> F64:
     return np.asarray(np.minimum(1.0, ((1.0 + _KNEE) / (relative + _KNEE)) ** 2))
 
 
-def agreed(found: Reduced, P: F64, which: Mask, error: F64) -> F64:
-    """Weights of N features that measure poses together, by what each misses when all have had their say.
+def agreed(found: Reduced, P: F64, which: Mask, error: F64) -> tuple[F64, float]:
+    """Weights of N features that measure poses together, by what each misses when all have had their say; the usual.
 
     Args:
         P: (6K, 6K) covariance of the poses before.
         which: (N,) those that take part; the others get none.
         error: (6K,) by which the poses have been moved from where `P` is about.
     """
-    weight, freedom, step = which.astype(float), np.maximum(found.freedom, 1), np.zeros(len(P))
+    weight, freedom, step, typical = which.astype(float), np.maximum(found.freedom, 1), np.zeros(len(P)), 0.0
     for _ in range(_ROUNDS if which.any() else 0):
         misfit = np.maximum(found.misfits(step), 0.0) / freedom
-        weight = which * belief(misfit, usual(misfit[which]))
+        typical = usual(misfit[which])
+        weight = which * belief(misfit, typical)
         A, b = found.information(weight)
         step = P @ np.linalg.solve(np.eye(len(P)) + A @ P, b + A @ error) - error
-    return weight
+    return weight, typical

@@ -47,7 +47,7 @@ class Features:
 
     def ring(self, state: State) -> Refined:
         """The poses held, refined with the sights that wait."""
-        return refine(state, self._waiting, self._cams, self._settings.vague_share)
+        return refine(state, self._waiting, self._cams, self._settings)
 
     def see(self, state: State, tracks: Tracks) -> Votes:
         """One exposure: use up what ended, measure the points held, take up what became well known."""
@@ -104,7 +104,7 @@ class Features:
         distance = found.distances(P)
         inside = known & (distance <= self._gate.limits(freedom))
         if inside.any():
-            weight = agreed(found, P, inside, np.zeros(len(P)))
+            weight, _ = agreed(found, P, inside, np.zeros(len(P)))
             state.correct(*as_rows(*found.information(weight)), columns)
         return Votes(
             int(inside.sum()),

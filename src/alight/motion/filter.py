@@ -38,7 +38,7 @@ from alight.motion.points import Gate
 from alight.motion.ring import Refined
 from alight.motion.smoother import Recording, smooth
 from alight.motion.state import ACC, ATT, CORE, GYRO, MOUNT, NAV_ATT, NAV_POS, OFFSET, POS, TIME, VEL, State
-from alight.records import F64, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig, Tracks
+from alight.records import F64, ImuSample, Motion, MotionState, NavSample, PoseRing, Prediction, Rig, Tracks
 from alight.settings import Filter
 
 log = logging.getLogger(__name__)
@@ -85,8 +85,6 @@ class MotionFilter:
         self._last_exposure_ns = _NEVER
         self._doubts = 0  # in a row
         self._map, self._lost = 0, False
-        self._sum: Preintegral | None = None
-        self._summed_for: tuple[float, ...] = ()
         self._heard: NavSample | None = None  # the last row
         self._before: tuple[Tracks, F64] | None = None  # the last exposure with a GPS position and no attitude
         self._recording = Recording(rig, settings) if settings.smooth else None
@@ -188,13 +186,9 @@ class MotionFilter:
         cams = tuple(rig @ x for x in self._cams)
         return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, map=self._map)
 
-    def predict(self, stamp_ns: int) -> tuple[Pose, ...] | None:
-        """Where the cameras will be at an exposure, world_from_cam each; None before the first GPS/INS row."""
-        s = self._state
-        if s is None:
-            return None
-        step, _ = self._step(s, max(instant(stamp_ns, s.core), s.t_ns))
-        return self.forecast_of(s).placed(step)
+    def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
+        """Where the cameras will be at an exposure, as seen from that at `before_ns`; None before any GPS/INS row."""
+        return None if self._state is None else self.forecast_of(self._state).cameras(stamp_ns, before_ns, self._imu)
 
     def forecast(self) -> Forecast | None:
         """What can be said of later exposures now; None before the first GPS/INS row."""
@@ -278,18 +272,10 @@ class MotionFilter:
     def _here(state: State) -> Step:
         return Step(state.R, state.core[POS].copy(), state.core[VEL].copy())
 
-    def _summed(self, state: State, t_ns: int) -> Preintegral:
-        """The IMU from the state to `t_ns`; what was predicted a moment ago is not summed again."""
-        key = (state.t_ns, t_ns, self._imu[-1].t_ns, *state.core[GYRO], *state.core[ACC])
-        if self._summed_for != key or self._sum is None:
-            self._sum = summed(self._imu, state.t_ns, t_ns, state.core, self._settings)
-            self._summed_for = key
-        return self._sum
-
     def _step(self, state: State, t_ns: int) -> tuple[Step, Preintegral | None]:
         p, v = state.core[POS], state.core[VEL]
         if self._inertial:
-            m = self._summed(state, t_ns)
+            m = summed(self._imu, state.t_ns, t_ns, state.core, self._settings)
             return inertial_step(state.R, p, v, m), m
         return constant_step(state.R, p, v, state.core[GYRO], (t_ns - state.t_ns) * 1e-9), None
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from alight.geometry import Pose
 from alight.motion.filter import MotionFilter, Snapshot
 from alight.motion.forecast import Forecast
-from alight.records import ImuSample, Motion, NavSample, PoseRing, Rig, Tracks
+from alight.records import ImuSample, Motion, NavSample, PoseRing, Prediction, Rig, Tracks
 from alight.settings import Filter
 
 _AHEAD_NS = 3_000_000  # ns of an exposure after its stamp that are worth waiting for the IMU
@@ -85,14 +84,14 @@ class LateFilter:
         self._filter.feed_nav(event)
         return None
 
-    def predict(self, stamp_ns: int) -> tuple[Pose, ...] | None:
-        """Where the cameras were or will be at an exposure, world_from_cam each; None before the first GPS/INS row."""
+    def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
+        """Where the cameras were or will be at an exposure, as seen from that at `before_ns`; None: no GPS/INS row."""
         for e in reversed(self._done):
             if self._filter.time_ns <= stamp_ns:
                 break
             if e.before.t_ns <= stamp_ns and e.before.state is not None:
-                return self._filter.forecast_of(e.before.state).cameras(stamp_ns, self._filter.imu)
-        return self._filter.predict(stamp_ns)
+                return self._filter.forecast_of(e.before.state).cameras(stamp_ns, before_ns, self._filter.imu)
+        return self._filter.predict(stamp_ns, before_ns)
 
     def forecast(self) -> Forecast | None:
         """What can be said of later exposures now; None before the first GPS/INS row."""

@@ -10,8 +10,10 @@ import numpy as np
 from alight.geometry import Pose, so3_exp
 from alight.motion.consensus import Mask, agreed
 from alight.motion.state import OFFSET, State
+from alight.motion.turns import skews
 from alight.motion.window import Poses, Reduced, Sights, eliminate, meet
 from alight.records import F64
+from alight.settings import Filter
 
 _ITERATIONS = 2
 
@@ -26,23 +28,26 @@ class Refined:
     offset_cross: F64  # (6K, 3) with the map's offset
 
 
-def refine(state: State, sights: Sights, cams: Sequence[Pose], share: float) -> Refined:
+def refine(state: State, sights: Sights, cams: Sequence[Pose], settings: Filter) -> Refined:
     """Gauss-Newton over the poses held: the state's joint covariance as the prior, and the sights that wait (M23).
 
-    Args:
-        share: largest sigma of a point's depth over its depth that takes part.
+    What is claimed of the poses as seen from each other is no better than the sights agree, and `pixel_repeat` of them
+    say one thing: trees, grass in the wind and water are wrong for many features alike, exposure after exposure.
     """
     held, P = Poses.of(state.clones), state.P[np.ix_(state.clone_columns(), state.clone_columns())]
-    error, poses, gain = np.zeros(len(P)), held, np.asarray(np.eye(len(P)))
+    error, poses, gain, missed = np.zeros(len(P)), held, np.asarray(np.eye(len(P))), 0.0
     sights = sights.rows(sights.where.sum(axis=1) >= 2)
     for _ in range(_ITERATIONS if len(sights.ids) else 0):
         x = meet(sights, poses, cams)
         found = eliminate(sights, poses, cams, x)
-        A, b = found.information(agreed(found, P, clear(found, x, poses, share), error))
+        weight, missed = agreed(found, P, clear(found, x, poses, settings.vague_share), error)
+        A, b = found.information(weight)
         gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
         error = P @ gain @ (b + A @ error)
         poses = _moved(held, error)
-    return Refined(poses.R, poses.p, P @ gain, gain.T @ state.P[state.clone_columns(), OFFSET])
+    wide = _wider(poses.p, max(1.0, settings.pixel_repeat * missed))
+    cross = gain.T @ state.P[state.clone_columns(), OFFSET]
+    return Refined(poses.R, poses.p, wide @ P @ gain @ wide.T, wide @ cross)
 
 
 def clear(found: Reduced, x: F64, poses: Poses, share: float) -> Mask:
@@ -50,6 +55,16 @@ def clear(found: Reduced, x: F64, poses: Poses, share: float) -> Mask:
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
     known = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
     return np.asarray(known & (found.freedom > 0))
+
+
+def _wider(p: F64, times: float) -> F64:
+    """(6K, 6K) what makes the variance of poses as seen from the last one `times` as large, and leaves that one."""
+    root, k = np.sqrt(times), len(p)
+    follow = np.tile(np.eye(6), (k, 1, 1))  # how a pose follows when the last one turns and moves
+    follow[:, 3:, :3] = -skews(p - p[-1])
+    out = root * np.eye(6 * k)
+    out[:, -6:] += (1.0 - root) * follow.reshape(6 * k, 6)
+    return np.asarray(out)
 
 
 def _moved(poses: Poses, error: F64) -> Poses:

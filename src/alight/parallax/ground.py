@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from alight.parallax.views import grey_of
 from alight.records import F64, View
@@ -20,6 +21,9 @@ LONGEST_PX = 960  # features are found on images of at most this size
 LEAST_ANGLE = 0.02  # rad between the rays of a point
 MOST_PAIRS = 40
 RATIO = 0.8
+NEIGHBOURS = 8  # nearest points over the ground
+SUPPORTERS = 2  # of them at a like height: a wrong match triangulates anywhere, and seldom twice at one height
+LIKE = 0.05  # of the height above the ground
 
 
 class _Features:
@@ -104,7 +108,18 @@ def find_points(views: Sequence[View]) -> F64:
             break
         for k in [k for k in features if k < i]:
             del features[k]
-    return np.concatenate(found) if found else np.empty((0, 3))
+    points = np.concatenate(found) if found else np.empty((0, 3))
+    return supported(points, float(np.median([v.centre[2] for v in views])))
+
+
+def supported(points: F64, height_of_camera: float) -> F64:
+    """Drop the points (N, 3) that hardly any neighbour agrees with: one wrong match in a tile widens all its search."""
+    if len(points) <= NEIGHBOURS:
+        return points
+    like = LIKE * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
+    _, near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)
+    agree = np.abs(points[near[:, 1:], 2] - points[:, 2:]) < like
+    return np.asarray(points[agree.sum(axis=1) >= SUPPORTERS])
 
 
 def height_range(

@@ -54,8 +54,9 @@ class Registered:
 
     grid: Grid
     ground: float  # metres
-    pictures: F32  # (N, R, C) normalised grey, NaN outside
+    pictures: F32  # (N, R, C) normalised grey, NaN outside; only views that see some of it
     centres: F64  # (N, 3) metres
+    guide: F32  # (R, C) the picture of the reference
 
     def at(self, cells: Grid, height: float, about: F64) -> tuple[F64, F64]:
         """Scale (N,) and shift (N, 2) from row and column of `cells` that go to `height` along the rays to `about`."""
@@ -67,7 +68,7 @@ class Registered:
         return s * t * (cells.cell / self.grid.cell), np.column_stack([row, col])
 
 
-def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32) -> Registered:
+def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32, reference: int) -> Registered:
     """Register views on the plane at `ground` about `grid`, so far beyond it as the `levels` need."""
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
@@ -78,7 +79,9 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32) -
     pictures = np.empty((len(prepared), *wide.shape), np.float32)
     for i, p in enumerate(prepared):
         sample(p.norm, *maps(p, wide, level), out=pictures[i], how=cv2.INTER_CUBIC)
-    return Registered(wide, ground, pictures, centres)
+    sees = np.isfinite(pictures[:, ::SEEN_BLOCK, ::SEEN_BLOCK]).any(axis=(1, 2))
+    inner = pictures[reference, pad : pad + grid.rows, pad : pad + grid.cols]
+    return Registered(wide, ground, pictures[sees], centres[sees], np.ascontiguousarray(inner))
 
 
 def lattice(grid: Grid, ground: float, levels: F32, reference: Prepared) -> Grid:
@@ -158,10 +161,10 @@ def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, refe
     """
     about = prepared[reference].centre
     rays = lattice(grid, ground, levels, prepared[reference])
-    views = register(prepared, rays, ground, levels)
+    views = register(prepared, rays, ground, levels, reference)
     cost = np.empty((*rays.shape, len(levels)), np.float32)
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
-    pairs, usual = network(len(prepared)), int(np.argmin(np.abs(levels - ground)))
+    pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
     seen = np.zeros(rays.shape, np.int32)
     for k, z in enumerate(levels):
         scale, shift = views.at(rays, float(z), about)
@@ -169,11 +172,9 @@ def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, refe
         cost[:, :, k] = cv2.blur(plane, (3, 3))
         if k == usual:  # beyond the border only a wrong height brings a second view in
             seen = count.copy()
-    pad = (views.grid.rows - rays.rows) // 2
-    guide = np.ascontiguousarray(views.pictures[reference, pad : pad + rays.rows, pad : pad + rays.cols])
-    seen[np.isnan(guide)] = 0
+    seen[np.isnan(views.guide)] = 0
     halves = np.empty((2, *cost.shape), np.float32)
-    kernels.aggregate(cost, np.nan_to_num(guide), P1, P2, EDGE, halves)
+    kernels.aggregate(cost, np.nan_to_num(views.guide), P1, P2, EDGE, halves)
     total = np.add(halves[0], halves[1], out=halves[0])
     index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
     kernels.winner(total, cost, seen, index, ratio)

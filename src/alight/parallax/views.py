@@ -178,14 +178,15 @@ def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tan
     seen, centres = np.array(inside), np.array(offset)
     chosen: list[int] = []
     total = np.zeros(len(points))
-    distance = np.full(len(views), 1.0)
+    distance = np.ones((len(views), len(points)))  # to the nearest chosen view that sees the point
     while len(chosen) < count:
-        gain = (seen / (1.0 + total)).sum(axis=1) * distance
+        gain = (seen * distance / (1.0 + total)).sum(axis=1)
         gain[chosen] = 0
         k = int(np.argmax(gain))
         if gain[k] < 1e-3:
             break
         chosen.append(k)
         total += seen[k]
-        distance = np.minimum(distance, np.linalg.norm(centres - centres[k], axis=1))
+        apart = np.linalg.norm(centres - centres[k], axis=1)
+        distance = np.where(seen[k] > 0, np.minimum(distance, apart[:, None]), distance)
     return sorted(chosen)

@@ -73,7 +73,7 @@ class FilterLane:
         return None
 
     def _see(self, frame: Frame) -> Motion | None:
-        tracks = self._tracker.feed(frame, self._filter.predict(frame.t_ns))
+        tracks = self._tracker.feed(frame, self._filter.predict(frame.t_ns, self._tracker.last_ns))
         motion = self._filter.feed_tracks(tracks)
         if motion is not None:
             self._motions.append(motion)

@@ -79,7 +79,8 @@ class TrackingStep:
 
     def run(self, frame: Frame, forecast: Forecast | None) -> Tracks:
         """Follow the features into one exposure."""
-        return self._tracker.feed(frame, forecast.cameras(frame.t_ns, self._imu) if forecast else None)
+        expected = forecast.cameras(frame.t_ns, self._tracker.last_ns, self._imu) if forecast else None
+        return self._tracker.feed(frame, expected)
 
 
 class FilterStep:

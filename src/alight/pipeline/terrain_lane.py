@@ -15,6 +15,7 @@ from alight.parallax import Images, Ring, find_points, ground_sampling, height_r
 from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View
 from alight.settings import Settings
 
+MAX_SIGMA = 0.005  # of the height: 95 of 100 are then within a hundredth of it
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
 LEAST_POINTS = 20
@@ -228,7 +229,7 @@ class TerrainLane:
     def _without_vague(self, heights: Heights, camera: float) -> Heights:
         """Refuse heights of too large a sigma; what that is goes with the camera's height above the ground."""
         ground = self.ground if self.below is None else self.below
-        limit = self.settings.elevation.max_sigma or 0.01 * max(camera - (ground or 0.0), 1.0)
+        limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(camera - (ground or 0.0), 1.0)
         flags = np.where(heights.sigma > limit, heights.flags | np.uint16(Flag.UNSURE), heights.flags)
         return replace(heights, flags=flags.astype(np.uint16))
 

@@ -1,7 +1,8 @@
 """Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
 
 The search starts where the predicted motion puts a feature and is bounded about that place; every match is made
-forward and backward, and matches between cameras are checked against the epipolar line (docs/method-motion.md, M1-M3).
+forward and backward; matches between cameras are held against the patch and the epipolar line (docs/method-motion.md,
+M1-M3).
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose
-from alight.records import F32, F64, U8, Frame, Rig, Tracks
+from alight.records import F32, F64, U8, Frame, Prediction, Rig, Tracks
 from alight.settings import Tracks as TracksSettings
+from alight.tracks.bounds import scatter, within
 from alight.tracks.corners import BORDER, corners, spread, strength
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.lens import Lens
@@ -35,6 +37,7 @@ _PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
 _SWEEP_STEP = 0.12  # of the logarithm of depth
 _SURE = 5.0  # px; where nine of ten guesses were off by more, nobody knows how patches lie (photos: 0.08, 0.04 degrees)
 _SPAN = 0.125  # of the width; features that moved further look otherwise by now
+_DEPTH_PX, _UNKNOWN = 0.3, 0.5  # px, sigma of the parallax that gives a depth; share of the median where there is none
 _CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
 
 
@@ -47,11 +50,20 @@ def grey(image: U8) -> U8:
 class _Memory:
     """What is kept of the last exposure that had a left image."""
 
+    t_ns: int
     image: U8
     poses: Poses | None
     ids: Ids
     pixels: F32  # (N, 2)
     depth: F64  # (N,) metres in the left camera, NaN = unknown
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Where features are looked for."""
+
+    pixels: F32  # (N, 2)
+    scatter: F64 | None = None  # (N, 2, 2) px^2, covariance of these; None: nothing is known of it
 
 
 class Tracker:
@@ -63,16 +75,23 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
+        arms = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
+        self._arm = max([a for a in arms if a > 0], default=np.inf)  # m px: over depth, the parallax that gave it
         self._anchors = Anchors(self._lenses[0], _SPAN * self._cameras[0].width, settings.window_px)
         self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
         self._next_id = 0
         self._memory: _Memory | None = None
 
-    def feed(self, frame: Frame, prediction: Poses | None = None) -> Tracks:
+    @property
+    def last_ns(self) -> int | None:
+        """Stamp of the exposure that features are followed from; None: none yet."""
+        return self._memory.t_ns if self._memory else None
+
+    def feed(self, frame: Frame, prediction: Prediction | None = None) -> Tracks:
         """Follow the features into one exposure and take up new ones where the image has none.
 
         Args:
-            prediction: world_from_cam a camera at this exposure as the motion predicts it; None: unknown.
+            prediction: the cameras at this exposure as the motion expects them, seen from that at `last_ns`.
 
         Returns:
             the features seen; no rows when the left image is missing (the features wait for the next one).
@@ -81,38 +100,49 @@ class Tracker:
             return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
-        pose, soft = prediction[0] if prediction and self._off[0] < _SURE else None, smooth(image)
-        pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
-        ids, pixels, depth = self._take_up(image, ids, pixels, depth)
-        self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
+        poses = prediction.world_from_cams if prediction else None
+        pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth(image)
+        held, misfit = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth)
+        ids, pixels, depth = self._take_up(image, ids, held.astype(np.float32), depth)
+        misfit = np.append(misfit, np.zeros(len(ids) - len(misfit)))
+        self._anchors.renew(soft, ids, pixels.astype(np.float64), misfit, pose)
         seen, depth = self._across(frame, image, soft, pixels, depth, pose)
-        self._memory = _Memory(image, prediction, ids, pixels, depth)
-        return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
+        self._memory = _Memory(frame.t_ns, image, poses, ids, pixels, depth)
+        texture = strength(image, pixels, self._settings.window_px)
+        return self._record(frame.t_ns, ids, seen, texture, misfit)
 
-    def _follow(self, image: U8, prediction: Poses | None) -> tuple[Ids, F32, F64]:
+    def _follow(self, image: U8, prediction: Prediction | None) -> tuple[Ids, F32, F64]:
         m = self._memory
         if m is None or not len(m.ids):
             return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
-        now_from_then = prediction[0].inverse @ m.poses[0] if prediction and m.poses else None
-        if now_from_then is None:
-            guess = found_again(m.image, image, m.pixels, (0.0,))
+        earlier = (prediction.earlier or m.poses) if prediction else None
+        now_from_then = prediction.world_from_cams[0].inverse @ earlier[0] if prediction and earlier else None
+        if prediction is None or now_from_then is None:
+            guess = Guess(found_again(m.image, image, m.pixels, (0.0,)))
         else:
-            depth = m.depth if np.isfinite(m.depth).any() else self._swept(m, image, now_from_then)
-            guess = self._transfer(m.pixels, depth, now_from_then, self._cameras[0])
-            if np.linalg.norm(guess - m.pixels, axis=1).mean() > _FAR:
-                guess = guess + common_shift(m.image, image, m.pixels, guess)
+            guess = self._expected(m, image, now_from_then, prediction.covariance)
         pixels, good = self._matched(m, image, guess, now_from_then is not None)
         if good.mean() < 0.5 and now_from_then is not None:
-            pixels, good = self._matched(m, image, guess)
+            pixels, good = self._matched(m, image, Guess(guess.pixels))
         if good.mean() < _FEW:  # the prediction may be wrong as a whole
-            other = self._matched(m, image, found_again(m.image, image, m.pixels, TURNS))
+            other = self._matched(m, image, Guess(found_again(m.image, image, m.pixels, TURNS)))
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= spread(m.ids, pixels, good, self._cell)
         depth = self._carried(m, pixels, now_from_then) if now_from_then is not None else m.depth
         return m.ids[good], pixels[good], depth[good]
 
-    def _matched(self, m: _Memory, image: U8, guess: F32, expected: bool = False) -> tuple[F32, Mask]:
-        then, start = (m.image, m.pixels) if expected and self._off[0] < _CLOSE else turned(m.image, m.pixels, guess)
+    def _expected(self, m: _Memory, image: U8, now_from_then: Pose, change: F64 | None) -> Guess:
+        """Where the motion puts the features; where that is far away, its common error is found first (M1c)."""
+        known = bool(np.isfinite(m.depth).any())
+        depth = m.depth if known else self._swept(m, image, now_from_then)
+        guess = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], change)
+        if np.linalg.norm(guess.pixels - m.pixels, axis=1).mean() > _FAR:
+            return Guess(guess.pixels + common_shift(m.image, image, m.pixels, guess.pixels))
+        return guess if known and change is not None else Guess(guess.pixels)
+
+    def _matched(self, m: _Memory, image: U8, guess: Guess, expected: bool = False) -> tuple[F32, Mask]:
+        held = expected and self._off[0] < _CLOSE
+        then, start = (m.image, m.pixels) if held else turned(m.image, m.pixels, guess.pixels)
         return self._match(then, image, start, guess, 0, expected)
 
     def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
@@ -127,7 +157,9 @@ class Tracker:
             return m.depth
         small, now = shrunken(m.image), shrunken(image)
         scores = [
-            agreement(small, now, m.pixels, self._transfer(m.pixels, depth, now_from_then, camera), factor_of(image))
+            agreement(
+                small, now, m.pixels, self._transfer(m.pixels, depth, now_from_then, camera).pixels, factor_of(image)
+            )
             for depth in (np.full(len(m.ids), way / s) for s in shifts)
         ]
         return np.full(len(m.ids), way / shifts[int(np.argmax(scores))])
@@ -149,17 +181,23 @@ class Tracker:
         )
         return np.asarray(there), np.asarray(ok[:, 0] > 0)
 
-    def _transfer(self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera) -> F32:
+    def _transfer(
+        self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera, change: F64 | None = None
+    ) -> Guess:
         """Take pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
         known = np.isfinite(depth)
         z = np.where(known, depth, np.median(depth[known]) if known.any() else 1e6)
         flat = self._lenses[0].normalise(pixels.astype(np.float64))
         points = np.column_stack([flat, np.ones(len(flat))]) * z[:, None]
-        out = other.project(other_from_first.apply(points)).astype(np.float32)
-        return np.where(np.isfinite(out), out, pixels)
+        there = other_from_first.apply(points)
+        out = other.project(there).astype(np.float32)
+        vague = np.where(known, _DEPTH_PX / np.minimum(self._arm / np.maximum(z, 1e-9), _PARALLAX), _UNKNOWN)
+        by_depth = (points * vague[:, None]) @ other_from_first.rotation.T
+        open_ = scatter(there, by_depth, other.fu, change) if known.any() else None
+        return Guess(np.where(np.isfinite(out), out, pixels), open_)
 
-    def _match(self, a: U8, b: U8, pixels: F32, guess: F32, cam: int, expected: bool = False) -> tuple[F32, Mask]:
-        """Lucas-Kanade from `a` to `b` (of camera `cam`) and back; good where both agree, near the guess and inside.
+    def _match(self, a: U8, b: U8, pixels: F32, guess: Guess, cam: int, expected: bool = False) -> tuple[F32, Mask]:
+        """Lucas-Kanade from `a` to `b` (of camera `cam`), in time there and back; good near the guess and inside.
 
         Args:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
@@ -167,11 +205,17 @@ class Tracker:
         a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
         held = expected and near == 1  # its patch settles it
         levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
-        there, ok = self._flow(a, b, pixels, guess, levels, stop)
-        back, ok_back = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
-        good, off = ok & ok_back & _inside(there, self._cameras[cam]), np.linalg.norm(there - guess, axis=1)
-        good &= (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px) & (off < s.search_px)
-        self._off[cam] = float(np.sort(off[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
+        there, ok = self._flow(a, b, pixels, guess.pixels, levels, stop)
+        good = ok & _inside(there, self._cameras[cam])
+        if cam == 0:  # a match in another camera is held against its patch instead
+            back, ok = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
+            good &= ok & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
+        off = there - guess.pixels
+        far = np.linalg.norm(off, axis=1)
+        good &= far < s.search_px
+        if guess.scatter is not None:
+            good &= within(off, guess.scatter, s.search_sigmas, s.search_sigma_px)
+        self._off[cam] = float(np.sort(far[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
         return there, good
 
     @property
@@ -229,14 +273,14 @@ class Tracker:
         ground = Ground.below(pose @ to_first if pose is not None else None, depth)
         guess = there[at].astype(np.float64)
         turn = turns(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
-        there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
+        there[at], good[at], _ = held.found(right, guess, turn, self._settings.window_px | 1)
         return there
 
-    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
+    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64, misfit: F64 | None = None) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
         for i, lens in enumerate(self._lenses):
             normalised[:, i] = lens.normalise(pixels[:, i])
-        return Tracks(t_ns, ids, pixels, normalised, texture)
+        return Tracks(t_ns, ids, pixels, normalised, texture, misfit)
 
 
 def _inside(pixels: F32, camera: Camera) -> Mask:
