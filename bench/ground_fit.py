@@ -30,7 +30,7 @@ from alight.settings import Settings
 
 stage = import_module("alight.hazards.assess")  # the module: the package names its function so
 
-SOME = 4000  # cells of a map
+SOME = 5000  # cells of a map
 PENALTY = 3e-5  # of squared costs
 QUANTILES = (0.02, 0.15, 0.35, 0.55, 0.75, 0.9, 0.98)
 COPIES = 2
@@ -60,6 +60,7 @@ class Sample:
     terms: dict[str, F32]
     safe: Bool
     near: Bool
+    level: F32  # (N,) P that the tilt keeps its limit, by which the fitted belief is multiplied
     share: float  # of the truly safe cells that are among those it was drawn from
     weight: float  # cells of the map that each of the sample stands for
 
@@ -91,7 +92,8 @@ def sample(name: str, how: How, scratch: Path) -> Sample | None:
     share = float(safe.ravel()[left].sum() / total)
     some = np.random.default_rng(0).choice(left, min(SOME, len(left)), replace=False)
     terms = {k: v.ravel()[some] for k, v in heard[0].items()}
-    return Sample(f"{name}, {how}", terms, safe.ravel()[some], near.ravel()[some], share, len(left) / len(some))
+    level = verdict.p_safe.ravel()[some]
+    return Sample(f"{name}, {how}", terms, safe.ravel()[some], near.ravel()[some], level, share, len(left) / len(some))
 
 
 def knots_of(samples: list[Sample]) -> dict[str, tuple[float, ...]]:
@@ -177,12 +179,13 @@ def calibration(samples: list[Sample], found: list[F32]) -> tuple[tuple[float, .
     z = np.concatenate(found)
     weight = np.concatenate([np.full(len(s.near), s.weight) for s in samples])
     order = np.argsort(z)
-    z, weight, near = z[order], weight[order], np.concatenate([s.near for s in samples])[order]
+    z, weight = z[order], weight[order]
+    near, level = (np.concatenate([getattr(s, k) for s in samples])[order] for k in ("near", "level"))
     rank = np.cumsum(weight) / weight.sum()
     at, worth = [], []
     for low, high in pairwise(STEPS):
         here = (rank > low) & (rank <= high)
-        true = (weight * near)[here].sum() / weight[here].sum()
+        true = (weight * near)[here].sum() / (weight * level)[here].sum()
         at.append(float((weight * z)[here].sum() / weight[here].sum()))
         worth.append(float(logit(min(true, 1 - 1e-3))))
     rising = np.maximum.accumulate(worth)
@@ -240,7 +243,7 @@ def main() -> None:
     samples, fold_of = samples_of(TUNING, options.scratch)
     found = left_out(samples, fold_of)
     worth = calibration(samples, found)
-    p = [np.asarray(expit(np.interp(z, *worth)), np.float32) for z in found]
+    p = [s.level * np.asarray(expit(np.interp(z, *worth)), np.float32) for s, z in zip(samples, found, strict=True)]
     tell([(Judged(s.name, v, s.safe, s.near), s.share, s.weight) for s, v in zip(samples, p, strict=True)])
     table, base = fit(samples, knots_of(samples))
     print(module(table, base, worth, len(samples)))

@@ -240,7 +240,7 @@ class Hazards(_Model):
     bridge_plain: NonNegative = Field(0.75, description="m; the same where the picture is plain: little texture, glare")
     alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
-    p_safe: Fraction = Field(0.97, description="least probability of a safe touchdown")
+    p_safe: Fraction = Field(0.95, description="least probability of a safe touchdown")
     min_landable: Fraction = Field(0.2, description="terrain below this probability is refused; P weighs the rest")
     tilt_sigma: NonNegative = Field(
         0.008, description="rad, least 1-sigma of the map's common tilt, where the poses do not claim a larger one"
