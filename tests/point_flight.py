@@ -26,7 +26,7 @@ RIG = Rig(
         RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
     )
 )
-NOISE = Filter(pixel_sigma=0.25, pixel_slip=0.0, pixel_repeat=1.0, smooth=False)  # what the errors are drawn from
+NOISE = Filter(pixel_sigma=0.25, pixel_repeat=1.0, smooth=False)  # what the errors are drawn from
 UP = np.array([0.0, 0.0, 9.80665])
 
 

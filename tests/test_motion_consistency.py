@@ -9,16 +9,15 @@ from hypothesis import strategies as st
 from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
-from alight.geometry import Camera, Pose, skew, so3_exp, so3_log
+from alight.geometry import Pose, skew, so3_exp, so3_log
 from alight.motion.consensus import agreed
 from alight.motion.navigation import measurements
 from alight.motion.points import MISSES, watch
 from alight.motion.ring import refine
 from alight.motion.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, Point, State
-from alight.motion.vision import project, sight_sigma
+from alight.motion.vision import project
 from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
-from alight.records import F64, Motion, NavSample, Tracks
-from alight.settings import Filter
+from alight.records import F64, Motion, NavSample
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
@@ -271,11 +270,3 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
         seen.append(as_seen @ found.covariance @ as_seen.T)
     np.testing.assert_allclose(seen[1], seen[0] * (seen[1][0, 0] / seen[0][0, 0]), rtol=1e-6, atol=1e-12)
     assert 0.8 * 250.0 < seen[1][0, 0] / seen[0][0, 0] < 1.2 * 250.0
-
-
-def test_a_track_that_looks_otherwise_is_believed_less() -> None:
-    n, camera = 3, Camera(64, 48, 100.0, 100.0, 31.5, 23.5)
-    texture, none = np.full(n, Filter().texture_reference), np.zeros((n, 1, 2))
-    tracks = Tracks(0, np.arange(n), none, none, texture, np.array([0.0, 0.04, 0.36]))
-    noise = Filter(pixel_sigma=0.1, pixel_slip=1.0)
-    np.testing.assert_allclose(100.0 * sight_sigma(tracks, camera, noise), np.sqrt([0.01, 0.05, 0.37]))

@@ -105,9 +105,6 @@ class Tracks:
     pixels: F64  # (N, cameras, 2) pixels as the image has them; NaN = not seen by that camera
     normalised: F64  # (N, cameras, 2) x/z, y/z with the lens taken out; NaN = not seen by that camera
     texture: F64 | None = None  # (N,) Shi-Tomasi response a pixel over the SSD window, grey range 1; None: unknown
-    misfit: F64 | None = (
-        None  # (N,) share of its contrast by which each looks otherwise than at first; NaN, None: unknown
-    )
 
 
 @dataclass(frozen=True, eq=False)

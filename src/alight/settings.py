@@ -52,10 +52,9 @@ class Filter(_Model):
 
     points: int = Field(40, ge=4, description="points held in the state")
     clones: int = Field(8, ge=3, description="keyframe poses held in the state")
-    pixel_sigma: Positive = Field(0.1, description="px, 1-sigma of a track on ground of the reference texture")
-    pixel_slip: NonNegative = Field(1.2, description="px, 1-sigma of a track that has nothing left of its first look")
+    pixel_sigma: Positive = Field(0.35, description="px, 1-sigma of a track on ground of the reference texture")
     pixel_repeat: Positive = Field(
-        24.0,
+        40.0,
         description="sights that count as one in what is claimed of a ring: errors repeat, in time and side by side",
     )
     texture_reference: Positive = Field(1.3e-3, description="texture of short grass; sigma grows as 1 / sqrt(texture)")

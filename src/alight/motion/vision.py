@@ -9,8 +9,6 @@ from alight.motion.turns import skews
 from alight.records import F64, Tracks
 from alight.settings import Filter
 
-_MISFIT = 0.08  # of tracks that nobody compared with their first look: the median of those that were, over forest
-
 
 def project(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
     """Return the normalised coordinates (..., 2) of world points (..., 3) in one camera (M11)."""
@@ -43,9 +41,7 @@ def sight_sigma(tracks: Tracks, camera: Camera, noise: Filter) -> F64:
     """
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
-    sharp = np.clip(relative, 0.5, 4.0) * noise.pixel_sigma
-    misfit = np.full(len(tracks.ids), np.nan) if tracks.misfit is None else tracks.misfit
-    return np.asarray(np.sqrt(sharp**2 + noise.pixel_slip**2 * np.nan_to_num(misfit, nan=_MISFIT)) / camera.fu)
+    return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
 
 
 def depths(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:

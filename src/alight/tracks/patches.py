@@ -22,7 +22,6 @@ _MARGIN = 9  # px of a patch about the window: room to turn in
 _BLUR = 0.7  # px; without, linear sampling follows the pixels and not the ground (M1e)
 _STOP, _ROUNDS = 0.01, 12  # px; steps
 _CORRELATION = 0.8  # least, of a match
-_UNHELD = 1.0 - _CORRELATION**2  # misfit of features without a patch
 _MOVED = 1.5  # px, at most, from where the picture before led to
 _FAR = 1e6  # m, of features without any depth
 _ARM = 4.0  # px over which a map is differenced
@@ -90,10 +89,9 @@ class Patches:
     places: F64  # (N, 2) column and row in the patch
     pixels: F64  # (N, 2) in the picture that it was cut from
     picture: Ids  # (N,) which that was
-    slip: F64  # (N,) misfit that the features had by then
 
     @classmethod
-    def cut(cls, image: U8, ids: Ids, pixels: F64, window: int, picture: int = 0, slip: F64 | None = None) -> Patches:
+    def cut(cls, image: U8, ids: Ids, pixels: F64, window: int, picture: int = 0) -> Patches:
         """Cut patches out of a smooth picture; features too near its edge get none."""
         side = window + 2 * _MARGIN
         corner = np.rint(pixels).astype(np.int64) - side // 2
@@ -102,8 +100,7 @@ class Patches:
         fits = min(image.shape) >= side
         grey = sliding_window_view(image, (side, side)) if fits else np.empty((1, 1, side, side), np.uint8)
         cuts = np.ascontiguousarray(grey[corner[:, 1], corner[:, 0]])
-        had = np.zeros(len(corner)) if slip is None else slip[inside]
-        return cls(ids[inside], cuts, pixels - corner, pixels, np.full(len(corner), picture), had)
+        return cls(ids[inside], cuts, pixels - corner, pixels, np.full(len(corner), picture))
 
     def rows(self, which: Mask) -> Patches:
         """Those of some features."""
@@ -115,13 +112,13 @@ class Patches:
         both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
         return Patches(*(x[order] for x in both))
 
-    def found(self, image: U8, guess: F64, turn: F64, window: int) -> tuple[F64, Mask, F64]:
-        """Where they are in a smooth picture, from (N, 2) guesses on, which of them truly are, and their misfit."""
+    def found(self, image: U8, guess: F64, turn: F64, window: int) -> tuple[F64, Mask]:
+        """Where they are in a smooth picture, from (N, 2) guesses on, and which of them truly are."""
         there, fit = guess.copy(), np.empty(len(guess))
         lay, slopes = np.empty((window + 2, window + 2), np.float32), np.empty((2, window, window), np.float32)
         settle(self.grey, self.places, turn, image, _STOP, _ROUNDS, lay, slopes, there, fit)
         good = (fit > _CORRELATION) & (np.linalg.norm(there - guess, axis=1) < _MOVED)
-        return np.where(good[:, None], there, guess), good, np.where(good, 1.0 - np.minimum(fit, 1.0) ** 2, _UNHELD)
+        return np.where(good[:, None], there, guess), good
 
 
 class Anchors:
@@ -136,8 +133,8 @@ class Anchors:
     def _none(self) -> Patches:
         return Patches.cut(np.zeros((1, 1), np.uint8), np.empty(0, np.int64), np.empty((0, 2)), self._window)
 
-    def hold(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None, depth: F64) -> tuple[F64, F64]:
-        """Take features where the last picture led to, to where they look as they did; (N, 2) pixels, (N,) misfit.
+    def hold(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None, depth: F64) -> F64:
+        """Take features where the last picture led to, to where they look as they did; (N, 2) pixels.
 
         Args:
             image: smooth.
@@ -146,28 +143,25 @@ class Anchors:
         """
         if pose is None:
             self._patches, self._poses = self._none(), {}
-            return pixels, np.full(len(ids), np.nan)
+            return pixels
         held = self._patches.rows(np.isin(self._patches.ids, ids))
         at = np.searchsorted(ids, held.ids)
-        misfit = np.full(len(ids), _UNHELD)
         if not len(at):
-            return pixels, misfit
+            return pixels
         then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
         views = [then_from_now[k] for k in held.picture.tolist()]
         turn = turns(pixels[at], self._lens, views, Ground.below(pose, depth), held.pixels, self._lens)
-        there, good, missed = held.found(image, pixels[at], turn, self._window)
+        there, good = held.found(image, pixels[at], turn, self._window)
         good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
         out = pixels.copy()
-        out[at], misfit[at] = there, held.slip + missed
+        out[at] = there
         self._patches = held.rows(good)
-        return out, misfit
+        return out
 
-    def renew(self, image: U8, ids: Ids, pixels: F64, misfit: F64, pose: Pose | None) -> None:
-        """Cut patches of the features that have none, which keep the misfit that they had."""
+    def renew(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None) -> None:
+        """Cut patches of the features that have none."""
         if pose is None:
             return
         new, picture = ~np.isin(ids, self._patches.ids), max(self._poses, default=-1) + 1
-        self._patches = self._patches.and_of(
-            Patches.cut(image, ids[new], pixels[new], self._window, picture, misfit[new])
-        )
+        self._patches = self._patches.and_of(Patches.cut(image, ids[new], pixels[new], self._window, picture))
         self._poses = {k: p for k, p in self._poses.items() if (self._patches.picture == k).any()} | {picture: pose}

@@ -102,14 +102,12 @@ class Tracker:
         ids, pixels, depth = self._follow(image, prediction)
         poses = prediction.world_from_cams if prediction else None
         pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth(image)
-        held, misfit = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth)
-        ids, pixels, depth = self._take_up(image, ids, held.astype(np.float32), depth)
-        misfit = np.append(misfit, np.zeros(len(ids) - len(misfit)))
-        self._anchors.renew(soft, ids, pixels.astype(np.float64), misfit, pose)
+        pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
+        ids, pixels, depth = self._take_up(image, ids, pixels, depth)
+        self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
         seen, depth = self._across(frame, image, soft, pixels, depth, pose)
         self._memory = _Memory(frame.t_ns, image, poses, ids, pixels, depth)
-        texture = strength(image, pixels, self._settings.window_px)
-        return self._record(frame.t_ns, ids, seen, texture, misfit)
+        return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
 
     def _follow(self, image: U8, prediction: Prediction | None) -> tuple[Ids, F32, F64]:
         m = self._memory
@@ -273,14 +271,14 @@ class Tracker:
         ground = Ground.below(pose @ to_first if pose is not None else None, depth)
         guess = there[at].astype(np.float64)
         turn = turns(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
-        there[at], good[at], _ = held.found(right, guess, turn, self._settings.window_px | 1)
+        there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
         return there
 
-    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64, misfit: F64 | None = None) -> Tracks:
+    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
         for i, lens in enumerate(self._lenses):
             normalised[:, i] = lens.normalise(pixels[:, i])
-        return Tracks(t_ns, ids, pixels, normalised, texture, misfit)
+        return Tracks(t_ns, ids, pixels, normalised, texture)
 
 
 def _inside(pixels: F32, camera: Camera) -> Mask:
