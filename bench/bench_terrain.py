@@ -14,34 +14,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from cover_fit import joined, module, rows, train
 from ground_flights import TEST, TUNING
 from ground_maps import judgeable
-from numpy.typing import NDArray
 
 from alight import terrain
-from alight.records import F32, LANDABLE, U8, ElevationMap, Terrain
+from alight.records import LANDABLE, U8, ElevationMap, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
-from alight.terrain.appearance import appearance, seen
-from alight.terrain.classify import wetness
+from alight.terrain.appearance import seen
 from alight.terrain.confusion import lines_of
-from alight.terrain.evidence import terms
-from alight.terrain.relief import relief
-from alight.terrain.train import elsewhere, fit_head, judge_pixels
+from alight.terrain.train import elsewhere, judge_pixels
 
 NEVER = (Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.WATER)
 ALL = (*NEVER, Terrain.STRUCTURE, Terrain.ROCK, *LANDABLE)
-EACH = 300  # cells a class and flight that the fit uses
-PENALTY = 3e-3  # of squared weights: evidence that another scene does not share
-COPIES = 4  # of every flight, each as another camera and another ground might shift its evidence:
-OTHERS = {
-    ("texture",): 0.7,
-    ("residual", "residual 2 m"): 0.4,
-    ("rough 0.3 m", "rough 1 m"): 0.4,
-    ("sigma",): 0.4,
-    ("octave 0", "octave 1", "octave 2", "light detail"): 0.4,
-    ("red detail", "blue detail"): 0.3,
-}  # 1-sigma of that shift, natural logarithms
 LEAST = 200  # cells of a class in a flight that count
 
 
@@ -53,59 +39,10 @@ def maps(names: Sequence[str], scratch: Path) -> Iterator[tuple[str, ElevationMa
             yield name, found.elevation, found.label
 
 
-def evidence_of(e: ElevationMap) -> dict[str, F32]:
-    """The terms of one map."""
-    settings, look = TerrainSettings(), appearance(e)
-    return terms(e, look, relief(e, wetness(e, look), settings))
-
-
-def _rows(flights: list[str], scratch: Path) -> tuple[list[str], F32, U8, NDArray[np.int64]]:
-    rng, parts, kinds, which = np.random.default_rng(0), [], [], []
-    names: list[str] = []
-    for i, (_, e, label) in enumerate(maps(flights, scratch)):
-        found, known = evidence_of(e), seen(e)
-        names = list(found)
-        for kind in ALL:
-            cells = np.flatnonzero((known & (label == kind)).ravel())
-            if len(cells) >= LEAST:
-                cells = rng.choice(cells, min(EACH, len(cells)), replace=False)
-                parts.append(np.stack([v.ravel()[cells] for v in found.values()], axis=1))
-                kinds += [int(kind)] * len(cells)
-                which += [i] * len(cells)
-    return names, np.concatenate(parts).astype(np.float32), np.array(kinds, np.uint8), np.array(which, np.int64)
-
-
-def shifted(names: list[str], values: F32, flight: NDArray[np.int64]) -> F32:
-    """The rows as if each flight had been flown elsewhere, COPIES times."""
-    rng, parts = np.random.default_rng(0), []
-    for _ in range(COPIES):
-        copy = values.copy()
-        for number in np.unique(flight):
-            for group, sigma in OTHERS.items():
-                columns = [names.index(n) for n in group]
-                copy[np.ix_(flight == number, columns)] += np.float32(rng.normal(0, sigma))
-        parts.append(copy)
-    return np.concatenate(parts)
-
-
 def fit(scratch: Path) -> None:
-    """Print the module of weights; classes weigh the same, and within a class its flights."""
-    names, values, kinds, flight = _rows(list(TUNING), scratch)
-    values = shifted(names, values, flight)
-    kinds, flight = np.tile(kinds, COPIES), np.tile(flight, COPIES)
-    codes, at_ = np.unique(kinds, return_inverse=True)
-    _, pair, count = np.unique(flight * 10 + kinds, return_inverse=True, return_counts=True)
-    weight = 1 / count[pair]
-    weight /= np.sqrt(np.bincount(at_, weights=weight)[at_])
-    head = fit_head(values, at_.astype(np.int64), weight / weight.mean(), len(codes), PENALTY)
-
-    print(f'"""Weights of the evidence, from {len(TUNING)} simulated tuning flights: `bench_terrain.py fit`."""\n')
-    print("# term: usual value, spread, weight for each class from BARE to STRUCTURE a spread above the usual value")
-    print("WEIGHTS: dict[str, tuple[float, float, tuple[float, ...]]] = {")
-    for i, name in enumerate(names):
-        row = tuple(round(float(v), 2) for v in head.weights[:, i])
-        print(f'    "{name}": ({head.mean[i]:.3f}, {head.spread[i]:.3f}, {row}),')
-    print("}\nBIAS =", tuple(round(float(v), 2) for v in head.bias))
+    """Print the module of weights."""
+    parts = rows(TUNING, scratch)
+    print(module(train(joined(parts)), len(parts)))
 
 
 def measure(flights: list[str], scratch: Path, model: Path | None) -> None:

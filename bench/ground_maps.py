@@ -43,7 +43,11 @@ class Judgeable:
     @cached_property
     def label(self) -> U8:
         """(R, C) true class of every cell of the map."""
-        return np.asarray(self._at(self.truth.label), np.uint8)
+        return self.of(self.truth.label)
+
+    def of(self, label: U8) -> U8:
+        """(R, C): codes on the truth's grid at every cell of the map."""
+        return np.asarray(self._at(label), np.uint8)
 
     @cached_property
     def known(self) -> Bool:

@@ -210,6 +210,38 @@ def test_a_hover_without_history_holds_little() -> None:
     assert len(p._motions) <= 2
 
 
+def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
+    """What earlier keyframes showed is kept although the newest does not look there any more."""
+    f, events = flight()
+    settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
+    p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
+    seen: list[tuple[int, int]] = []
+    for e in events:
+        p.feed(e)
+        seen.append((len(p.reserve.sites), len(p._judging.lost)))
+    assert max(sites for sites, _ in seen) >= 2
+    now = p.judge_now()
+    assert now is not None
+    held = p.reserve.sites
+    assert held[: len(now.sites.sites)] == now.sites.sites
+    east, _ = now.elevation.grid.xy()
+    behind = [s for s in held[len(now.sites.sites) :] if not (east[0] <= s.east <= east[-1])]
+    assert behind
+    end = p.finish()
+    earlier = p.reserve.sites[len(end.sites.sites) :]
+    assert len(end.notes.get("sites in reserve", [])) == len(earlier)
+    assert end.notes.get("sites given up", []) == p._judging.lost
+
+
+def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
+    f, events = flight()
+    p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring", "sites.every=0"), f.truth_trajectory)
+    for e in events:
+        p.feed(e)
+    assert p.reserve.sites == ()
+    assert "hazards" not in p.timings
+
+
 # -- reasons
 
 

@@ -83,7 +83,7 @@ def test_tall_grass_is_refused_by_texture_colour_and_height() -> None:
     height = np.where(tall, 0.4 + noise(0.12, 3), noise(0.02))
     t = classify(scene(height, tall, (80, 105, 50), 0.35), SETTINGS)
     core = np.hypot(R - 120, C - 120) < 36
-    assert (t.landable[core] < 0.5).mean() > 0.98
+    assert (t.landable[core] < 0.5).mean() > 0.93
     assert (t.label[core] == Terrain.TALL_VEGETATION).mean() > 0.9
     assert (t.landable[np.hypot(R - 120, C - 120) > 55] > 0.5).mean() > 0.98
 

@@ -236,14 +236,15 @@ class Hazards(_Model):
     unknown_share: Fraction = Field(0.02, description="largest share of the footprint that nobody may have seen")
     doubtful_share: Fraction = Field(0.35, description="largest share of it without a height that can be trusted")
     bridge: NonNegative = Field(0.15, description="m; doubtful heights in gaps up to twice as wide count if they agree")
+    bridge_plain: NonNegative = Field(0.75, description="m; the same where the picture is plain: little texture, glare")
     alpha: NonNegative = Field(1.0, description="weight of flatness F in Q (paper, eq. 5)")
     beta: NonNegative = Field(1.0, description="weight of terrain G in Q (paper, eq. 5)")
-    p_safe: Fraction = Field(0.97, description="least probability of a safe touchdown")
+    p_safe: Fraction = Field(0.95, description="least probability of a safe touchdown")
     min_landable: Fraction = Field(0.2, description="terrain below this probability is refused; P weighs the rest")
     tilt_sigma: NonNegative = Field(
         0.008, description="rad, least 1-sigma of the map's common tilt, where the poses do not claim a larger one"
     )
-    noise_length: NonNegative = Field(0.8, description="m over which neighbouring heights share their noise")
+    noise_length: NonNegative = Field(0.6, description="m over which neighbouring heights share their noise")
     smoothed: bool = Field(True, description="heights come from matched images, which flatten what is small: P pays")
     usual_sigma: NonNegative = Field(0.03, description="m, 1-sigma of heights of a raster that does not say (hazards)")
     hidden_hazard: Fraction = Field(0.25, description="probability that a footprint nobody saw would hide a hazard")
@@ -258,6 +259,7 @@ class SitesSettings(_Model):
     roomy: Positive = Field(5.0, description="m of clearance beyond which more is worth nothing")
     room_weight: NonNegative = Field(1.0, description="what that clearance is worth against Q")
     distance_weight: NonNegative = Field(0.0, description="what each metre to the vehicle costs against Q")
+    every: int = Field(32, ge=0, description="keyframes from one judgement in flight (ring) to the next; 0: at the end")
 
 
 class RouteSettings(_Model):

@@ -20,14 +20,14 @@ from alight.hazards.contact import (
     step_of,
 )
 from alight.hazards.evidence import Shape, terms, unresolved
-from alight.hazards.known import evened, judged_height
+from alight.hazards.known import BROAD, evened, judged_height
 from alight.hazards.probability import SURELY, Margins, margins_over_sigma, mean_near, safe_probability
 from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import Hazards, Lander
 
 Bool = NDArray[np.bool_]
 ROUNDING = 1e-4  # of a share
-CLEARLY = 3.0  # sigmas by which single heights must break the limit where their mean keeps it
+CLEARLY, SURELY_ROUGH = 2.0, 4.0  # sigmas by which even and single heights must break the limit to refuse at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,8 @@ class _Findings:
     rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
     blocked: Bool  # something stands in the belly's or rotor's way
     vetoed: Bool
-    even: F32  # metres, largest deviation of the heights that the limit is put to
+    even: F32  # metres, largest deviation of heights averaged over what their noise shares
+    broad: F32  # metres, of heights averaged over twice as much: what bends, not what is noise
 
 
 def _veto(terrain: TerrainMap | None, settings: Hazards, shape: tuple[int, int]) -> Bool:
@@ -71,8 +72,11 @@ def _find(
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
         rise = None if lander.belly_clearance is None else rise
     vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
-    even = footprint_of(evened(height, cell), lander.radius, cell).roughness if settings.smoothed else fp.roughness
-    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, even)
+    even = broad = fp.roughness
+    if settings.smoothed:
+        even = footprint_of(evened(height, cell), lander.radius, cell).roughness
+        broad = footprint_of(evened(height, cell, BROAD), lander.radius, cell).roughness
+    return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, even, broad)
 
 
 def _spare(sigma: F32) -> float:
@@ -91,13 +95,18 @@ def _probability(
         return safe_probability(tilt, rise, f.footprint.unknown, settings)
     level = safe_probability(tilt, np.full_like(tilt, SURELY), np.zeros_like(tilt), settings)
     level = level * np.float32(1 - unresolved(elevation, lander, settings))
-    return level * safe_belief(terms(elevation, terrain, Shape(f.footprint, f.even, rise), lander))
+    return level * safe_belief(terms(elevation, terrain, Shape(f.footprint, f.even, f.broad, rise), lander))
 
 
-def _reasons(f: _Findings, sigma: F32, lander: Lander) -> U8:
-    """Every limit that a touchdown would break, as bits of `Hazard`."""
-    clearly = f.footprint.roughness > lander.max_roughness + np.float32(CLEARLY) * sigma
-    rough = (f.even > lander.max_roughness) | clearly
+def _reasons(f: _Findings, sigma: F32, lander: Lander, smoothed: bool) -> U8:
+    """Every limit that a touchdown would break, as bits of `Hazard`.
+
+    The largest of hundreds of noisy heights is not the ground's: where heights are noisy (`smoothed`), what breaks the
+    limit of roughness by little is left to P.
+    """
+    rough = f.footprint.roughness > lander.max_roughness + np.float32(SURELY_ROUGH * smoothed) * sigma
+    rough |= f.even > lander.max_roughness + np.float32(CLEARLY * smoothed) * sigma
+    rough |= f.broad > lander.max_roughness
     if lander.has_gear and lander.belly_clearance is not None:  # the belly's own limit says more
         rough = np.zeros_like(rough)
     high_step = f.step > (np.inf if lander.max_step is None else lander.max_step)
@@ -162,7 +171,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
     found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
-    reasons = _reasons(found, sigma, lander)
+    reasons = _reasons(found, sigma, lander, settings.smoothed)
     p = _probability(elevation, terrain, found, sigma, lander, settings)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from alight.hazards.weights import BASE, RAMPS
+from alight.hazards.weights import BASE, CALIBRATION, RAMPS
 from alight.records import F32
 
 
@@ -22,7 +22,8 @@ def ramps(values: F32, knots: tuple[float, ...]) -> list[F32]:
 def safe_belief(found: dict[str, F32]) -> F32:
     """P(a touchdown meets every limit), (R, C); NaN terms give NaN.
 
-    Log odds = BASE - the sum of what each term costs; no term ever costs less where it is larger.
+    Log odds = BASE - the sum of what each term costs; no term ever costs less where it is larger. What such odds were
+    worth on flights that had no part in the fit is what is claimed, and never more than was seen there.
     """
     shape = next(iter(found.values())).shape
     odds: NDArray[np.float32] = np.full(shape, np.float32(BASE), np.float32)
@@ -30,4 +31,4 @@ def safe_belief(found: dict[str, F32]) -> F32:
         for ramp, cost in zip(ramps(found[name], knots), costs, strict=True):
             if cost > 0:
                 odds -= np.float32(cost) * ramp
-    return np.asarray(expit(odds), np.float32)
+    return np.asarray(expit(np.interp(odds, *CALIBRATION)), np.float32)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.special import logit
+from scipy.special import expit, logit
 
 from alight.hazards.contact import Footprint
 from alight.hazards.footprint import disc_mask, disc_spans
@@ -17,6 +17,7 @@ from alight.records import F32, ElevationMap, TerrainMap
 from alight.settings import Hazards, Lander
 
 INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
+BEYOND = 1.0  # metres past the rim: where tufts begin, there are more
 LEAST = 1e-4  # probability
 RESOLVED = 0.8  # of the limit, pixel: a stone as high is two of them wide
 USUAL = 0.01  # of a tint, that no ground is evener than
@@ -29,6 +30,7 @@ class Shape:
 
     footprint: Footprint
     even: F32  # metres, largest deviation of heights averaged over the noise's length
+    broad: F32  # metres, of heights averaged over twice as much
     rise_margin: F32  # (limit - deviation or rise) / sigma
 
 
@@ -40,6 +42,10 @@ def worst_near(values: F32, radius: float, cell: float) -> F32:
 
 def _log(values: F32, floor: float) -> F32:
     return np.asarray(np.log(np.maximum(np.nan_to_num(values, nan=1.0), np.float32(floor))), np.float32)
+
+
+def _over(excess: F32, sigma: F32) -> F32:
+    return np.asarray(excess / np.maximum(sigma, np.float32(0.005)), np.float32)
 
 
 def doubt_of(terrain: TerrainMap | None, shape: tuple[int, int]) -> F32:
@@ -78,6 +84,8 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
         "rise": -shape.rise_margin,
         "deviation": _log(shape.footprint.roughness / np.float32(limit), 0.03),
         "even": _log(shape.even / np.float32(limit), 0.03),
+        "broad": _log(shape.broad / np.float32(limit), 0.03),
+        "over": _over(shape.even - np.float32(limit), mean_near(sigma, radius, cell)),
         "scatter": _log(shape.footprint.scatter / np.float32(limit), 0.02),
         "unknown": shape.footprint.unknown,
         "sigma": _log(mean_near(sigma, radius, cell) / np.float32(limit), 0.02),
@@ -86,6 +94,9 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
         "cover": worst_near(doubt, inner, cell),
         "cover around": worst_near(np.asarray(around, np.float32), inner, cell),
         "cover in the mean": mean_near(doubt, radius, cell),
+        "cover beyond": worst_near(np.asarray(around, np.float32), radius + BEYOND, cell),
+        "cover far beyond": mean_near(np.asarray(around, np.float32), radius + 3 * BEYOND, cell),
+        "cover share": np.log(mean_near(np.asarray(expit(doubt), np.float32), radius, cell)),
         "dark": worst_near(small["dark"], inner, cell),
         "bright": worst_near(small["bright"], inner, cell),
         "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),

@@ -11,9 +11,10 @@ from alight.settings import Hazards, Lander
 
 Bool = NDArray[np.bool_]
 
-EVEN = 0.2  # metres, 1-sigma
+EVEN, BROAD = 0.2, 0.45  # metres, 1-sigma
 
-_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.SATURATED | Flag.RANGE)  # no height, or none that could be right
+_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or none that could be right
+_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # nothing to see: what stood there would be seen against it
 
 
 def _within_reach(known: Bool, reach_cells: float) -> Bool:
@@ -50,16 +51,22 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: Hazards) ->
     if not known.any():
         return np.full(elevation.grid.shape, np.nan, dtype=np.float32)
     height = elevation.height - np.float32(np.median(elevation.height[known]))
-    reach = settings.bridge / elevation.grid.cell
-    if reach >= 1:
-        gap = _within_reach(known, reach) & ~known & np.isfinite(height) & ((elevation.flags & _NEVER) == 0)
-        agrees = np.abs(height - _neighbours_level(height, known, reach)) <= 0.5 * lander.max_roughness
-        known = known | (gap & agrees)
+    usable = np.isfinite(height) & ((elevation.flags & _NEVER) == 0)
+    plain = usable & ((elevation.flags & _PLAIN) != 0)
+    for reach, where in (
+        (settings.bridge, usable & ((elevation.flags & np.uint16(Flag.SATURATED)) == 0)),
+        (settings.bridge_plain, plain),
+    ):
+        cells = reach / elevation.grid.cell
+        if cells >= 1:
+            gap = _within_reach(known, cells) & ~known & where
+            agrees = np.abs(height - _neighbours_level(height, known, cells)) <= 0.5 * lander.max_roughness
+            known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
 
 
-def evened(height: F32, cell: float) -> F32:
+def evened(height: F32, cell: float, sigma: float = EVEN) -> F32:
     """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
     known = np.isfinite(height)
-    mean, _ = _gathered(height, known, max(EVEN / cell, 0.3))
+    mean, _ = _gathered(height, known, max(sigma / cell, 0.3))
     return np.where(known, mean, np.float32(np.nan))

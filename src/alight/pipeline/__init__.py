@@ -5,22 +5,21 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
-from alight import hazards, route, sites, terrain
+from alight import route, sites, terrain
 from alight.elevation import Far
 from alight.geometry import Grid
-from alight.parallax import ortho
+from alight.pipeline.judging import Judge, Verdict, without_water
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
 from alight.pipeline.terrain_lane import TerrainLane, footprint, looking_down
 from alight.records import (
     ElevationMap,
     Event,
-    Flag,
     Frame,
     HazardMap,
     Motion,
@@ -29,7 +28,6 @@ from alight.records import (
     Rig,
     Route,
     Sites,
-    Terrain,
     TerrainMap,
     View,
 )
@@ -37,7 +35,7 @@ from alight.settings import Settings
 
 log = logging.getLogger(__name__)
 
-__all__ = ["Decision", "Pipeline", "TimedPoses"]
+__all__ = ["Decision", "Pipeline", "TimedPoses", "Verdict", "without_water"]
 
 Tell = Callable[[str, float], None]  # stage, share done
 LAST_STEPS = 1000  # whose times are kept in flight
@@ -90,13 +88,14 @@ class Pipeline:
         self._settings = settings
         self._clock = clock
         self._history = history
-        self._appearance = appearance
         self._navigation = _lane(rig, kind, settings, poses, history)
         self._everything = isinstance(self._navigation, BundleLane)
         self._recursive = settings.parallax.method == "ring" and not self._everything
         self._terrain = TerrainLane(settings, far)
+        self._judging = Judge(settings, appearance, self._timed)
         self._store, self._first_step = FrameStore(), FIRST_STEP
         self._motions: dict[int, Motion] = {}
+        self._since_judged = 0  # keyframes
         self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
 
     def _timed(self, stage: str, since: float) -> float:
@@ -153,8 +152,31 @@ class Pipeline:
             motion, poses = self._motions[frame.t_ns], self._navigation.posterior()
             if poses is not None and frame.t_ns not in {m.t_ns for m in poses.motions}:
                 poses = PoseRing((motion,), motion.covariance)  # held before the ground was found
-            self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
+            stepped = self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
             self._timed("heights", start)
+            if stepped:
+                self._since_judged += 1
+        if self._settings.sites.every and self._since_judged >= self._settings.sites.every:
+            self.judge_now()
+
+    @property
+    def reserve(self) -> sites.Reserve:
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
+        return self._judging.reserve
+
+    def judge_now(self) -> Verdict | None:
+        """Judge the ground under the newest keyframe as the map has it by now; None without a map there.
+
+        In the recursive way it is called every `sites.every` keyframes; an executive may ask at its way-points.
+        """
+        start, self._since_judged = self._clock(), 0
+        views = looking_down(self._views_now())
+        elevation = self._terrain.map_under(views[-len(self._navigation.rig.cameras) :]) if views else None
+        if elevation is None:
+            return None
+        vehicle = views[-1].centre
+        below = self._terrain.ground if self._terrain.below is None else self._terrain.below
+        return self._judging.judge(elevation, views, vehicle, float(vehicle[2] - (below or 0.0)), start)
 
     def _step(self, motion: Motion) -> float:
         ground = self._terrain.ground if self._terrain.below is None else self._terrain.below
@@ -221,45 +243,21 @@ class Pipeline:
     def _judge(
         self, motions: list[Motion], above: float, warnings: list[str], notes: dict[str, Any], tell: Tell
     ) -> Decision:
-        s, start = self._settings, self._clock()
+        start = self._clock()
         elevation = self._terrain.map()
         start = self._timed("map", start)
-        if elevation is not None and s.terrain.enabled:
-            elevation = replace(elevation, fine=ortho(looking_down(self._views()), elevation))
-            start = self._timed("finer pixels", start)
         if elevation is None:
-            return Decision(
-                Sites((), "no height could be measured: no place was seen by two views"),
-                motions,
-                warnings=warnings,
-                notes=notes,
-            )
-        cover = terrain.classify(elevation, s.terrain, self._appearance) if s.terrain.enabled else None
-        notes["terrain"] = terrain.says(elevation, s.terrain, self._appearance)
-        start = self._timed("terrain", start)
-        tell("judging", 0.4)
-        danger = hazards.assess(elevation, cover, s.lander, s.hazards)
-        start = self._timed("hazards", start)
+            why = "no height could be measured: no place was seen by two views"
+            return Decision(Sites((), why), motions, warnings=warnings, notes=notes)
+        tell("judging", 0.2)
         last = np.array(motions[-1].world_from_body.translation)
-        chosen = sites.choose(danger, cover, elevation, s.sites, s.lander, last)
-        if not chosen.sites and (look := sites.next_look(danger, elevation, s.lander, above)) is not None:
-            east, north, up = look.position_world
-            notes["look next"] = f"east {east:.1f} north {north:.1f} up {up:.1f} m, where P(safe) is {look.p_safe:.2f}"
-        way = route.plan(chosen.sites[0], elevation, last, s.route) if chosen.sites else None
-        self._timed("sites and route", start)
+        found = self._judging.judge(elevation, looking_down(self._views()), last, above, start)
+        tell("judging", 0.9)
+        best = found.sites.sites[:1]
+        way = route.plan(best[0], elevation, last, self._settings.route) if best else None
+        notes |= self._judging.notes(found)
         tell("judging", 1.0)
-        return Decision(chosen, motions, without_water(elevation, cover), cover, danger, way, above, warnings, notes)
-
-
-def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> ElevationMap:
-    """The map with the heights of water refused: flat, smooth and confident, they are those of the bed.
-
-    On the sample flight this takes the wrong heights that are given out from 10 % of all to 1 %.
-    """
-    if cover is None:
-        return elevation
-    wet = np.where(cover.label == Terrain.WATER, np.uint16(Flag.WATER), np.uint16(0))
-    return replace(elevation, flags=elevation.flags | wet)
+        return Decision(found.sites, motions, found.elevation, found.cover, found.danger, way, above, warnings, notes)
 
 
 def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> Lane:

@@ -233,6 +233,15 @@ class TerrainLane:
         flags = np.where(heights.sigma > limit, heights.flags | np.uint16(Flag.UNSURE), heights.flags)
         return replace(heights, flags=flags.astype(np.uint16))
 
+    def map_under(self, views: Sequence[View]) -> ElevationMap | None:
+        """The map of what the views look at, on the newest keyframe's cells; None where nothing was seen yet."""
+        if self.elevation is None or self.below is None or not views:
+            return None
+        corners = np.concatenate([footprint(v, self.below) for v in views])
+        (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+        found = self.elevation.read(self.elevation.window((west, east), (south, north), self._level))
+        return replace(found, gauge=self.gauge) if found.trusted.any() else None
+
     def map(self) -> ElevationMap | None:
         """The map so far."""
         found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None

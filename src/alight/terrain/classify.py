@@ -110,7 +110,8 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
     landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)
-    landable = np.where(beside_tall(elevation, shape, settings), np.minimum(landable, UNDER), landable)
+    standing = (np.nan_to_num(shape.above) > settings.raised) | beside_tall(elevation, shape, settings)
+    landable = np.where(standing, np.minimum(landable, UNDER), landable)
     return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
 
 

@@ -6,15 +6,20 @@ only take from.
 
 from __future__ import annotations
 
+from base64 import b85decode
+from collections.abc import Iterable, Iterator
+from itertools import islice
+
 import numpy as np
 
 from alight.records import F32, REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen, smooth
-from alight.terrain.grain import grain
+from alight.terrain.detail import detail
 from alight.terrain.relief import Relief
-from alight.terrain.weights import BIAS, WEIGHTS
+from alight.terrain.weights import LAYERS, TERMS
 
 CLIP = np.float32(4.0)
+AT_A_TIME = 8  # terms
 
 
 def _log(values: F32, floor: float) -> F32:
@@ -40,8 +45,18 @@ def plants(look: Appearance, shape: Relief, restless: F32) -> F32:
     return np.asarray(3.5 * busy + 3.0 * high + 2.0 * tone + 2.0 * restless - 5.0, np.float32)
 
 
-def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str, F32]:
-    """The evidence of every cell, (R, C) each, as the names of `weights` (T1)."""
+def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
+    """The evidence of every cell, (R, C) each, one after the other, as the names of `weights` (T1)."""
+    looked = seen(elevation).astype(np.float32)
+    yield from surface(elevation, look, shape).items()
+    for name, values in detail(elevation):
+        yield name, values
+        if name.endswith((" near", " wide")):
+            yield f"{name} against the frame", _against(values, looked)
+
+
+def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str, F32]:
+    """Roughness, height, residual, doubt and texture over some decimetres to metres."""
     cell, looked = elevation.grid.cell, seen(elevation).astype(np.float32)
     measured = np.isfinite(elevation.height).astype(np.float32) * looked
     height = np.nan_to_num(elevation.height)
@@ -60,7 +75,6 @@ def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str,
     usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
     restless, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
-    found = grain(elevation)
     residual, busy = _log(near(elevation.residual, 0.5), 0.02), _log(look.texture, 0.01)
     return {
         "rough 0.3 m": rough(0.3),
@@ -77,17 +91,35 @@ def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str,
         "texture": busy,
         "texture against the frame": _against(busy, looked),
         "plants": plants(look, shape, restless),
-        **found,
-        **{f"{name} against the frame": _against(values, looked) for name, values in found.items()},
     }
 
 
-def weighed(found: dict[str, F32]) -> F32:
-    """Log odds of the classes but for a constant, (R, C, 8) for codes 1 to 8 (T2)."""
-    shape = next(iter(found.values())).shape
-    out = np.broadcast_to(np.asarray(BIAS, np.float32), (*shape, len(BIAS))).copy()
-    for name, values in found.items():
-        usual, spread, weights = WEIGHTS[name]
-        z = ((values - np.float32(usual)) / np.float32(spread)).clip(-CLIP, CLIP)
-        out += z[..., None] * np.asarray(weights, np.float32)
-    return out
+def _layer(number: int) -> tuple[F32, F32]:
+    """Weights (in, out) and bias (out,) of one layer."""
+    rows, cols, packed = LAYERS[number]
+    values = np.frombuffer(b85decode(packed), "<f2").astype(np.float32).reshape(rows + 1, cols)
+    return values[:-1], values[-1]
+
+
+def weighed(found: Iterable[tuple[str, F32]]) -> F32:
+    """Log odds of the classes but for a constant, (R, C, 8) for codes 1 to 8 (T2).
+
+    Terms are taken a few at a time: all together they would be several times the map.
+    """
+    terms_of, (weights, bias) = iter(found), _layer(0)
+    row_of, total, shape = {name: i for i, name in enumerate(TERMS)}, None, (0, 0)
+    while some := list(islice(terms_of, AT_A_TIME)):
+        shape = some[0][1].shape
+        z = np.stack([_standard(name, values) for name, values in some], axis=1)
+        part = z @ weights[[row_of[name] for name, _ in some]]
+        total = part + bias if total is None else total + part
+    assert total is not None
+    for number in range(1, len(LAYERS)):
+        weights, bias = _layer(number)
+        total = np.maximum(total, 0, out=total) @ weights + bias
+    return np.asarray(total, np.float32).reshape(*shape, -1)
+
+
+def _standard(name: str, values: F32) -> F32:
+    usual, spread = TERMS[name]
+    return np.asarray(((values - np.float32(usual)) / np.float32(spread)).clip(-CLIP, CLIP), np.float32).ravel()

@@ -1,0 +1,62 @@
+"""Grounds on which there is no place to land: no site, and the reasons; every refused cell says what refused it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from alight.geometry import Camera
+from alight.pipeline import Decision, Pipeline
+from alight.records import Hazard, Rig, RigCamera
+from alight.settings import load
+from alight.simulate import default_rig, fly
+from alight.simulate.scene import Scene
+
+LENS = Camera(240, 180, 180.0, 180.0, 119.5, 89.5)
+RELIEF = [{"height": 0.8, "longest": 60, "shortest": 8, "fall": 1.8}]
+GROUNDS: dict[str, dict[str, object]] = {
+    "lake": {"relief": RELIEF, "layers": [{"thing": "water", "level": 2.5}]},
+    "hay": {"relief": RELIEF, "layers": [{"thing": "tall_grass", "share": 1.0, "height": 1.0, "tuft": 0.45}]},
+    "glare": {"cover": "bare", "look": "snow", "relief": RELIEF},
+}
+SAID = {"lake": "covered|surely|unknown", "hay": "covered|rough|surely", "glare": "unknown|surely|texture"}
+
+
+@cache
+def flown(ground: str) -> Decision:
+    """18 m above nothing but this, 25 exposures, true poses."""
+    scene = Scene.model_validate({"name": ground, "ground": {"size": [90, 90], **GROUNDS[ground]}})
+    rig = Rig((RigCamera("cam0", LENS, default_rig().cameras[0].body_from_cam),))
+    f = fly(scene, 3, 5.0, rig=rig, rate_hz=5.0, height=18.0, speed=2.0)
+    p = Pipeline(rig, "flight", load("", ["elevation.tile=128"]), f.truth_trajectory)
+    for event in f.events():
+        p.feed(event)
+    return p.finish()
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_there_is_no_site_and_it_is_said_why(ground: str) -> None:
+    d = flown(ground)
+    assert d.sites.sites == ()
+    assert any(word in d.sites.reason for word in SAID[ground].split("|")), d.sites.reason
+
+
+@pytest.mark.parametrize("ground", GROUNDS)
+def test_every_cell_that_is_not_safe_says_why_and_every_other_says_nothing(ground: str) -> None:
+    danger = flown(ground).hazards
+    if danger is None:  # no height at all: the whole map is the reason
+        assert ground == "glare"
+        return
+    safe = danger.p_safe >= load("", []).hazards.p_safe
+    assert ((danger.reasons == 0) == safe).all()
+    assert ((danger.reasons[np.isnan(danger.p_safe)] & (Hazard.UNKNOWN | Hazard.EDGE)) != 0).all()
+
+
+def test_water_and_tall_grass_are_refused_as_what_they_are() -> None:
+    for ground in ("lake", "hay"):
+        danger = flown(ground).hazards
+        assert danger is not None
+        known = np.isfinite(danger.p_safe)
+        assert ((danger.reasons[known] & (Hazard.TERRAIN | Hazard.ROUGHNESS | Hazard.SLOPE)) != 0).mean() > 0.5
