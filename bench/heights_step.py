@@ -1,10 +1,15 @@
-"""Rows of speed: CPU time of the recursive step on 640 x 480 cells over that of StereoSGBM in the same run."""
+"""Rows of speed: CPU time of the recursive step on 640 x 480 cells over that of StereoSGBM in the same run.
+
+python bench/heights_step.py      # where the time of a step goes
+"""
 
 from __future__ import annotations
 
 import statistics
 import time
+from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 from bench_steps import HEIGHT, texture, view
@@ -12,13 +17,31 @@ from heights_table import Row
 
 from alight.elevation import Elevation
 from alight.geometry import Grid
-from alight.parallax import Ring
+from alight.parallax import Ring, refine, ring, sweep, witness
 from alight.settings import Parallax
 
 VIEWS = 7
 CELL = HEIGHT / 480.0  # metres: a pixel of the camera
 SPACING = 0.8  # metres between exposures, 2 % of the height
 REPEATS = 12
+PARTS = {  # what is timed apart, outer before inner
+    "prepare the newest picture": (ring, "prepare"),
+    "baselines of what is seen": (refine, "sight"),
+    "rays that the map stops": (refine, "visible_from"),
+    "Gauss-Newton, all of it": (refine, "gauss_newton"),
+    "... its samples": (refine, "stack"),
+    "... its normal equations": (refine.kernels, "normal_equations"),
+    "... its solution": (refine.kernels, "solve"),
+    "... its plane prior": (refine.surface, "plane_prior"),
+    "sweep of new cells, all of it": (sweep, "sweep"),
+    "... its cost": (sweep.kernels, "sweep_cost"),
+    "... its aggregation": (sweep.kernels, "aggregate"),
+    "fuse with the map": (ring, "fused"),
+    "sigma and flags": (ring, "judged"),
+    "what moves": (witness, "moving"),
+    "the map: read": (Elevation, "read"),
+    "the map: add": (Elevation, "add"),
+}
 
 
 def cpu(work: Callable[[], object]) -> float:
@@ -70,3 +93,31 @@ def rows() -> list[Row]:
         steps.append(ours)
     name = f"CPU of a step (7 images, 640x480 cells; {1e3 * statistics.median(steps):.0f} ms) over StereoSGBM(64)"
     return [Row(name, statistics.median(ratios), 0.5, 0.25)]
+
+
+def profile() -> None:
+    """Print CPU time and share of each part of a step."""
+    spent, flight = Counter[str](), Flight()
+
+    def timed(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*given: Any, **named: Any) -> Any:
+            start = time.process_time()
+            try:
+                return work(*given, **named)
+            finally:
+                spent[name] += time.process_time() - start
+
+        return run
+
+    for name, (owner, attribute) in PARTS.items():
+        setattr(owner, attribute, timed(name, getattr(owner, attribute)))
+    whole = 0.0
+    for _ in range(REPEATS):
+        whole += cpu(flight.step)
+        flight.advance()
+    for name, seconds in {"one step": whole, **spent}.items():
+        print(f"{name:36s} {1e3 * seconds / REPEATS:6.1f} ms {100 * seconds / whole:5.0f} %")
+
+
+if __name__ == "__main__":
+    profile()
