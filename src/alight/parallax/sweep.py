@@ -118,7 +118,7 @@ def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wante
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
-            left[where] &= ~take
+            left[where] &= ~take if take.any() else False  # another try would ask the same view again
     return height, ratio
 
 
