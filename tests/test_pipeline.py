@@ -377,3 +377,17 @@ def test_thinning_keeps_the_newest_and_every_second() -> None:
     assert [f.t_ns for f in store.frames] == [0, 4, 7]
     assert store.bytes == 3 * 6
     assert store.taken == 8
+
+
+def test_what_could_not_be_refined_together_is_said() -> None:
+    """Two exposures are too few for a batch: the poses of the flight stay, and the run says so."""
+    f, events = flight()
+    lane = FilterLane(f.rig, load("", ["tracks.count=60", "motion.filter.points=16"]))
+    given = 0
+    for e in events:
+        given += lane.feed(e) is not None
+        if given == 2:
+            break
+    assert len(lane.finish(lambda share: None)) == 2
+    assert any("could not be refined" in w for w in lane.warnings)
+    assert "as it was in flight" in lane.notes["motion"]

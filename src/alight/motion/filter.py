@@ -201,7 +201,7 @@ class MotionFilter:
     def smoothed(self) -> list[Motion]:
         """The motions of all exposures so far, refined together (docs/method-motion.md, M18-M22).
 
-        Empty when `smooth` is off in the settings; the filter's own where a batch is not possible.
+        Empty when `smooth` is off in the settings, and where a batch is not possible.
         """
         return smooth(self._recording) if self._recording else []
 

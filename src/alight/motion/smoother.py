@@ -53,15 +53,13 @@ class Recording:
 
 
 def smooth(recording: Recording) -> list[Motion]:
-    """Refine all exposures together; the filter's own motions where that is not possible (fewer than three)."""
-    motions = [m for m, _, _ in recording.exposures]
-    if len(motions) < 3:
-        return motions
+    """Refine all exposures together; nothing where that is not possible (fewer than three, no solution)."""
+    if len(recording.exposures) < 3:
+        return []
     try:
         return _Batch(recording).run()
     except np.linalg.LinAlgError:
-        log.info("the batch over %d exposures has no solution; the filter's poses are used", len(motions))
-        return motions
+        return []
 
 
 @dataclass(frozen=True, eq=False)

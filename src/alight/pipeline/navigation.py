@@ -82,7 +82,8 @@ class FilterLane:
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The smoothed motions; a warning where the filter was lost."""
-        motions = self._filter.smoothed() or sorted(self._motions, key=lambda m: m.t_ns)
+        smoothed = self._filter.smoothed()
+        motions = smoothed or sorted(self._motions, key=lambda m: m.t_ns)
         for count, what in ((self._repeated, "have the stamp of an earlier one"), (self._filter.too_late, "came late")):
             if count:
                 self.warnings.append(f"motion: {count} exposures or GPS/INS rows {what} and are left out")
@@ -91,7 +92,10 @@ class FilterLane:
             self.warnings.append(f"motion: {what}")
         if anew := max((m.map for m in motions), default=0):
             self.warnings.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
-        smoothed = self._settings.smooth
+        if self._settings.smooth and motions and not smoothed:
+            self.warnings.append(
+                "motion: the exposures could not be refined together; the poses are those of the flight"
+            )
         self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions
 
