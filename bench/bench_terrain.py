@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from cover_fit import joined, module, rows, train
-from ground_flights import TEST, TUNING
+from ground_flights import FRESH, TUNING
 from ground_maps import judgeable
 
 from alight import terrain
@@ -96,7 +96,7 @@ def main() -> None:
         library(arguments.data)
     else:
         sample = [str(arguments.data / "sample")] if (arguments.data / "sample").is_dir() else []
-        measure(arguments.flights or [*TEST, *sample], arguments.scratch, arguments.model)
+        measure(arguments.flights or [*FRESH, *sample], arguments.scratch, arguments.model)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ PENALTY = 3e-5  # of squared costs
 QUANTILES = (0.02, 0.15, 0.35, 0.55, 0.75, 0.9, 0.98)
 COPIES = 2
 SHIFTS = {
-    ("dark", "bright"): 0.15, ("tint",): 0.1, ("residual", "worst residual"): 0.1, ("sigma",): 0.1,
-    ("cover", "cover around", "cover in the mean", "cover beyond", "cover far beyond", "cover share"): 0.3,
+    ("dark", "bright"): 0.15, ("tint",): 0.1, ("residual", "worst residual"): 0.1,
+    ("cover", "cover around", "cover in the mean", "cover beyond", "cover far beyond"): 0.3,
 }  # fmt: skip
 SCALED = ("dark", "bright", "residual", "worst residual")  # these shifts are factors
 # term: from where on, and how much at least, a unit of it costs, whatever flights say: on theirs no stone lies on bare

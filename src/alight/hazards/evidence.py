@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.special import expit, logit
+from scipy.special import logit
 
 from alight.hazards.contact import Footprint
 from alight.hazards.footprint import disc_mask, disc_spans
@@ -82,13 +82,10 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
     return {
         "coarse": np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
         "rise": -shape.rise_margin,
-        "deviation": _log(shape.footprint.roughness / np.float32(limit), 0.03),
         "even": _log(shape.even / np.float32(limit), 0.03),
         "broad": _log(shape.broad / np.float32(limit), 0.03),
         "over": _over(shape.even - np.float32(limit), mean_near(sigma, radius, cell)),
-        "scatter": _log(shape.footprint.scatter / np.float32(limit), 0.02),
         "unknown": shape.footprint.unknown,
-        "sigma": _log(mean_near(sigma, radius, cell) / np.float32(limit), 0.02),
         "residual": mean_near(residual, radius, cell),
         "worst residual": worst_near(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
         "cover": worst_near(doubt, inner, cell),
@@ -96,7 +93,6 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
         "cover in the mean": mean_near(doubt, radius, cell),
         "cover beyond": worst_near(np.asarray(around, np.float32), radius + BEYOND, cell),
         "cover far beyond": mean_near(np.asarray(around, np.float32), radius + 3 * BEYOND, cell),
-        "cover share": np.log(mean_near(np.asarray(expit(doubt), np.float32), radius, cell)),
         "dark": worst_near(small["dark"], inner, cell),
         "bright": worst_near(small["bright"], inner, cell),
         "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),
