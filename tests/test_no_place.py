@@ -58,5 +58,4 @@ def test_water_and_tall_grass_are_refused_as_what_they_are() -> None:
     for ground in ("lake", "hay"):
         danger = flown(ground).hazards
         assert danger is not None
-        known = np.isfinite(danger.p_safe)
-        assert ((danger.reasons[known] & (Hazard.TERRAIN | Hazard.ROUGHNESS | Hazard.SLOPE)) != 0).mean() > 0.5
+        assert ((danger.reasons & Hazard.TERRAIN) != 0).mean() > 0.8
