@@ -74,7 +74,7 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
     cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
     inner = radius - min(INNER, radius / 4)
     doubt = doubt_of(terrain, elevation.grid.shape)
-    around = cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5))
+    around = np.asarray(cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5)), np.float32)
     sigma = np.nan_to_num(elevation.sigma, nan=1.0)
     small = spots(elevation)
     usual = mean_near(small["tint"], radius, cell) + np.float32(USUAL)
@@ -89,10 +89,10 @@ def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lan
         "residual": mean_near(residual, radius, cell),
         "worst residual": worst_near(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
         "cover": worst_near(doubt, inner, cell),
-        "cover around": worst_near(np.asarray(around, np.float32), inner, cell),
+        "cover around": worst_near(around, inner, cell),
         "cover in the mean": mean_near(doubt, radius, cell),
-        "cover beyond": worst_near(np.asarray(around, np.float32), radius + BEYOND, cell),
-        "cover far beyond": mean_near(np.asarray(around, np.float32), radius + 3 * BEYOND, cell),
+        "cover beyond": worst_near(around, radius + BEYOND, cell),
+        "cover far beyond": mean_near(around, radius + 3 * BEYOND, cell),
         "dark": worst_near(small["dark"], inner, cell),
         "bright": worst_near(small["bright"], inner, cell),
         "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),

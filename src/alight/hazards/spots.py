@@ -8,6 +8,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from alight.geometry import blocks
 from alight.records import F32, U8, ElevationMap
 
 SURROUNDINGS = 0.25  # metres, 1-sigma of what a spot is compared with
@@ -27,10 +28,7 @@ def _against_surroundings(values: F32, seen: F32, sigma: float) -> F32:
 
 def _most(values: F32, factor: int) -> F32:
     """The largest value of the pixels of each cell."""
-    if factor == 1:
-        return values
-    rows, cols = values.shape[0] // factor, values.shape[1] // factor
-    return np.asarray(values.reshape(rows, factor, cols, factor).max(axis=(1, 3)), np.float32)
+    return np.asarray(blocks(values, factor).max(axis=(1, 3)), np.float32)
 
 
 def spots(elevation: ElevationMap) -> dict[str, F32]:

@@ -10,24 +10,14 @@ from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
-from alight.geometry import Grid, ground_projection
+from alight.geometry import Grid, ground_projection, nearest_known
 from alight.parallax.views import project_cells, radius2_limit, rgb_of
 from alight.records import F32, U8, ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
 FACTOR = 2  # fine pixels a cell, each way: cells are 1.8 pixels wide
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
-
-
-def _filled(height: F32) -> F32:
-    """Unknown heights taken from the nearest known cell."""
-    unknown = np.isnan(height)
-    if not unknown.any() or unknown.all():
-        return np.nan_to_num(height)
-    at = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    return np.asarray(height[tuple(at)], np.float32)
 
 
 def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
@@ -87,7 +77,8 @@ def ortho(views: Sequence[View], elevation: ElevationMap, count: int = 5) -> U8:
     Returns:
         (2 R, 2 C, 3); the map's own colours where none of the views looks, black where nothing was seen.
     """
-    grid, height, factor = elevation.grid, _filled(elevation.height), FACTOR
+    grid, factor = elevation.grid, FACTOR
+    height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out = np.repeat(np.repeat(elevation.rgb, factor, axis=0), factor, axis=1)
     for rows, cols, part in _blocks(grid):

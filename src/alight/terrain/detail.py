@@ -8,18 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from alight.geometry import blocks, nearest_known
 from alight.records import F32, U8, ElevationMap, Flag
 
-Bool = NDArray[np.bool_]
 Found = Iterator[tuple[str, F32]]
-T = TypeVar("T", F32, U8)
 WIDTHS = (0.7, 1.4, 2.8, 5.6, 11.2)  # fine pixels, 1-sigma: bands lie between each and the next
 HEIGHT_WIDTHS = (0.8, 1.6, 3.2, 6.4)  # cells
 NEAR, WIDE = 0.3, 1.0  # metres over which the strength of a band is gathered
@@ -43,26 +39,12 @@ def mean_about(values: F32, sigma: float) -> F32:
     return np.asarray(cv2.resize(small, values.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def filled(values: T, known: Bool) -> T:
-    """Unknown places take the nearest known one's value."""
-    if known.all() or not known.any():
-        return values
-    at = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    out: T = values[tuple(at)]
-    return out
-
-
-def _blocks(fine: F32, factor: int) -> F32:
-    rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
-    return fine.reshape(rows, factor, cols, factor)
-
-
 def _mean(fine: F32, factor: int) -> F32:
-    return np.asarray(_blocks(fine, factor).mean(axis=(1, 3)), np.float32)
+    return np.asarray(blocks(fine, factor).mean(axis=(1, 3)), np.float32)
 
 
 def _most(fine: F32, factor: int) -> F32:
-    return np.asarray(_blocks(fine, factor).max(axis=(1, 3)), np.float32)
+    return np.asarray(blocks(fine, factor).max(axis=(1, 3)), np.float32)
 
 
 def _strength(power: F32, sigma: float) -> F32:
@@ -81,7 +63,7 @@ def _most_near(values: F32, cell: float) -> F32:
 
 def channels(rgb: U8) -> dict[str, F32]:
     """Log brightness and the log ratios of red and blue to green of a picture; what was not seen is like its rim."""
-    picture = filled(rgb, rgb.max(axis=2) > 0).astype(np.float32) + 2
+    picture = nearest_known(rgb, rgb.max(axis=2) > 0).astype(np.float32) + 2
     green = np.log(picture[..., 1])
     red, blue = np.log(picture[..., 0]) - green, np.log(picture[..., 2]) - green
     return {"light": np.asarray(np.log(picture.mean(axis=2)), np.float32), "red": red, "blue": blue}
@@ -146,6 +128,6 @@ def detail(elevation: ElevationMap) -> Found:
         yield from bands(name, values, factor, cell)
         if name == "light":
             yield from spots(values, factor, cell)
-    height = filled(elevation.height, np.isfinite(elevation.height))
+    height = nearest_known(elevation.height, np.isfinite(elevation.height))
     yield from bumps(np.nan_to_num(height - np.float32(np.median(height))), cell)
     yield from doubts(elevation)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
+from alight.geometry import nearest_known
 from alight.kernels.terrain import fill_basins
 from alight.records import F32, ElevationMap
 from alight.settings import TerrainSettings
@@ -93,16 +93,6 @@ def standing_water(ground: F32, wet: Bool) -> tuple[F32, F32]:
     return level - ground, level
 
 
-def nearest_known(values: F32) -> F32:
-    """Give unknown cells the value of the nearest known one; all NaN stays all NaN."""
-    unknown = np.isnan(values)
-    if unknown.all():
-        return values
-    rows, cols = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    filled: F32 = values[rows, cols]
-    return filled
-
-
 def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Relief:
     """Measure the shape of the ground; on blocks of about half a metre where it is wide.
 
@@ -126,5 +116,5 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
         depth=spread_out(depth, size, shape),
         level=spread_out(level, size, shape),
-        ground=spread_out(nearest_known(bed), size, shape),
+        ground=spread_out(nearest_known(bed, ~np.isnan(bed)), size, shape),
     )
