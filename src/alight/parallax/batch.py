@@ -15,7 +15,7 @@ import numpy as np
 
 from alight.geometry import Grid
 from alight.parallax import refine, trust, witness
-from alight.parallax.sweep import Swept, look, planes, sweep
+from alight.parallax.sweep import Swept, look, sweep
 from alight.parallax.views import Prepared, choose, maps, prepare, rgb_of, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import Parallax
@@ -72,10 +72,10 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     if len(chosen) < 2:
         return None
     fine = [images.get(i) for i in chosen]
-    levels, ground = planes(fine, low, high, grid.cell), min(max(images.height, low), high)
+    ground = min(max(images.height, low), high)
     of = choose([images.views[i] for i in chosen], grid, 0.5 * (low + high), REFERENCES, MAX_TANGENT)
-    start, ratio = agreed([sweep(fine, grid, levels, ground, k) for k in of])
-    rest, its_ratio = look(fine, grid, levels, ground, np.isnan(start))
+    start, ratio = agreed([sweep(fine, grid, (low, high), ground, k) for k in of])
+    rest, its_ratio = look(fine, grid, (low, high), ground, np.isnan(start))
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None

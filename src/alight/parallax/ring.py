@@ -18,7 +18,7 @@ from alight.kernels import trust as kernels
 from alight.parallax import refine, trust, witness
 from alight.parallax.alignment import Alignment, Kept
 from alight.parallax.batch import judged, picture_at
-from alight.parallax.sweep import look, planes
+from alight.parallax.sweep import look
 from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare
 from alight.records import F32, F64, U8, ElevationMap, Heights, PoseRing, View
 from alight.settings import Parallax
@@ -176,8 +176,7 @@ class Ring:
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
             return start, fresh
-        levels, ground = planes(fine, *searched, grid.cell), float(np.clip(self._ground, *searched))
-        new, found = look(fine, grid, levels, ground, fresh)
+        new, found = look(fine, grid, searched, float(np.clip(self._ground, *searched)), fresh)
         told = before + shift_of((new - before)[fresh], per_px[fresh])
         new = np.where(np.abs(new - told) < SAME_PX * per_px, told, new)
         wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)

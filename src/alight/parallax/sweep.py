@@ -32,18 +32,19 @@ LEAST_BLOCKS = 4  # of a region
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
 
 Mask = NDArray[np.bool_]
+Span = tuple[float, float]  # lowest and highest height, metres
 Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
 
 
-def parallax_per_metre(prepared: list[Prepared], height: float) -> float:
-    """Metres of slide over the ground between the two outermost views, a metre of height."""
-    v = np.array([p.centre[:2] / max(p.centre[2] - height, 1e-3) for p in prepared])
+def parallax_per_metre(centres: F64, height: float) -> float:
+    """Metres of slide over the ground between the two outermost of the `centres` (N, 3), a metre of height."""
+    v = centres[:, :2] / np.maximum(centres[:, 2:] - height, 1e-3)
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
-def planes(prepared: list[Prepared], low: float, high: float, cell: float) -> F32:
-    """The heights to try: 0.7 cells of parallax apart between the outermost views, at most `MOST_PLANES`."""
-    slide = max(parallax_per_metre(prepared, 0.5 * (low + high)), 1e-3)
+def planes(centres: F64, low: float, high: float, cell: float) -> F32:
+    """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `MOST_PLANES`."""
+    slide = max(parallax_per_metre(centres, 0.5 * (low + high)), 1e-3)
     count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, MOST_PLANES))
     return np.linspace(low, high, count).astype(np.float32)
 
@@ -68,11 +69,11 @@ class Registered:
         return s * t * (cells.cell / self.grid.cell), np.column_stack([row, col])
 
 
-def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32, reference: int) -> Registered:
-    """Register views on the plane at `ground` about `grid`, so far beyond it as the `levels` need."""
+def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
+    """Register views on the plane at `ground` about `grid`, so far beyond it as the heights `searched` need."""
     centres = centres_of(prepared)
     slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
-    share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in (levels[0], levels[-1]))
+    share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in searched)
     pad = math.ceil(slide * share / grid.cell) + 3
     wide = grid.window(-pad, -pad, grid.rows + 2 * pad, grid.cols + 2 * pad)
     level = np.full(wide.shape, ground, np.float32)
@@ -84,11 +85,11 @@ def register(prepared: list[Prepared], grid: Grid, ground: float, levels: F32, r
     return Registered(wide, ground, pictures[sees], centres[sees], np.ascontiguousarray(inner))
 
 
-def lattice(grid: Grid, ground: float, levels: F32, reference: Prepared) -> Grid:
-    """The cells at `ground` whose rays to the reference cross `grid` at any of the `levels`, where it has a picture."""
+def lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
+    """The cells at `ground` whose rays to the reference cross `grid` where `searched`, where it has a picture."""
     about = reference.centre
     x, y = (v[[0, -1]] for v in grid.xy())
-    share = np.array([(about[2] - ground) / (about[2] - z) for z in (levels[0], levels[-1])])
+    share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
     east = (about[0] + np.multiply.outer(share, x - about[0])).ravel()
     north = (about[1] + np.multiply.outer(share, y - about[1])).ravel()
     (top, bottom), (left, right) = ((math.floor(i.min()), math.ceil(i.max()) + 1) for i in grid.index(east, north))
@@ -100,7 +101,7 @@ def lattice(grid: Grid, ground: float, levels: F32, reference: Prepared) -> Grid
     return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
 
 
-def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wanted: Mask) -> Swept:
+def look(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, wanted: Mask) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
     What that one does not see, behind a step or beyond its border, is swept along the rays of others.
@@ -114,7 +115,7 @@ def look(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, wante
             reference = best_reference(prepared, part, ground, left[where])
             if reference is None:
                 continue
-            found, of = sweep(prepared, part, levels, ground, reference)
+            found, of = sweep(prepared, part, searched, ground, reference)
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
@@ -150,18 +151,20 @@ def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: 
     return int(np.argmax(worth)) if max(worth) > 0 else None
 
 
-def sweep(prepared: list[Prepared], grid: Grid, levels: F32, ground: float, reference: int) -> Swept:
-    """Find the height of every cell that view `reference` sees, among `levels` (docs/method.md, eqs. 6 and 7).
+def sweep(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int) -> Swept:
+    """Find the height of every cell that view `reference` sees (docs/method.md, eqs. 6 and 7).
 
-    `ground`: metres, about where most of it lies.
+    `searched`: lowest and highest height, metres; `ground`: metres, about where most of it lies. As many planes are
+    tried as the views that see any of it can tell apart.
 
     Returns:
         heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
         second one fits.
     """
     about = prepared[reference].centre
-    rays = lattice(grid, ground, levels, prepared[reference])
-    views = register(prepared, rays, ground, levels, reference)
+    rays = lattice(grid, ground, searched, prepared[reference])
+    views = register(prepared, rays, ground, searched, reference)
+    levels = planes(views.centres, *searched, grid.cell)
     cost = np.empty((*rays.shape, len(levels)), np.float32)
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
     pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
