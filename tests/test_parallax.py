@@ -319,9 +319,6 @@ def test_the_size_of_a_pixel_on_the_ground() -> None:
 
 
 def test_parallax_per_metre_is_the_widest_baseline_over_the_height() -> None:
-    views = [
-        replace(level_views()[0], world_from_cam=Pose(DOWN, np.array([x, y, UP]))) for x, y in [(0, 0), (3, 4), (1, 1)]
-    ]
-    ready = [prepare(v, CELL, 0.0) for v in views]
-    assert parallax_per_metre(ready, 0.0) == pytest.approx(5.0 / UP)
-    assert parallax_per_metre(ready, 10.0) == pytest.approx(5.0 / (UP - 10.0))
+    centres = np.array([[x, y, UP] for x, y in [(0, 0), (3, 4), (1, 1)]], float)
+    assert parallax_per_metre(centres, 0.0) == pytest.approx(5.0 / UP)
+    assert parallax_per_metre(centres, 10.0) == pytest.approx(5.0 / (UP - 10.0))

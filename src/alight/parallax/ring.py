@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -202,7 +203,7 @@ class Ring:
             take = mapx >= 0  # not where there is no height
             if only is not None:
                 take &= only[where]
-            np.copyto(out[where], picture_at(view, fine, mapx, mapy), where=take[..., None])
+            cv2.copyTo(picture_at(view, fine, mapx, mapy), take.view(np.uint8), out[where])
         return out
 
 
