@@ -1,4 +1,4 @@
-"""Rows of speed: CPU time of the recursive step on 640 x 480 cells over that of StereoSGBM in the same run, by one thread.
+"""Rows of speed: CPU time of the recursive step on 640 x 480 cells over StereoSGBM's in the same run, one thread each.
 
 python bench/heights_step.py      # where the time of a step goes
 """

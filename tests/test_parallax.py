@@ -16,7 +16,7 @@ from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
 from alight.parallax.ground import triangulate
 from alight.parallax.sweep import parallax_per_metre
-from alight.parallax.views import choose, prepare
+from alight.parallax.views import choose
 from alight.records import REFUSED, ElevationMap, Flag, Heights, View
 from alight.settings import Parallax
 

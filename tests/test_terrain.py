@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from ground import BROWN, GREEN, GREY, POND, ground, textured
 from numpy.testing import assert_allclose
 
-from alight.records import ElevationMap, Flag, Terrain
+from alight.geometry import Grid
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
-from alight.terrain import classify
+from alight.terrain import classify, open_water
 from alight.terrain.relief import ground_under, outside, standing_water
 
 SHAPE = (240, 240)
@@ -147,6 +150,21 @@ def test_the_ground_under_a_plane_is_the_plane() -> None:
     inner = (slice(10, 50), slice(10, 50))
     assert_allclose(ground_under(rock, 8.0)[inner], z[inner], atol=0.06)
     assert_allclose(ground_under(z, 8.0)[inner], z[inner], atol=1e-5)
+
+
+def test_a_height_is_taken_back_where_the_patch_is_water_not_where_that_is_the_likeliest_hazard() -> None:
+    label = np.full((20, 30), Terrain.BARE, np.uint8)
+    label[2:12, 2:12] = label[2:12, 15:25] = label[15:18, 2:8] = Terrain.WATER
+    p = np.full((20, 30, 8), 0.1, np.float16)
+    p[2:12, 2:12, Terrain.WATER - 1] = 0.9
+    p[5, 5, Terrain.WATER - 1] = 0.2  # a doubtful cell of a pond
+    p[2:12, 15:25, Terrain.WATER - 1] = 0.4  # a shadow beside a bush
+    p[3, 16, Terrain.WATER - 1] = 0.9
+    cover = TerrainMap(Grid(0.0, 0.0, 0.1, 20, 30), label, np.zeros((20, 30), np.float32), p)
+    wet = open_water(cover)
+    assert wet[2:12, 2:12].all()
+    assert wet.sum() == 100
+    assert open_water(replace(cover, probability=None)).sum() == 218  # nothing but the names is known
 
 
 def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -> None:

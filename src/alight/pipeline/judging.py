@@ -9,10 +9,11 @@ import numpy as np
 
 from alight import hazards, sites, terrain
 from alight.parallax import ortho
-from alight.records import F64, ElevationMap, Flag, HazardMap, Look, Sites, Terrain, TerrainMap, View
+from alight.records import F64, ElevationMap, Flag, HazardMap, Look, Sites, TerrainMap, View
 from alight.settings import Settings
 
 Timed = Callable[[str, float], float]  # stage, when it began: now
+WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
 
 
@@ -103,5 +104,4 @@ def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> Elevatio
     """
     if cover is None:
         return elevation
-    wet = np.where(cover.label == Terrain.WATER, np.uint16(Flag.WATER), np.uint16(0))
-    return replace(elevation, flags=elevation.flags | wet)
+    return replace(elevation, flags=elevation.flags | np.where(terrain.open_water(cover), WET, np.uint16(0)))

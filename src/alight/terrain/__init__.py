@@ -2,5 +2,6 @@
 
 from alight.terrain.classify import classify, says
 from alight.terrain.model import Model
+from alight.terrain.water import open_water
 
-__all__ = ["Model", "classify", "says"]
+__all__ = ["Model", "classify", "open_water", "says"]

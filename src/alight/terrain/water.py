@@ -5,8 +5,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median
 
-from alight.records import F32, ElevationMap, Flag
+from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen, smooth
 from alight.terrain.patchwork import without_specks
@@ -14,6 +15,7 @@ from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
 SEEN_AS = 0.2  # share of what looks alike that must be water by itself: of ponds on flights 0.2 to 1, of pavement less
+LIKELY = 0.5  # median P(water) of a patch whose heights are those of a bed: of the sample's pond 0.98
 
 
 def _ramp(values: F32, low: float, high: float) -> F32:
@@ -97,3 +99,18 @@ def ponds(elevation: ElevationMap, look: Appearance, shape: Relief, wet: F32, se
     odds = water_odds(look, shape, _moving(elevation), settings)
     near = smooth(odds, seen(elevation).astype(np.float32), 0.2 / cell)
     return flooded(near, wet, shape.level - shape.depth, cell)
+
+
+def open_water(cover: TerrainMap) -> Bool:
+    """(R, C): the patches of water that are more likely water than not, all of each.
+
+    A cell that must not be landed on is called water where that is the likeliest hazard, however unlikely: a shadow
+    beside a bush is. For a refusal the name is no matter; a height is taken back only where the patch is water.
+    """
+    wet = np.asarray(cover.label == Terrain.WATER)
+    if cover.probability is None or not wet.any():
+        return wet
+    count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
+    likely = cover.probability[wet, Terrain.WATER - 1].astype(np.float32)
+    middle = median(likely, patches[wet], np.arange(1, count))
+    return np.asarray(np.concatenate([[False], middle >= LIKELY])[patches])
