@@ -13,7 +13,7 @@ from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.navigation import FilterLane
 from alight.pipeline.store import FrameStore
-from alight.pipeline.terrain_lane import nice_cell
+from alight.pipeline.terrain_lane import lone, nice_cell
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load
 from alight.simulate import SimulatedFlight, default_rig, fly
@@ -148,6 +148,16 @@ def test_what_is_too_vague_is_refused() -> None:
 
 
 # -- memory
+
+
+def test_a_height_among_refused_ones_is_refused() -> None:
+    given = np.zeros((60, 80), np.bool_)
+    given[5, 5] = given[20:23, 40:44] = True  # one cell, and twelve of 121
+    given[30:, :] = True  # a half-plane: at its border half of what is about is given out
+    given[45:50, 60:65] = False
+    alone = lone(given)
+    assert alone.sum() == 13
+    assert not alone[24:].any()
 
 
 def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.elevation import FIELDS, Elevation, Far
 from alight.geometry import Grid
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View
+from alight.records import F64, REFUSED, ElevationMap, Flag, Gauge, Heights, PoseRing, View
 from alight.settings import Settings
 
 MAX_SIGMA = 0.005  # of the height: 95 of 100 are then within a hundredth of it
@@ -26,6 +27,9 @@ MOST_POINTS = 20_000  # that say where the ground is
 LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
 BEYOND = 0.3  # share of a step's cells at an end of the range that asks for another
 LEAST_KNOWN = 400  # heights of the map that say it better
+# a height is given out among others that are: of lone ones one in six is wrong, on ground of little texture one in five
+LEAST_GIVEN = 0.25  # of the cells about it
+ABOUT = 11  # cells
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 Progress = Callable[[float], None]
@@ -65,6 +69,11 @@ def footprint(view: View, height: float) -> NDArray[np.float64]:
     rays = rays @ view.world_from_cam.rotation.T
     down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
+
+
+def lone(given: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the heights that are given out, (R, C), have too few about them that are."""
+    return np.asarray(given & (cv2.blur(given.astype(np.float32), (ABOUT, ABOUT)) < LEAST_GIVEN))
 
 
 @dataclass(eq=False)
@@ -173,7 +182,7 @@ class TerrainLane:
             if only(grid):
                 heights = match(images, grid, *self._range(grid, camera), self.settings.parallax)
                 if heights is not None:
-                    self.elevation.add(self._without_vague(core(heights, MARGIN), camera))
+                    self.elevation.add(core(self._without_doubtful(heights, camera), MARGIN))
                     self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
                     done += 1
             progress((n + 1) / len(keys))
@@ -217,7 +226,7 @@ class TerrainLane:
         if found is None:
             return False
         self.gauge = found.gauge
-        found = self._without_vague(found, up)
+        found = self._without_doubtful(found, up)
         self.beyond = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > BEYOND)
         heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
         if len(heights) >= LEAST_KNOWN // 4:
@@ -226,12 +235,13 @@ class TerrainLane:
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
-    def _without_vague(self, heights: Heights, camera: float) -> Heights:
-        """Refuse heights of too large a sigma; what that is goes with the camera's height above the ground."""
+    def _without_doubtful(self, heights: Heights, camera: float) -> Heights:
+        """Refuse heights of too large a sigma, which goes with the camera's height above the ground, and lone ones."""
         ground = self.ground if self.below is None else self.below
         limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(camera - (ground or 0.0), 1.0)
-        flags = np.where(heights.sigma > limit, heights.flags | np.uint16(Flag.UNSURE), heights.flags)
-        return replace(heights, flags=flags.astype(np.uint16))
+        given = ((heights.flags & np.uint16(REFUSED)) == 0) & ~(heights.sigma > limit)
+        unsure = np.where((heights.sigma > limit) | lone(given), np.uint16(Flag.UNSURE), np.uint16(0))
+        return replace(heights, flags=heights.flags | unsure)
 
     def map_under(self, views: Sequence[View]) -> ElevationMap | None:
         """The map of what the views look at, on the newest keyframe's cells; None where nothing was seen yet."""
