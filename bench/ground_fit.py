@@ -156,8 +156,18 @@ def calibration(samples: list[Sample], found: list[F32]) -> tuple[tuple[float, .
     return tuple(round(v, 2) for v in at), tuple(round(float(v), 2) for v in rising)
 
 
+def claimed(samples: list[Sample], found: list[F32], fold_of: dict[str, int]) -> list[F32]:
+    """P of each flight, its odds worth what they were worth on the other folds."""
+    worth = {}
+    for fold in set(fold_of.values()):
+        others = [k for k, s in enumerate(samples) if fold_of[s.name] != fold]
+        worth[fold] = calibration([samples[k] for k in others], [found[k] for k in others])
+    p = [expit(np.interp(z, *worth[fold_of[s.name]])) for s, z in zip(samples, found, strict=True)]
+    return [s.level * np.asarray(v, np.float32) for s, v in zip(samples, p, strict=True)]
+
+
 def tell(done: list[tuple[Judged, float, float]]) -> None:
-    """What is false and found at some levels, flights left out, as comment lines."""
+    """What is false and found at some levels, flights left out of all that judges them, as comment lines."""
     total = sum(w * j.safe.sum() / max(share, 1e-9) for j, share, w in done)
     for j, share, _ in done:
         parts = []
@@ -203,10 +213,9 @@ def main() -> None:
     options = parser.parse_args()
     samples, fold_of = samples_of(TUNING, options.scratch)
     found = left_out(samples, fold_of)
-    worth = calibration(samples, found)
-    p = [s.level * np.asarray(expit(np.interp(z, *worth)), np.float32) for s, z in zip(samples, found, strict=True)]
+    p = claimed(samples, found, fold_of)
     tell([(Judged(s.name, v, s.safe, s.near), s.share, s.weight) for s, v in zip(samples, p, strict=True)])
-    print(module(fit(samples), worth, len(samples)))
+    print(module(fit(samples), calibration(samples, found), len(samples)))
 
 
 if __name__ == "__main__":
