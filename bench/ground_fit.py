@@ -2,54 +2,43 @@
 
     python bench/ground_fit.py > src/alight/hazards/weights.py
 
-Additive logistic regression on ramps, every cost at least 0, every map weighing the same. Each map is used COPIES
-times, its evidence shifted as another camera or other ground might: nothing may hang on what one simulator draws. The
-cover of each flight is judged by a net, and its odds are found by costs, that have not seen the flight; what such odds
-were worth is the calibration.
+A small net whose weights are all at least 0, on top of costs that no flight may undercut, every map weighing the same.
+Each time round the evidence of every map is shifted, as another camera or other ground might shift it: nothing may hang
+on what one simulator draws. The cover of each flight is judged by a net, and its odds are found by another, that have
+not seen the flight; what such odds were worth is the calibration.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from cover_fit import instead, joined, rows, train
+from cover_fit import Adam, Net, instead, joined, rows, text_of, train
 from ground_flights import TUNING, Judged, cover_of, pooled, reliability
 from ground_maps import How, judgeable
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import isotonic_regression
 from scipy.special import expit, logit
 
-from alight.hazards.belief import ramps
-from alight.records import F32, F64, Flag
+from alight.hazards.belief import learned_costs, least_costs
+from alight.net import CLIP
+from alight.records import F32, Flag
 from alight.settings import Settings
 
 stage = import_module("alight.hazards.assess")  # the module: the package names its function so
 
 SOME = 5000  # cells of a map
-PENALTY = 3e-5  # of squared costs
-QUANTILES = (0.02, 0.15, 0.35, 0.55, 0.75, 0.9, 0.98)
-COPIES = 2
-SHIFTS = {
-    ("dark", "bright"): 0.15, ("tint",): 0.1, ("residual", "worst residual"): 0.1,
-    ("cover", "cover around", "cover in the mean", "cover beyond", "cover far beyond"): 0.3,
-}  # fmt: skip
-SCALED = ("dark", "bright", "residual", "worst residual")  # these shifts are factors
-# term: from where on, and how much at least, a unit of it costs, whatever flights say: on theirs no stone lies on bare
-# concrete and no gap is half a footprint
-LEAST = {
-    "unknown": (0.05, 8.0), "even": (-0.7, 2.0), "broad": (-0.7, 3.0), "over": (-1.5, 0.7), "rise": (-2.0, 0.5),
-    "dark": (0.25, 5.0), "bright": (0.3, 3.0),
-}  # fmt: skip
-BEYOND = {"unknown": 0.35, "even": 0.4, "broad": 0.0, "over": 2.0, "dark": 1.2, "bright": 1.2}  # the last knot
+HIDDEN = 16
+SHIFT = 0.35  # of a term's spread, 1-sigma of what a flight's evidence is shifted by
+PENALTY = 1e-3  # of squared weights
+ROUNDS, BATCH, RATE = 8, 2048, 4e-3
 FOLDS = 5  # of flights, each judged by what was fitted without it
-STEPS = (0.0, 0.1, 0.25, 0.4, 0.55, 0.7, 0.8, 0.88, 0.93, 0.96, 0.98, 1.0)  # of the cells, by their odds
+STEPS = (0.0, 0.02, *np.linspace(0.05, 0.95, 19), 0.98, 1.0)  # of the cells, by their odds
 Bool = NDArray[np.bool_]
-Table = dict[str, tuple[tuple[float, ...], tuple[float, ...]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,104 +85,89 @@ def sample(name: str, how: How, scratch: Path) -> Sample | None:
     return Sample(f"{name}, {how}", terms, safe.ravel()[some], near.ravel()[some], level, share, len(left) / len(some))
 
 
-def knots_of(samples: list[Sample]) -> dict[str, tuple[float, ...]]:
-    """Quantiles of every term, maps weighing the same."""
-    out = {}
-    for name in samples[0].terms:
-        values = np.concatenate([np.resize(s.terms[name], SOME) for s in samples])
-        found = np.unique(np.quantile(values, QUANTILES).round(3))
-        found = np.unique([*found, max(BEYOND.get(name, found[0]), found[-1])])
-        out[name] = tuple(float(v) for v in (found if len(found) > 1 else (found[0], found[0] + 1.0)))
-    return out
+def _slopes(layers: list[F32], x: F32, least: F32, unsafe: F32) -> list[F32]:
+    """Of the mean log loss, the costs being those of the net and the least ones together."""
+    inner, outer = layers
+    hidden = np.tanh(x @ inner[:-1] + inner[-1])
+    units = hidden.shape[1]
+    seen = np.hstack([hidden, x])
+    cost = (seen @ outer[:-1] + outer[-1])[:, 0] + least
+    off = np.asarray(((expit(cost) - unsafe) / len(x))[:, None], np.float32)
+    back = (off @ outer[:units].T) * (1 - hidden**2)
+    pairs = ((x, back, inner), (seen, off, outer))
+    return [np.vstack([a.T @ b + np.float32(PENALTY) * w[:-1], b.sum(axis=0)[None]]) for a, b, w in pairs]
 
 
-def design(terms: dict[str, F32], knots: dict[str, tuple[float, ...]]) -> F64:
-    """(N, ramps)."""
-    return np.stack([r for k, kn in knots.items() for r in ramps(terms[k], kn)], axis=1).astype(np.float64)
+def fit(samples: list[Sample]) -> Net:
+    """The net of some flights: Adam, weights that became less than 0 put back to 0 after each step."""
+    rng, names = np.random.default_rng(0), tuple(samples[0].terms)
+    values = [np.stack([s.terms[k] for k in names], axis=1) for s in samples]
+    usual, spread = (np.mean([f(v, axis=0) for v in values], axis=0).astype(np.float32) for f in (np.mean, np.std))
+    x = np.concatenate([(v - usual) / (spread + np.float32(1e-3)) for v in values])
+    least = np.concatenate([least_costs(s.terms) for s in samples])
+    unsafe = np.concatenate([~s.near for s in samples]).astype(np.float32)
+    weight = np.concatenate([np.full(len(v), 1 / len(v) / len(samples)) for v in values])
+    flight = np.repeat(np.arange(len(values)), [len(v) for v in values])
+    inner = np.vstack([np.abs(rng.normal(0, len(names) ** -0.5, (len(names), HIDDEN))), rng.normal(0, 1, (1, HIDDEN))])
+    outer = np.concatenate([np.abs(rng.normal(0, 1, HIDDEN)), np.full(len(names), 0.05), np.zeros(1)])[:, None]
+    layers = [inner.astype(np.float32), outer.astype(np.float32)]
+    adam, steps = Adam(layers), len(x) // BATCH
+    for step in range(ROUNDS * steps):
+        if step % steps == 0:
+            drawn = rng.choice(len(x), steps * BATCH, p=weight)
+            shift = rng.normal(0, SHIFT, (len(values), len(names))).astype(np.float32)
+        i = drawn[step % steps * BATCH :][:BATCH]
+        slopes = _slopes(layers, (x[i] + shift[flight[i]]).clip(-CLIP, CLIP), least[i], unsafe[i])
+        adam.step(slopes, RATE * 0.5 * (1 + np.cos(np.pi * step / (ROUNDS * steps))))
+        for w in layers:
+            np.maximum(w[:-1], 0, out=w[:-1])
+    return Net(names, usual, spread + np.float32(1e-3), tuple(layers))
 
 
-def elsewhere(s: Sample, rng: np.random.Generator) -> Sample:
-    """The same map with evidence as another camera and other ground might give it."""
-    terms = dict(s.terms)
-    for group, sigma in SHIFTS.items():
-        by = np.float32(rng.normal(0, sigma))
-        for k in group:
-            terms[k] = terms[k] * np.exp(by) if k in SCALED else terms[k] + by
-    return replace(s, terms=terms)
-
-
-def least_costs(knots: dict[str, tuple[float, ...]]) -> list[float]:
-    """Of every ramp."""
-    none = (np.inf, 0.0)
-    return [
-        max(0.0, b - max(a, LEAST.get(k, none)[0])) * LEAST.get(k, none)[1] if b > LEAST.get(k, none)[0] else 0.0
-        for k, kn in knots.items()
-        for a, b in pairwise(kn)
-    ]
-
-
-def fit(samples: list[Sample], knots: dict[str, tuple[float, ...]]) -> tuple[Table, float]:
-    """Costs of the ramps and the base."""
-    rng = np.random.default_rng(0)
-    copies = [*samples, *(elsewhere(s, rng) for s in samples for _ in range(COPIES - 1))]
-    X = np.concatenate([design(s.terms, knots) for s in copies])
-    sign = np.concatenate([np.where(s.near, 1.0, -1.0) for s in copies])
-    weight = np.concatenate([np.full(len(s.near), 1 / len(s.near) / len(copies)) for s in copies])
-
-    def loss(b: F64) -> tuple[float, F64]:
-        z = sign * (b[0] - X @ b[1:])
-        off = -weight * sign / (1 + np.exp(z))
-        value = float((weight * np.logaddexp(0, -z)).sum() + 0.5 * PENALTY * (b[1:] ** 2).sum())
-        return value, np.concatenate([[off.sum()], -(X.T @ off) + PENALTY * b[1:]])
-
-    least = least_costs(knots)
-    bounds = [(None, None)] + [(v, None) for v in least]
-    start = np.array([0.0, *least])
-    b = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200}).x
-    costs, at = {}, 1
-    for k, kn in knots.items():
-        n = len(kn) - 1
-        costs[k] = (kn, tuple(round(float(v), 2) for v in b[at : at + n]))
-        at += n
-    return costs, float(b[0])
-
-
-def odds(s: Sample, table: Table, base: float) -> F32:
+def odds(s: Sample, net: Net) -> F32:
     """Log odds of the sample, not calibrated."""
-    out = np.full(len(s.near), base)
-    for k, (kn, costs) in table.items():
-        out -= sum(c * r for c, r in zip(costs, ramps(s.terms[k], kn), strict=True))
-    return np.asarray(out, np.float32)
+    values = np.stack([s.terms[k] for k in net.names], axis=1)
+    terms = ((values - net.usual) / net.spread).clip(-CLIP, CLIP)
+    inner, outer = ((w[:-1], w[-1]) for w in net.layers)
+    return np.asarray(-least_costs(s.terms) - learned_costs(terms, inner, outer), np.float32)
 
 
 def left_out(samples: list[Sample], fold_of: dict[str, int]) -> list[F32]:
     """Log odds of each flight by what was fitted without it."""
-    knots, fitted = knots_of(samples), {}
-    for fold in set(fold_of.values()):
-        fitted[fold] = fit([s for s in samples if fold_of[s.name] != fold], knots)
-    return [odds(s, *fitted[fold_of[s.name]]) for s in samples]
+    fitted = {fold: fit([s for s in samples if fold_of[s.name] != fold]) for fold in set(fold_of.values())}
+    return [odds(s, fitted[fold_of[s.name]]) for s in samples]
 
 
 def calibration(samples: list[Sample], found: list[F32]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Odds, and what they were worth on flights left out: the better half a step, never better than the step above."""
+    """Odds, and what they were worth on flights left out, step by step, never less where the odds are better."""
     z = np.concatenate(found)
     weight = np.concatenate([np.full(len(s.near), s.weight) for s in samples])
     order = np.argsort(z)
     z, weight = z[order], weight[order]
     near, level = (np.concatenate([getattr(s, k) for s in samples])[order] for k in ("near", "level"))
     rank = np.cumsum(weight) / weight.sum()
-    at, worth = [], []
+    at, worth, cells = [], [], []
     for low, high in pairwise(STEPS):
         here = (rank > low) & (rank <= high)
-        true = (weight * near)[here].sum() / (weight * level)[here].sum()
         at.append(float((weight * z)[here].sum() / weight[here].sum()))
-        worth.append(float(logit(min(true, 1 - 1e-3))))
-    rising = np.maximum.accumulate(worth)
+        cells.append(float((weight * level)[here].sum()))
+        worth.append(float((weight * near)[here].sum()) / cells[-1])
+    rising = logit(np.minimum(isotonic_regression(worth, weights=cells).x, 1 - 1e-3))
     return tuple(round(v, 2) for v in at), tuple(round(float(v), 2) for v in rising)
 
 
+def claimed(samples: list[Sample], found: list[F32], fold_of: dict[str, int]) -> list[F32]:
+    """P of each flight, its odds worth what they were worth on the other folds."""
+    worth = {}
+    for fold in set(fold_of.values()):
+        others = [k for k, s in enumerate(samples) if fold_of[s.name] != fold]
+        worth[fold] = calibration([samples[k] for k in others], [found[k] for k in others])
+    p = [expit(np.interp(z, *worth[fold_of[s.name]])) for s, z in zip(samples, found, strict=True)]
+    return [s.level * np.asarray(v, np.float32) for s, v in zip(samples, p, strict=True)]
+
+
 def tell(done: list[tuple[Judged, float, float]]) -> None:
-    """What is false and found at some levels, flights left out, as comment lines."""
+    """What is false and found at some levels, flights left out of all that judges them, as comment lines."""
     total = sum(w * j.safe.sum() / max(share, 1e-9) for j, share, w in done)
     for j, share, _ in done:
         parts = []
@@ -210,13 +184,10 @@ def tell(done: list[tuple[Judged, float, float]]) -> None:
     print("#   " + "  ".join(f"{a:.3f}:{b:.3f}" for a, b, _ in reliability(pooled([j for j, _, _ in done]))))
 
 
-def module(table: Table, base: float, worth: tuple[tuple[float, ...], tuple[float, ...]], count: int) -> str:
+def module(net: Net, worth: tuple[tuple[float, ...], tuple[float, ...]], count: int) -> str:
     """The text of `weights.py`."""
-    out = [f'"""Costs of the evidence against a footprint, from {count} simulated maps: `bench/ground_fit.py`."""', ""]
-    out += ["# term: knots, and the log odds that the way from each knot to the next costs"]
-    out += ["RAMPS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {"]
-    out += [f'    "{k}": (\n        {kn},\n        {costs},\n    ),' for k, (kn, costs) in table.items()]
-    out += ["}", f"BASE = {base:.2f}", "# log odds, and what they were worth on flights left out"]
+    said = f"Costs of the evidence against a footprint, from {count} simulated maps: `bench/ground_fit.py`."
+    out = [f'"""{said}"""', "", *text_of(net), "# log odds, and what they were worth on flights left out"]
     return "\n".join([*out, f"CALIBRATION = ({worth[0]}, {worth[1]})"])
 
 
@@ -242,11 +213,9 @@ def main() -> None:
     options = parser.parse_args()
     samples, fold_of = samples_of(TUNING, options.scratch)
     found = left_out(samples, fold_of)
-    worth = calibration(samples, found)
-    p = [s.level * np.asarray(expit(np.interp(z, *worth)), np.float32) for s, z in zip(samples, found, strict=True)]
+    p = claimed(samples, found, fold_of)
     tell([(Judged(s.name, v, s.safe, s.near), s.share, s.weight) for s, v in zip(samples, p, strict=True)])
-    table, base = fit(samples, knots_of(samples))
-    print(module(table, base, worth, len(samples)))
+    print(module(fit(samples), calibration(samples, found), len(samples)))
 
 
 if __name__ == "__main__":

@@ -34,9 +34,15 @@ TUNING = (
     "concrete/20m/tuning-1", "village/20m/tuning-2", "meadow/100m/tuning-2", "snow/50m/tuning-1",
     "forest/50m/tuning-1", "desert/20m/tuning-2", "lakes/20m/tuning-2", "tall_grass/20m/tuning-1",
     "farmland/50m/tuning-2", "yard/50m/tuning-2", "car_park/20m/tuning-2", "meadow/50m/tuning-3",
-    "village/50m/tuning-3",
-    "quarry/20m/tuning-2", "forest/20m/tuning-2", "lakes/50m/tuning-3", "meadow/20m/tuning-1", "snow/20m/tuning-2",
-    "concrete/50m/tuning-2",
+    "village/50m/tuning-3", "quarry/20m/tuning-2", "forest/20m/tuning-2", "lakes/50m/tuning-3", "meadow/20m/tuning-1",
+    "snow/20m/tuning-2", "concrete/50m/tuning-2",
+    "yard/20m/tuning-4", "village/20m/tuning-4", "meadow/20m/tuning-4", "desert/20m/tuning-4",
+    "car_park/20m/tuning-4", "quarry/20m/tuning-4", "lakes/20m/tuning-4", "forest/20m/tuning-4",
+    "concrete/20m/tuning-4", "snow/20m/tuning-4", "farmland/20m/tuning-4", "village/50m/tuning-5",
+    "desert/50m/tuning-5", "meadow/50m/tuning-5", "car_park/50m/tuning-5", "quarry/50m/tuning-5",
+    "yard/50m/tuning-5", "concrete/50m/tuning-5", "lakes/50m/tuning-5", "forest/50m/tuning-5",
+    "farmland/50m/tuning-5", "yard/40m/tuning-6", "desert/40m/tuning-6", "car_park/40m/tuning-6",
+    "village/40m/tuning-6", "meadow/40m/tuning-6", "concrete/40m/tuning-6", "farmland/40m/tuning-6",
 )  # fmt: skip
 TEST = (
     "meadow/50m/test-1", "village/50m/test-1", "yard/20m/test-1", "desert/50m/test-1", "meadow/20m/test-2",

@@ -14,9 +14,9 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.hazards import assess
-from alight.hazards.belief import safe_belief
+from alight.hazards.belief import LEAST, least_costs, safe_belief
 from alight.hazards.spots import spots
-from alight.hazards.weights import RAMPS
+from alight.hazards.weights import TERMS
 from alight.records import ElevationMap, Flag, Gauge, Hazard, HazardMap
 from alight.settings import Hazards, Lander
 
@@ -310,10 +310,22 @@ def test_a_brighter_exposure_and_another_white_balance_have_the_same_spots() -> 
 
 def test_no_term_makes_a_touchdown_likelier_where_it_is_worse() -> None:
     rng = np.random.default_rng(1)
-    for name, (knots, _) in RAMPS.items():
-        some = {k: np.full(50, rng.choice(kn), np.float32) for k, (kn, _) in RAMPS.items()}
-        some[name] = np.linspace(knots[0] - 1, knots[-1] + 1, 50, dtype=np.float32)
-        assert (np.diff(safe_belief(some)) <= 1e-7).all(), name
+    assert set(LEAST) < set(TERMS)
+    for name, (usual, spread) in TERMS.items():
+        for _ in range(20):
+            some = {k: np.full(50, u + s * rng.uniform(-3, 3), np.float32) for k, (u, s) in TERMS.items()}
+            some[name] = np.linspace(usual - 5 * spread, usual + 5 * spread, 50, dtype=np.float32)
+            assert (np.diff(safe_belief(some)) <= 1e-6).all(), name
+
+
+@pytest.mark.parametrize(("name", "least"), [("dark", 5.0), ("bright", 3.0), ("unknown", 8.0), ("broad", 3.0)])
+def test_what_no_flight_teaches_costs_at_least_what_was_set(name: str, least: float) -> None:
+    low, high, _ = LEAST[name]
+    none = {k: np.full(2, LEAST[k][0] if k in LEAST else u, np.float32) for k, (u, _) in TERMS.items()}
+    some = none | {name: np.array([low, high], np.float32)}
+    odds = -least_costs(some)
+    assert_allclose(odds[0] - odds[1], least * (high - low), rtol=1e-5)
+    assert_allclose(least_costs(none), 0.0)
 
 
 def test_cells_too_coarse_for_the_limits_are_less_sure() -> None:

@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 
 from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
 from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, skids_of, unlike_directions
-from alight.kernels.contact import resting_pitch
+from alight.kernels.contact import resting_pitches
 from alight.kernels.terrain import fill_basins
 from alight.settings import Lander
 
@@ -190,6 +190,53 @@ def test_the_tilt_of_skids_bounds_that_of_the_lander_at_rest() -> None:
     assert all(t >= s - 1e-4 for t, s in rest)
     assert np.median([t - s for t, s in rest]) < math.radians(0.2)  # and mostly is it
     assert np.isnan(tilt[0, 0])  # a rail off the map
+
+
+def resting_pitch(along: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[float, float]:
+    """The range of pitches at which one lander lies lowest."""
+    joint, rest, low, high = (np.empty(n, np.float32) for n in ((2 * len(along) - 1, 1), 1, 1, 1))
+    rails = (np.ascontiguousarray(a[:, None], dtype=np.float32) for a in (left, right))
+    resting_pitches(*rails, along[1] - along[0], joint, rest, low, high)
+    return float(low[0]), float(high[0])
+
+
+def brute_skids(h: np.ndarray, r: int, c: int, lander: Lander) -> tuple[float, float]:
+    """Worst tilt and worst rise over headings, the lowest height over the middle by a linear programme."""
+    s, tilts, rises = skids_of(lander, CELL), [], []
+    rr, cc = cells_in_disc(r, c, lander.radius)
+    for k, (ax, ay) in enumerate(s.axes):
+        under = np.array([r, c]) + s.offsets[k]  # (2, n, 2)
+        if (under < 0).any() or (under >= SHAPE).any() or np.isnan(h[under[..., 0], under[..., 1]]).any():
+            return math.nan, math.nan
+        rails = h[under[..., 0], under[..., 1]].astype(np.float64) / CELL
+        sums, places = (rails[0][:, None] + rails[1]).ravel(), (s.along[:, None] + s.along).ravel()
+        A = -np.column_stack([np.ones(len(sums)), places])  # height over the middle + pitch * place >= sum
+        rest = linprog([1, 0], A_ub=A, b_ub=-sums, bounds=[(None, None)] * 2).fun
+        ends = [linprog([0, w], A_ub=A, b_ub=-sums, bounds=[(None, rest + 1e-7), (None, None)]).x[1] for w in (1, -1)]
+        steep = []
+        for pitch in ends:
+            over = (rails - pitch * s.along).max(axis=1)
+            roll = (over[0] - over[1]) / s.gauge
+            steep.append((abs(pitch), abs(roll)))
+            plane = over.mean() + (pitch * ax + roll * ay) * (cc - c) + (pitch * ay - roll * ax) * (rr - r)
+            rises.append(np.nanmax(h[rr, cc] - plane * CELL))
+        tilts.append(math.atan(math.hypot(*np.max(steep, axis=0))))
+    return max(tilts), max(rises)
+
+
+def test_skids_agree_with_the_definition_at_every_heading() -> None:
+    h = rough_ground(6, 0.002)
+    lander = Lander(radius=0.5, skids=(0.8, 0.6), belly_clearance=0.12, headings=5)
+    tilt, rise = gear_contact(h, footprint_of(h, 0.5, CELL), np.zeros(SHAPE, bool), lander, CELL, spare=0.05)
+    judged = 0
+    for r in range(0, SHAPE[0], 2):
+        for c in range(r % 4 // 2, SHAPE[1], 2):
+            want_tilt, want_rise = brute_skids(h, r, c, lander)
+            assert_allclose(tilt[r, c], want_tilt, atol=1e-4)
+            if math.isfinite(want_rise):
+                judged += 1
+                assert_allclose(np.clip(rise[r, c], 0.07, 0.17), np.clip(want_rise, 0.07, 0.17), atol=1e-4)
+    assert judged > 30
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -36,11 +36,13 @@ class Footprint:
 def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     """Lay the least-squares plane of the footprint about every cell (G1, G2)."""
     spans = disc_spans(radius / cell)
-    sums = np.empty((6, height.shape[0], height.shape[1] + 1))
-    kernels.row_sums(height, sums)
+    reach = spans.size // 2
+    sums = np.empty((height.shape[0], 6, height.shape[1] + 1 + 2 * reach))
+    kernels.row_sums(height, reach, sums)
     count, level, grad_c, grad_r, above, below, squares = (np.empty_like(height) for _ in range(7))
     kernels.fit_planes(sums, spans, count, level, grad_c, grad_r, squares)
-    kernels.deviations(height, level, grad_c, grad_r, spans, above, below)
+    padded = np.pad(height, ((0, 0), (reach, reach)), constant_values=np.nan)
+    kernels.deviations(padded, level, grad_c, grad_r, spans, above, below)
     judged = np.isfinite(level)
     slope = np.arctan(np.hypot(grad_c, grad_r) / np.float32(cell))
     scatter = np.sqrt(squares / np.maximum(count - 3, 1))

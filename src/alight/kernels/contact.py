@@ -68,27 +68,6 @@ def _rise_in_block(
 
 @kernel
 def _rise(
-    body: F32, tops: F32, pad: int, r: int, c: int, spans: I64, blocks: I64, plane: F64, limits: tuple[float, float]
-) -> float:
-    """Largest rise of known ground in the disc above a plane (level, x, y), where it is between the two limits.
-
-    Below the lower one the lower one is returned; the search ends above the upper one. A block of cells is opened only
-    where its highest cell, above the block's lowest corner of the plane, would raise the answer.
-    """
-    a, gx, gy = plane[0], plane[1], plane[2]
-    fall = (BLOCK - 1) * (min(gx, 0.0) + min(gy, 0.0))
-    top = limits[0]
-    for i in range(blocks.shape[0]):
-        br, bc = blocks[i, 0], blocks[i, 1]
-        if tops[r + br + pad, c + bc + pad] - a - gx * bc - gy * br - fall > top:
-            top = _rise_in_block(body, pad, r, c, br, bc, spans, a, gx, gy, top)
-            if top > limits[1]:
-                break
-    return top
-
-
-@kernel
-def _belly(
     body: F32,
     tops: F32,
     pad: int,
@@ -96,37 +75,112 @@ def _belly(
     c: int,
     spans: I64,
     blocks: I64,
-    own: F64,
-    plane: F64,
-    limits: tuple[float, float],
+    plane: tuple[float, float, float],
+    least: float,
+    most: float,
 ) -> float:
-    """Rise of the ground above a contact plane between the limits of `_rise`; without a search where that is enough.
+    """Largest rise of known ground in the disc above a plane (level, x, y), where it is between `least` and `most`.
 
-    The ground lies no higher than `own[3]` above the footprint's own plane (level, x, y); the two planes part by no
-    more than their difference at the centre plus that of their gradients times the reach.
+    Below `least` that is returned; the search ends above `most`. A block of cells is opened only where its highest
+    cell, above the block's lowest corner of the plane, would raise the answer.
     """
-    apart = own[0] - plane[0] + math.hypot(own[1] - plane[1], own[2] - plane[2]) * (spans.size // 2)
-    if own[3] + apart <= limits[0]:
-        return limits[0]
-    rise: float = _rise(body, tops, pad, r, c, spans, blocks, plane, limits)
-    return rise
+    a, gx, gy = plane
+    fall = (BLOCK - 1) * (min(gx, 0.0) + min(gy, 0.0))
+    top = least
+    for i in range(blocks.shape[0]):
+        br, bc = blocks[i, 0], blocks[i, 1]
+        if tops[r + br + pad, c + bc + pad] - a - gx * bc - gy * br - fall > top:
+            top = _rise_in_block(body, pad, r, c, br, bc, spans, a, gx, gy, top)
+            if top > most:
+                break
+    return top
 
 
 @kernel
-def _plane_of(touch: F32, c: int, solve: F64, three: I64, plane: F64) -> None:
-    """Plane (level, x, y) through three contacts; `solve` (3, 3) takes their heights to it."""
-    t0, t1, t2 = touch[three[0], c], touch[three[1], c], touch[three[2], c]
-    for i in range(3):
-        plane[i] = solve[i, 0] * t0 + solve[i, 1] * t1 + solve[i, 2] * t2
+def _planes_of(first: F64, second: F64, third: F64, solve: F64, level: F64, across: F64, along: F64) -> None:
+    """Plane (level, per column, per row) through three contacts, cell by cell; `solve` (3, 3) takes heights to it."""
+    for c in range(level.size):
+        a, b, d = first[c], second[c], third[c]
+        level[c] = solve[0, 0] * a + solve[0, 1] * b + solve[0, 2] * d
+        across[c] = solve[1, 0] * a + solve[1, 1] * b + solve[1, 2] * d
+        along[c] = solve[2, 0] * a + solve[2, 1] * b + solve[2, 2] * d
 
 
 @kernel
-def _rests(touch: F32, c: int, xy: F64, plane: F64) -> bool:
-    """Whether no foot's ground rises above the plane: the lander can stand on it."""
-    for f in range(xy.shape[0]):  # noqa: SIM110 (the compiler knows no generators)
-        if touch[f, c] > plane[0] + plane[1] * xy[f, 0] + plane[2] * xy[f, 1] + HAIR:
-            return False
-    return True
+def _raise_above(over: F64, touch: F64, level: F64, across: F64, along: F64, x: float, y: float) -> None:
+    """Keep the larger of `over` and what a foot's ground rises above the plane, cell by cell."""
+    for c in range(over.size):
+        e = touch[c] - (level[c] + x * across[c] + y * along[c])
+        t = over[c]
+        over[c] = e if e > t else t
+
+
+@kernel
+def _steepen(steep: F64, over: F64, across: F64, along: F64) -> None:
+    """Keep the larger squared tangent, cell by cell, of planes that no foot's ground rises above."""
+    for c in range(steep.size):
+        g = across[c] * across[c] + along[c] * along[c]
+        t = steep[c]
+        steep[c] = g if over[c] <= HAIR and g > t else t
+
+
+@kernel
+def _unless(may: F64, over: F64) -> None:
+    """Nothing is sought above planes that a foot's ground rises above."""
+    for c in range(may.size):
+        may[c] = may[c] if over[c] <= HAIR else -np.inf
+
+
+@kernel
+def _may_rise(own: F64, level: F64, across: F64, along: F64, reach: float, least: F32, out: F64) -> None:
+    """Fill `out` with how far the ground may at most rise above a contact plane, less `least`, cell by cell.
+
+    It lies no higher than `own[3]` above the footprint's own plane (level, x, y); the two planes part by no more than
+    their difference at the centre plus that of their gradients times the reach.
+    """
+    for c in range(out.size):
+        gx, gy = own[1, c] - across[c], own[2, c] - along[c]
+        out[c] = own[3, c] + (own[0, c] - level[c]) + math.sqrt(gx * gx + gy * gy) * reach - least[c]
+
+
+@kernel
+def _search(
+    body: F32,
+    tops: F32,
+    r: int,
+    spans: I64,
+    blocks: I64,
+    most: float,
+    may: F64,
+    level: F64,
+    across: F64,
+    along: F64,
+    rise: F32,
+) -> None:
+    """Raise `rise` (C,) to that above one contact plane where it may be higher, cell by cell of row `r`."""
+    pad = spans.size // 2 + BLOCK
+    for c in range(rise.size):
+        if may[c] > 0.0 and rise[c] <= most:
+            plane = (float(level[c]), float(across[c]), float(along[c]))
+            rise[c] = _rise(body, tops, pad, r, c, spans, blocks, plane, rise[c], most)
+
+
+@kernel
+def _gather(own: F32, r: int, skip: B, out: F32) -> None:
+    """Fill out (4, C) with the footprints of row `r`; what is not judged has nothing that could rise."""
+    for i in range(4):
+        out[i] = own[i, r]
+    for c in range(out.shape[1]):
+        out[3, c] = np.float32(-np.inf) if skip[r, c] else out[3, c]
+
+
+@kernel
+def _keep(skip: B, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
+    """Tangents of squared tangents, and NaN where nothing was wanted or something is unknown."""
+    for c in range(tilt.size):
+        tilt[c] = math.sqrt(steep[c])
+        if skip[c] or known[c] == np.inf:
+            tilt[c] = rise[c] = math.nan
 
 
 @parallel_kernel
@@ -170,110 +224,160 @@ def feet_contact(
         tilt, rise: (R, C) filled with the worst tangent of the tilt and the worst rise, NaN where a foot is unknown.
     """
     rows, cols = ground.shape
-    pad = (body.shape[0] - rows) // 2
     headings, feet = xy.shape[0], xy.shape[1]
     for r in prange(rows):
-        touch = np.empty((feet, cols), np.float32)
-        here, plane = np.empty(4, np.float64), np.empty(3, np.float64)
-        tilt[r, :] = np.float32(0.0)
-        rise[r, :] = np.float32(-np.inf)
+        under = np.empty(cols, np.float32)
+        touch, here = np.empty((feet, cols), np.float64), np.empty((4, cols), np.float64)
+        level, across, along = np.empty(cols), np.empty(cols), np.empty(cols)
+        over, may, steep, highest = np.empty(cols), np.empty(cols), np.zeros(cols), np.zeros(cols, np.float32)
+        _gather(own, r, skip, here)
+        rise[r, :] = np.float32(limits[0])
         for k in range(headings):
             for f in range(feet):
-                _touch_row(ground, r, offsets, starts[k, f], starts[k, f + 1], mean, touch[f])
-            for c in range(cols):
-                if skip[r, c] or math.isnan(tilt[r, c]):
-                    continue
-                sure = True
-                for f in range(feet):
-                    sure = sure and touch[f, c] < np.inf
-                if not sure:
-                    tilt[r, c] = rise[r, c] = math.nan
-                    continue
-                for i in range(4):
-                    here[i] = own[i, r, c]
-                for t in range(triples.shape[0]):
-                    _plane_of(touch, c, solve[k, t], triples[t], plane)
-                    if any_three or _rests(touch, c, xy[k], plane):
-                        tilt[r, c] = max(tilt[r, c], math.hypot(plane[1], plane[2]))
-                        if rise[r, c] <= limits[1]:
-                            e = _belly(body, tops, pad, r, c, spans, blocks, here, plane, limits)
-                            rise[r, c] = max(rise[r, c], e)
-        for c in range(cols):
-            if skip[r, c]:
-                tilt[r, c] = rise[r, c] = math.nan
+                _touch_row(ground, r, offsets, starts[k, f], starts[k, f + 1], mean, under)
+                touch[f] = under
+                _raise_to(highest, under)
+            for t in range(triples.shape[0]):
+                i, j, m = triples[t]
+                _planes_of(touch[i], touch[j], touch[m], solve[k, t], level, across, along)
+                over[:] = -np.inf
+                if not any_three:
+                    for f in range(feet):
+                        _raise_above(over, touch[f], level, across, along, xy[k, f, 0], xy[k, f, 1])
+                _steepen(steep, over, across, along)
+                _may_rise(here, level, across, along, np.float64(spans.size // 2), rise[r], may)
+                _unless(may, over)
+                _search(body, tops, r, spans, blocks, limits[1], may, level, across, along, rise[r])
+        _keep(skip[r], highest, steep, tilt[r], rise[r])
 
 
 @kernel
-def _clear_over(along: F64, profile: F64, slope: float) -> tuple[float, float]:
-    """Lowest height over s = 0 of a rail of a given slope that stays on or above its profile, and where it touches."""
-    top, at = -math.inf, 0.0
-    for i in range(along.size):
-        level = profile[i] - slope * along[i]
-        if level > top:
-            top, at = level, along[i]
-    return top, at
+def _rail(ground: F32, r: int, offsets: I64, base: F32, profile: F32) -> None:
+    """Fill profile (n, C) with the ground under a rail in row `r`, less `base`; +inf where unknown or off the map."""
+    rows, cols = ground.shape
+    for i in range(profile.shape[0]):
+        q, dc = r + offsets[i, 0], offsets[i, 1]
+        lo, hi = max(0, -dc), min(cols, cols - dc)
+        profile[i] = np.float32(np.inf)
+        if 0 <= q < rows and lo < hi:
+            _less(ground[q, lo + dc : hi + dc], base[lo:hi], profile[i, lo:hi])
 
 
 @kernel
-def _end_of_level(along: F64, left: F64, right: F64, level: float, value: float, lever: float) -> float:
-    """Pitch where the level bottom of the height over the middle ends, sought from a tangent outside of it."""
-    pitch = 0.0
-    for _ in range(2 * along.size):
-        pitch = (value - level) / lever
-        over_l, at_l = _clear_over(along, left, pitch)
-        over_r, at_r = _clear_over(along, right, pitch)
-        if over_l + over_r <= level + HAIR or at_l + at_r == 0.0:
-            break
-        lever = at_l + at_r
-        value = over_l + over_r + pitch * lever
-    return pitch
+def _less(values: F32, base: F32, out: F32) -> None:
+    for c in range(out.size):
+        out[c] = values[c] - base[c]
 
 
 @kernel
-def resting_pitch(along: F64, left: F64, right: F64) -> tuple[float, float]:
-    """Rest both rails on their profiles at a common pitch (G5): return the range of pitches at which it lies lowest.
+def _raise_to_sums(top: F32, left: F32, right: F32, other_left: F32, other_right: F32) -> None:
+    """Keep the largest of `top` and two sums, cell by cell; two at a time, because reading is most of it."""
+    for c in range(top.size):
+        e, d, t = left[c] + right[c], other_left[c] + other_right[c], top[c]
+        e = e if e > d else d
+        top[c] = e if e > t else t
 
-    The height over the middle, f_l + f_r, is convex and piecewise linear in the pitch, with the gradient -(s_l + s_r)
-    where the rails touch. Tangents from both sides are crossed until their crossing lies on it. Where the rails touch
-    at mirrored places it is level: the lander rocks there, and the range has a width.
+
+@kernel
+def _raise_to_lines(top: F32, behind: F32, ahead: F32, further: F32, i: int, j: int) -> None:
+    """Keep the largest of `top` and the lines to two points, j and j + 1 ahead, where they pass the middle."""
+    near, far = np.float32(j / (i + j)), np.float32(i / (i + j))
+    near_too, far_too = np.float32((j + 1) / (i + j + 1)), np.float32(i / (i + j + 1))
+    for c in range(top.size):
+        v, t = behind[c], top[c]
+        e, d = near * v + far * ahead[c], near_too * v + far_too * further[c]
+        e = e if e > d else d
+        top[c] = e if e > t else t
+
+
+@kernel
+def _narrow(low: F32, high: F32, behind: F32, ahead: F32, rest: F32, lever: F32) -> None:
+    """Narrow the pitches [low, high] to those at which two mirrored points stay below `rest`, cell by cell."""
+    for c in range(rest.size):
+        least, most = (ahead[c] - rest[c]) * lever, (rest[c] - behind[c]) * lever
+        a, b = low[c], high[c]
+        low[c] = least if least > a else a
+        high[c] = most if most < b else b
+
+
+@kernel
+def resting_pitches(left: F32, right: F32, apart: float, joint: F32, rest: F32, low: F32, high: F32) -> None:
+    """Rest both rails on their profiles at a common pitch (G5), cell by cell.
+
+    The height over the middle is the highest of `joint(t) - pitch t`, where `joint(t)` is the highest sum of two places
+    of the left and the right rail whose positions add up to `t`. Its least value is where the upper hull of `joint`
+    passes t = 0. Where a point at 0 is a corner of that hull the bottom is level: the lander rocks there.
 
     Args:
-        along: (n,) ascending positions s with at least one < 0 and one > 0.
-        left, right: (n,) ground heights there.
+        left, right: (n, C) ground heights at n (odd) evenly spread places of the rails, +inf where unknown.
+        apart: between those places.
+        joint: (2 n - 1, C) to work in.
+        rest: (C,) filled with twice the lowest height over the middle; +inf where any of the ground is unknown.
+        low, high: (C,) filled with the range of pitches at which it lies lowest.
     """
-    n = along.size
-    low_value, low_lever = left[n - 1] + right[n - 1], 2.0 * along[n - 1]
-    high_value, high_lever = left[0] + right[0], 2.0 * along[0]
-    pitch = 0.0
-    for _ in range(4 * n):
-        pitch = (low_value - high_value) / (low_lever - high_lever)
-        over_l, at_l = _clear_over(along, left, pitch)
-        over_r, at_r = _clear_over(along, right, pitch)
-        level, lever = over_l + over_r, at_l + at_r
-        if level <= low_value - pitch * low_lever + HAIR:
-            break
-        if abs(lever) < HAIR:
-            return (
-                _end_of_level(along, left, right, level, low_value, low_lever),
-                _end_of_level(along, left, right, level, high_value, high_lever),
-            )
-        if lever > 0.0:
-            low_value, low_lever = level + pitch * lever, lever
-        else:
-            high_value, high_lever = level + pitch * lever, lever
-    return pitch, pitch
+    n = left.shape[0]
+    joint[:] = np.float32(-np.inf)
+    for k in range(2 * n - 1):
+        end = min(k, n - 1)
+        for i in range(max(0, k - n + 1), end + 1, 2):
+            j = min(i + 1, end)
+            _raise_to_sums(joint[k], left[i], right[k - i], left[j], right[k - j])
+    rest[:] = joint[n - 1]
+    for i in range(1, n):
+        for j in range(1, n, 2):
+            _raise_to_lines(rest, joint[n - 1 - i], joint[n - 1 + j], joint[n + j], i, j)
+    low[:] = np.float32(-np.inf)
+    high[:] = np.float32(np.inf)
+    for i in range(1, n):
+        _narrow(low, high, joint[n - 1 - i], joint[n - 1 + i], rest, np.float32(1.0 / (i * apart)))
+    for c in range(rest.size):  # what is one pitch may differ in its last digit
+        a, b = low[c], high[c]
+        high[c] = b if b > a else a
 
 
 @kernel
-def _profile(ground: F32, r: int, c: int, offsets: I64, out: F64) -> bool:
-    """Read a rail's profile; False if any cell is unknown or off the map."""
-    rows, cols = ground.shape
-    for i in range(out.size):
-        q, p = r + offsets[i, 0], c + offsets[i, 1]
-        if q < 0 or q >= rows or p < 0 or p >= cols or not ground[q, p] < np.inf:
-            return False
-        out[i] = ground[q, p]
-    return True
+def _raise_to_sloped(top: F32, line: F32, pitch: F32, s: F32) -> None:
+    """Keep the larger of `top` and what a place of a rail lies above the rail's middle at a pitch, cell by cell."""
+    for c in range(top.size):
+        e, t = line[c] - s * pitch[c], top[c]
+        top[c] = e if e > t else t
+
+
+@kernel
+def _plane_on(
+    left: F32,
+    right: F32,
+    along: F64,
+    gauge: F32,
+    axis: F64,
+    base: F32,
+    pitch: F32,
+    over: F32,
+    roll: F32,
+    plane: F32,
+) -> None:
+    """Fill roll (C,) and plane (3, C) (level, per column, per row) of a lander on its rails at a pitch."""
+    over[:] = np.float32(-np.inf)
+    roll[:] = np.float32(-np.inf)  # the right rail's height, until both are known
+    for i in range(along.size):
+        _raise_to_sloped(over, left[i], pitch, np.float32(along[i]))
+        _raise_to_sloped(roll, right[i], pitch, np.float32(along[i]))
+    ax, ay = np.float32(axis[0]), np.float32(axis[1])  # left of forward (ax, ay) in (column, row) is (ay, -ax)
+    for c in range(over.size):
+        mean, across = np.float32(0.5) * (over[c] + roll[c]), (over[c] - roll[c]) / gauge  # rises towards the left
+        roll[c] = across
+        plane[0, c] = base[c] + mean
+        plane[1, c] = pitch[c] * ax + across * ay
+        plane[2, c] = pitch[c] * ay - across * ax
+
+
+@kernel
+def _steepen_both(steep: F32, pitch: F32, roll: F32) -> None:
+    """Keep the larger squared tangent, cell by cell, of the steeper pitch with the steeper roll of two (2, C)."""
+    for c in range(steep.size):
+        a, b = max(abs(pitch[0, c]), abs(pitch[1, c])), max(abs(roll[0, c]), abs(roll[1, c]))
+        g, t = a * a + b * b, steep[c]
+        steep[c] = g if g > t else t
 
 
 @parallel_kernel
@@ -299,40 +403,31 @@ def skid_contact(
         ground, body, tops, skip, own, spans, blocks, limits, tilt, rise: as in `feet_contact`.
         axes: (headings, 2) unit (column, row) of the forward direction.
         offsets: (headings, 2, n, 2) (row, column) of the cells under the left and the right rail.
-        along: (n,) position of those cells along the rail, cells.
+        along: (n,) evenly spread positions of those cells along the rail, cells.
         gauge: distance between the rails, cells.
     """
     rows, cols = ground.shape
-    pad = (body.shape[0] - rows) // 2
-    n = along.size
+    n, reach = along.size, np.float32(spans.size // 2)
     for r in prange(rows):
-        left, right = np.empty(n, np.float64), np.empty(n, np.float64)
-        here, plane = np.empty(4, np.float64), np.empty(3, np.float64)
-        for c in range(cols):
-            tilt[r, c] = rise[r, c] = math.nan
-            if skip[r, c]:
-                continue
-            for i in range(4):
-                here[i] = own[i, r, c]
-            worst_tilt, worst_rise = 0.0, -math.inf
-            known = True
-            for k in range(axes.shape[0]):
-                known = _profile(ground, r, c, offsets[k, 0], left) and _profile(ground, r, c, offsets[k, 1], right)
-                if not known:
-                    break
-                low, high = resting_pitch(along, left, right)
-                ax, ay = axes[k, 0], axes[k, 1]
-                worst_roll = worst_pitch = 0.0
-                for side in range(1 if low == high else 2):
-                    pitch = low if side == 0 else high
-                    over_l, over_r = _clear_over(along, left, pitch)[0], _clear_over(along, right, pitch)[0]
-                    roll = (over_l - over_r) / gauge  # rise towards the left
-                    worst_roll, worst_pitch = max(worst_roll, abs(roll)), max(worst_pitch, abs(pitch))
-                    if worst_rise <= limits[1]:  # left of forward (ax, ay) in (column, row) is (ay, -ax)
-                        plane[0] = 0.5 * (over_l + over_r)
-                        plane[1], plane[2] = pitch * ax + roll * ay, pitch * ay - roll * ax
-                        e = _belly(body, tops, pad, r, c, spans, blocks, here, plane, limits)
-                        worst_rise = max(worst_rise, e)
-                worst_tilt = max(worst_tilt, math.hypot(worst_roll, worst_pitch))
-            if known:
-                tilt[r, c], rise[r, c] = worst_tilt, worst_rise
+        left, right, joint = (
+            np.empty((n, cols), np.float32),
+            np.empty((n, cols), np.float32),
+            np.empty((2 * n - 1, cols), np.float32),
+        )
+        here, plane = np.empty((4, cols), np.float32), np.empty((3, cols), np.float32)
+        roll, pitch = np.empty((2, cols), np.float32), np.empty((2, cols), np.float32)
+        rest, may = np.empty(cols, np.float32), np.empty(cols, np.float32)
+        steep, highest = np.zeros(cols, np.float32), np.zeros(cols, np.float32)
+        _gather(own, r, skip, here)
+        rise[r, :] = np.float32(limits[0])
+        for k in range(axes.shape[0]):
+            _rail(ground, r, offsets[k, 0], here[0], left)
+            _rail(ground, r, offsets[k, 1], here[0], right)
+            resting_pitches(left, right, along[1] - along[0], joint, rest, pitch[0], pitch[1])
+            _raise_to(highest, rest)
+            for side in range(2):
+                _plane_on(left, right, along, np.float32(gauge), axes[k], here[0], pitch[side], rest, roll[side], plane)
+                _may_rise(here, plane[0], plane[1], plane[2], reach, rise[r], may)
+                _search(body, tops, r, spans, blocks, limits[1], may, plane[0], plane[1], plane[2], rise[r])
+            _steepen_both(steep, pitch, roll)
+        _keep(skip[r], highest, steep, tilt[r], rise[r])

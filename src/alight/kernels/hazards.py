@@ -18,13 +18,15 @@ B = NDArray[np.bool_]
 
 
 @parallel_kernel
-def row_sums(height: F32, sums: F64) -> None:
-    """Fill sums (6, R, C + 1) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2; k = 1 if known."""
+def row_sums(height: F32, reach: int, sums: F64) -> None:
+    """Fill sums (R, 6, C + 1 + 2 reach) with running sums along each row of k, k c, k c^2, k h, k c h, k h^2.
+
+    k is 1 where the height is known, else 0. The first `reach` + 1 columns are 0, the last `reach` repeat the total.
+    """
     rows, cols = height.shape
     for r in prange(rows):
         n = s1 = s2 = sh = sch = shh = 0.0
-        for i in range(6):
-            sums[i, r, 0] = 0.0
+        sums[r, :, : reach + 1] = 0.0
         for c in range(cols):
             h = height[r, c]
             if not math.isnan(h):
@@ -34,8 +36,35 @@ def row_sums(height: F32, sums: F64) -> None:
                 sh += h
                 sch += c * h
                 shh += float(h) * h
-            sums[0, r, c + 1], sums[1, r, c + 1], sums[2, r, c + 1] = n, s1, s2
-            sums[3, r, c + 1], sums[4, r, c + 1], sums[5, r, c + 1] = sh, sch, shh
+            at = c + reach + 1
+            sums[r, 0, at], sums[r, 1, at], sums[r, 2, at] = n, s1, s2
+            sums[r, 3, at], sums[r, 4, at], sums[r, 5, at] = sh, sch, shh
+        for i in range(6):
+            sums[r, i, cols + reach + 1 :] = sums[r, i, cols + reach]
+
+
+@kernel
+def _between(first: F64, last: F64, out: F64) -> None:
+    for c in range(out.size):
+        out[c] = last[c] - first[c]
+
+
+@kernel
+def _add_moments(span: F64, y: float, moments: F64) -> None:
+    """Add one row of every footprint to moments (9, C) about its centre; span (6, C) of `row_sums`."""
+    for c in range(span.shape[1]):
+        x = float(c)
+        k, kc, kh = span[0, c], span[1, c], span[3, c]
+        kx = kc - x * k
+        moments[0, c] += k
+        moments[1, c] += kx
+        moments[2, c] += y * k
+        moments[3, c] += span[2, c] - 2.0 * x * kc + x * x * k
+        moments[4, c] += y * kx
+        moments[5, c] += y * y * k
+        moments[6, c] += kh
+        moments[7, c] += span[4, c] - x * kh
+        moments[8, c] += y * kh
 
 
 @kernel
@@ -63,7 +92,7 @@ def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_
     """Fit the least-squares plane of the footprint about every cell (G1).
 
     Args:
-        sums: (6, R, C + 1) of `row_sums`.
+        sums: (R, 6, C + 1 + 2 n) of `row_sums`.
         spans: (2 n + 1,) half widths in cells of the rows of the disc.
         count: (R, C) filled with the known cells in the footprint.
         level, grad_c, grad_r: (R, C) filled with the plane at the centre and its rise per column and per row.
@@ -72,37 +101,25 @@ def fit_planes(sums: F64, spans: I64, count: F32, level: F32, grad_c: F32, grad_
     rows, cols = count.shape
     reach = spans.size // 2
     for r in prange(rows):
+        span, moments, power = np.empty((6, cols)), np.zeros((9, cols)), np.zeros(cols)
+        for i in range(spans.size):
+            q = r + i - reach
+            if q < 0 or q >= rows:
+                continue
+            lo, hi = reach - spans[i], reach + spans[i] + 1
+            for j in range(6):
+                _between(sums[q, j, lo : lo + cols], sums[q, j, hi : hi + cols], span[j])
+            _add_moments(span, float(i - reach), moments)
+            power += span[5]
         for c in range(cols):
-            n = sx = sy = sxx = sxy = syy = sh = sxh = syh = shh = 0.0
-            for i in range(spans.size):
-                q = r + i - reach
-                if q < 0 or q >= rows:
-                    continue
-                lo, hi = max(c - spans[i], 0), min(c + spans[i] + 1, cols)
-                y = float(i - reach)
-                k = sums[0, q, hi] - sums[0, q, lo]
-                kc = sums[1, q, hi] - sums[1, q, lo]
-                kx = kc - c * k
-                kxx = sums[2, q, hi] - sums[2, q, lo] - 2.0 * c * kc + c * c * k
-                kh = sums[3, q, hi] - sums[3, q, lo]
-                kxh = sums[4, q, hi] - sums[4, q, lo] - c * kh
-                n += k
-                sx += kx
-                sy += y * k
-                sxx += kxx
-                sxy += y * kx
-                syy += y * y * k
-                sh += kh
-                sxh += kxh
-                syh += y * kh
-                shh += sums[5, q, hi] - sums[5, q, lo]
-            count[r, c] = n
-            if n < 3.0:
+            m = moments[:, c]
+            count[r, c] = m[0]
+            if m[0] < 3.0:
                 level[r, c] = grad_c[r, c] = grad_r[r, c] = squares[r, c] = math.nan
                 continue
-            a, gx, gy, explained = _solve(n, sx, sy, sxx, sxy, syy, sh, sxh, syh)
+            a, gx, gy, explained = _solve(m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8])
             level[r, c], grad_c[r, c], grad_r[r, c] = a, gx, gy
-            squares[r, c] = max(0.0, shh - sh * sh / n - explained)
+            squares[r, c] = max(0.0, power[c] - m[6] * m[6] / m[0] - explained)
 
 
 @kernel
@@ -116,6 +133,18 @@ def _widen(top: F32, low: F32, line: F32, base: F32, grad: F32, x: float) -> Non
 
 
 @kernel
+def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F32, x: float, y: float) -> None:
+    """As `_widen`, of two lines: reading and writing is most of it."""
+    for c in range(top.size):
+        level, slope, t, b = base[c], grad[c], top[c], low[c]
+        d, e = line[c] - level - x * slope, after[c] - level - y * slope
+        t = d if d > t else t
+        b = d if d < b else b
+        top[c] = e if e > t else t
+        low[c] = e if e < b else b
+
+
+@kernel
 def _raise_to_rise(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
     """Keep the larger of `top` and line - plane, cell by cell."""
     for c in range(top.size):
@@ -125,9 +154,12 @@ def _raise_to_rise(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
 
 
 @parallel_kernel
-def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
-    """Fill above and below (R, C) with the extremes of h - plane in the footprint (G2); 0 where there is no plane."""
-    rows, cols = height.shape
+def deviations(padded: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, above: F32, below: F32) -> None:
+    """Fill above and below (R, C) with the extremes of h - plane in the footprint (G2); 0 where there is no plane.
+
+    `padded` (R, C + 2 n) are the heights with n = len(spans) // 2 unknown columns on both sides.
+    """
+    rows, cols = level.shape
     reach = spans.size // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
@@ -139,13 +171,14 @@ def deviations(height: F32, level: F32, grad_c: F32, grad_r: F32, spans: I64, ab
             q = r + i - reach
             if q < 0 or q >= rows:
                 continue
-            line = height[q]
+            line = padded[q]
             for c in range(cols):
                 base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
-            for dc in range(-spans[i], spans[i] + 1):
-                lo, hi = max(0, -dc), min(cols, cols - dc)
-                if hi > lo:
-                    _widen(top[lo:hi], low[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
+            _widen(top, low, line[reach - spans[i] : reach - spans[i] + cols], base, gc, np.float32(-spans[i]))
+            for dc in range(1 - spans[i], spans[i] + 1, 2):
+                at = reach + dc
+                left, right = line[at : at + cols], line[at + 1 : at + 1 + cols]
+                _widen_by_two(top, low, left, right, base, gc, np.float32(dc), np.float32(dc + 1))
 
 
 @parallel_kernel

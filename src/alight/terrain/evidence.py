@@ -6,19 +6,18 @@ only take from.
 
 from __future__ import annotations
 
-from base64 import b85decode
 from collections.abc import Iterable, Iterator
 from itertools import islice
 
 import numpy as np
 
+from alight.net import standard, unpack
 from alight.records import F32, REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen, smooth
 from alight.terrain.detail import detail
 from alight.terrain.relief import Relief
 from alight.terrain.weights import LAYERS, TERMS
 
-CLIP = np.float32(4.0)
 AT_A_TIME = 8  # terms
 
 
@@ -94,32 +93,20 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
     }
 
 
-def _layer(number: int) -> tuple[F32, F32]:
-    """Weights (in, out) and bias (out,) of one layer."""
-    rows, cols, packed = LAYERS[number]
-    values = np.frombuffer(b85decode(packed), "<f2").astype(np.float32).reshape(rows + 1, cols)
-    return values[:-1], values[-1]
-
-
 def weighed(found: Iterable[tuple[str, F32]]) -> F32:
     """Log odds of the classes but for a constant, (R, C, 8) for codes 1 to 8 (T2).
 
     Terms are taken a few at a time: all together they would be several times the map.
     """
-    terms_of, (weights, bias) = iter(found), _layer(0)
+    terms_of, (weights, bias) = iter(found), unpack(LAYERS[0])
     row_of, total, shape = {name: i for i, name in enumerate(TERMS)}, None, (0, 0)
     while some := list(islice(terms_of, AT_A_TIME)):
         shape = some[0][1].shape
-        z = np.stack([_standard(name, values) for name, values in some], axis=1)
+        z = np.stack([standard(values.ravel(), *TERMS[name]) for name, values in some], axis=1)
         part = z @ weights[[row_of[name] for name, _ in some]]
         total = part + bias if total is None else total + part
     assert total is not None
-    for number in range(1, len(LAYERS)):
-        weights, bias = _layer(number)
+    for layer in LAYERS[1:]:
+        weights, bias = unpack(layer)
         total = np.maximum(total, 0, out=total) @ weights + bias
     return np.asarray(total, np.float32).reshape(*shape, -1)
-
-
-def _standard(name: str, values: F32) -> F32:
-    usual, spread = TERMS[name]
-    return np.asarray(((values - np.float32(usual)) / np.float32(spread)).clip(-CLIP, CLIP), np.float32).ravel()
