@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, padded_spans, skids_of
 from alight.kernels import contact as gear
 from alight.kernels import hazards as kernels
+from alight.kernels.belly import BLOCK
 from alight.records import F32
 from alight.settings import Lander
 
@@ -89,15 +90,15 @@ def _ground_of(height: F32, footprint: Footprint, lander: Lander, cell: float) -
     scale = np.float32(1 / cell)
     known = np.isfinite(height)
     spans = disc_spans(lander.radius / cell)
-    pad = spans.size // 2 + gear.BLOCK
+    pad = spans.size // 2 + BLOCK
     body = np.pad(np.where(known, height * scale, np.float32(-np.inf)), pad, constant_values=-np.inf)
-    block = np.ones((gear.BLOCK, gear.BLOCK), np.uint8)
+    block = np.ones((BLOCK, BLOCK), np.uint8)
     tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
     own = np.stack(
         [footprint.level * scale, footprint.grad_c * scale, footprint.grad_r * scale, footprint.above * scale]
     )
     ground = np.where(known, height * scale, np.float32(np.inf))
-    return _Ground(ground, body, np.asarray(tops), own, spans, block_starts(spans, gear.BLOCK))
+    return _Ground(ground, body, np.asarray(tops), own, spans, block_starts(spans, BLOCK))
 
 
 def gear_contact(

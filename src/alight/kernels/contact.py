@@ -1,10 +1,9 @@
 """Compiled loops that rest a lander's feet or skids on the ground (docs/method-hazards.md, section 2)."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.kernels.belly import gather, keep, may_rise, raise_to, search
 from alight.kernels.compiler import kernel, parallel_kernel, prange
 
 F32 = NDArray[np.float32]
@@ -12,16 +11,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 B = NDArray[np.bool_]
 
-BLOCK = 4  # cells a side of the blocks that the belly search opens
 HAIR = 1e-5  # cells; two diagonals equally high carry both ways
-
-
-@kernel
-def _raise_to(top: F32, line: F32) -> None:
-    """Keep the larger of the two, cell by cell; slices without offsets vectorise."""
-    for c in range(top.size):
-        v, t = line[c], top[c]
-        top[c] = v if v > t else t
 
 
 @kernel
@@ -44,56 +34,11 @@ def _touch_row(ground: F32, r: int, offsets: I64, first: int, last: int, mean: b
         if mean:
             _add_to(out[lo:hi], ground[q, lo + dc : hi + dc])
         else:
-            _raise_to(out[lo:hi], ground[q, lo + dc : hi + dc])
+            raise_to(out[lo:hi], ground[q, lo + dc : hi + dc])
         out[:lo] = np.float32(np.inf)
         out[hi:] = np.float32(np.inf)
     if mean:
         out /= np.float32(last - first)
-
-
-@kernel
-def _rise_in_block(
-    body: F32, pad: int, r: int, c: int, br: int, bc: int, spans: I64, a: float, gx: float, gy: float, top: float
-) -> float:
-    """Largest rise in those cells of one block that belong to the disc, or `top` if none is higher."""
-    reach = spans.size // 2
-    for dr in range(br, min(br + BLOCK, reach + 1)):
-        half = spans[dr + reach]
-        level = a + gy * dr
-        for dc in range(max(bc, -half), min(bc + BLOCK, half + 1)):
-            e = body[r + dr + pad, c + dc + pad] - level - gx * dc
-            top = e if e > top else top
-    return top
-
-
-@kernel
-def _rise(
-    body: F32,
-    tops: F32,
-    pad: int,
-    r: int,
-    c: int,
-    spans: I64,
-    blocks: I64,
-    plane: tuple[float, float, float],
-    least: float,
-    most: float,
-) -> float:
-    """Largest rise of known ground in the disc above a plane (level, x, y), where it is between `least` and `most`.
-
-    Below `least` that is returned; the search ends above `most`. A block of cells is opened only where its highest
-    cell, above the block's lowest corner of the plane, would raise the answer.
-    """
-    a, gx, gy = plane
-    fall = (BLOCK - 1) * (min(gx, 0.0) + min(gy, 0.0))
-    top = least
-    for i in range(blocks.shape[0]):
-        br, bc = blocks[i, 0], blocks[i, 1]
-        if tops[r + br + pad, c + bc + pad] - a - gx * bc - gy * br - fall > top:
-            top = _rise_in_block(body, pad, r, c, br, bc, spans, a, gx, gy, top)
-            if top > most:
-                break
-    return top
 
 
 @kernel
@@ -129,58 +74,6 @@ def _unless(may: F64, over: F64) -> None:
     """Nothing is sought above planes that a foot's ground rises above."""
     for c in range(may.size):
         may[c] = may[c] if over[c] <= HAIR else -np.inf
-
-
-@kernel
-def _may_rise(own: F64, level: F64, across: F64, along: F64, reach: float, least: F32, out: F64) -> None:
-    """Fill `out` with how far the ground may at most rise above a contact plane, less `least`, cell by cell.
-
-    It lies no higher than `own[3]` above the footprint's own plane (level, x, y); the two planes part by no more than
-    their difference at the centre plus that of their gradients times the reach.
-    """
-    for c in range(out.size):
-        gx, gy = own[1, c] - across[c], own[2, c] - along[c]
-        out[c] = own[3, c] + (own[0, c] - level[c]) + math.sqrt(gx * gx + gy * gy) * reach - least[c]
-
-
-@kernel
-def _search(
-    body: F32,
-    tops: F32,
-    r: int,
-    spans: I64,
-    blocks: I64,
-    most: float,
-    may: F64,
-    level: F64,
-    across: F64,
-    along: F64,
-    rise: F32,
-) -> None:
-    """Raise `rise` (C,) to that above one contact plane where it may be higher, cell by cell of row `r`."""
-    pad = spans.size // 2 + BLOCK
-    for c in range(rise.size):
-        if may[c] > 0.0 and rise[c] <= most:
-            plane = (float(level[c]), float(across[c]), float(along[c]))
-            rise[c] = _rise(body, tops, pad, r, c, spans, blocks, plane, rise[c], most)
-
-
-@kernel
-def _gather(own: F32, r: int, skip: B, out: F32) -> None:
-    """Fill out (4, C) with the footprints of row `r`; what is not judged has nothing that could rise."""
-    for i in range(4):
-        out[i] = own[i, r]
-    for c in range(out.shape[1]):
-        out[3, c] = np.float32(-np.inf) if skip[r, c] else out[3, c]
-
-
-@kernel
-def _keep(skip: B, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
-    """Tangents of squared tangents, and NaN where nothing was wanted or something is unknown."""
-    for c in range(tilt.size):
-        tilt[c] = math.sqrt(steep[c])
-        if skip[c] or known[c] == np.inf:
-            tilt[c] = rise[c] = math.nan
 
 
 @parallel_kernel
@@ -230,13 +123,13 @@ def feet_contact(
         touch, here = np.empty((feet, cols), np.float64), np.empty((4, cols), np.float64)
         level, across, along = np.empty(cols), np.empty(cols), np.empty(cols)
         over, may, steep, highest = np.empty(cols), np.empty(cols), np.zeros(cols), np.zeros(cols, np.float32)
-        _gather(own, r, skip, here)
+        gather(own, r, skip, here)
         rise[r, :] = np.float32(limits[0])
         for k in range(headings):
             for f in range(feet):
                 _touch_row(ground, r, offsets, starts[k, f], starts[k, f + 1], mean, under)
                 touch[f] = under
-                _raise_to(highest, under)
+                raise_to(highest, under)
             for t in range(triples.shape[0]):
                 i, j, m = triples[t]
                 _planes_of(touch[i], touch[j], touch[m], solve[k, t], level, across, along)
@@ -245,10 +138,10 @@ def feet_contact(
                     for f in range(feet):
                         _raise_above(over, touch[f], level, across, along, xy[k, f, 0], xy[k, f, 1])
                 _steepen(steep, over, across, along)
-                _may_rise(here, level, across, along, np.float64(spans.size // 2), rise[r], may)
+                may_rise(here, level, across, along, np.float64(spans.size // 2), rise[r], may)
                 _unless(may, over)
-                _search(body, tops, r, spans, blocks, limits[1], may, level, across, along, rise[r])
-        _keep(skip[r], highest, steep, tilt[r], rise[r])
+                search(body, tops, r, spans, blocks, limits[1], may, level, across, along, rise[r])
+        keep(skip[r], highest, steep, tilt[r], rise[r])
 
 
 @kernel
@@ -418,16 +311,16 @@ def skid_contact(
         roll, pitch = np.empty((2, cols), np.float32), np.empty((2, cols), np.float32)
         rest, may = np.empty(cols, np.float32), np.empty(cols, np.float32)
         steep, highest = np.zeros(cols, np.float32), np.zeros(cols, np.float32)
-        _gather(own, r, skip, here)
+        gather(own, r, skip, here)
         rise[r, :] = np.float32(limits[0])
         for k in range(axes.shape[0]):
             _rail(ground, r, offsets[k, 0], here[0], left)
             _rail(ground, r, offsets[k, 1], here[0], right)
             resting_pitches(left, right, along[1] - along[0], joint, rest, pitch[0], pitch[1])
-            _raise_to(highest, rest)
+            raise_to(highest, rest)
             for side in range(2):
                 _plane_on(left, right, along, np.float32(gauge), axes[k], here[0], pitch[side], rest, roll[side], plane)
-                _may_rise(here, plane[0], plane[1], plane[2], reach, rise[r], may)
-                _search(body, tops, r, spans, blocks, limits[1], may, plane[0], plane[1], plane[2], rise[r])
+                may_rise(here, plane[0], plane[1], plane[2], reach, rise[r], may)
+                search(body, tops, r, spans, blocks, limits[1], may, plane[0], plane[1], plane[2], rise[r])
             _steepen_both(steep, pitch, roll)
-        _keep(skip[r], highest, steep, tilt[r], rise[r])
+        keep(skip[r], highest, steep, tilt[r], rise[r])
