@@ -217,6 +217,11 @@ REFUSED = (
 )
 
 
+def is_trusted(flags: U16) -> NDArray[np.bool_]:
+    """Where no flag refuses the height."""
+    return np.asarray((flags & np.uint16(REFUSED)) == 0)
+
+
 class Terrain(IntEnum):
     """Class codes of terrain.tif and of a flight's truth."""
 
@@ -271,7 +276,7 @@ class ElevationMap:
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """(R, C): cells whose height may be given out."""
-        trusted: NDArray[np.bool_] = np.isfinite(self.height) & ((self.flags & np.uint16(REFUSED)) == 0)
+        trusted: NDArray[np.bool_] = np.isfinite(self.height) & is_trusted(self.flags)
         return trusted
 
 

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
 from alight.kernels.levels import halve
-from alight.records import REFUSED, Flag
+from alight.records import REFUSED, Flag, is_trusted
 
 WHOLE = 3  # of four cells seen: the coarse one is
 ENOUGH = 2  # of four cells trusted: the coarse one is
-
-
-def is_trusted(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Where no flag refuses the height."""
-    return np.asarray((flags & np.uint16(REFUSED)) == 0)
 
 
 def halved(fine: Fields) -> Fields:

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.elevation.levels import doubled, halved, is_trusted
+from alight.elevation.levels import doubled, halved
 from alight.elevation.tiles import FIELDS, Far, Fields, Key, Layer, is_seen
 from alight.geometry import Grid, box_of
-from alight.records import ElevationMap, Heights
+from alight.records import ElevationMap, Heights, is_trusted
 
 # sigma of a coarse height as that of a cell in it, over its own, for a step that starts from it: what is smaller than a
 # coarse cell was not seen. With 1, tall grass seen from near kept the heights it had from afar: 41 % of what was given

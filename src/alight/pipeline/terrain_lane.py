@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from alight.elevation import FIELDS, Elevation, Far
 from alight.geometry import Grid
 from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.records import F64, REFUSED, ElevationMap, Flag, Gauge, Heights, PoseRing, View
+from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View, is_trusted
 from alight.settings import Settings
 
 MAX_SIGMA = 0.005  # of the height: 95 of 100 are then within a hundredth of it
@@ -239,8 +239,8 @@ class TerrainLane:
         """Refuse heights of too large a sigma, which goes with the camera's height above the ground, and lone ones."""
         ground = self.ground if self.below is None else self.below
         limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(camera - (ground or 0.0), 1.0)
-        given = ((heights.flags & np.uint16(REFUSED)) == 0) & ~(heights.sigma > limit)
-        unsure = np.where((heights.sigma > limit) | lone(given), np.uint16(Flag.UNSURE), np.uint16(0))
+        vague = heights.sigma > limit
+        unsure = np.where(vague | lone(is_trusted(heights.flags) & ~vague), np.uint16(Flag.UNSURE), np.uint16(0))
         return replace(heights, flags=heights.flags | unsure)
 
     def map_under(self, views: Sequence[View]) -> ElevationMap | None:
