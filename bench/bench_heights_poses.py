@@ -21,11 +21,11 @@ import numpy as np
 from bench_steps import texture, view
 from doubt import exposures
 from heights_points import Points, points_of
-from heights_step import CELL, REPEATS, SPACING, Flight, cpu
+from heights_step import REPEATS, SPACING, Flight, cpu, one_thread
 from heights_table import Row, head, kept
 
 from alight.evaluate.report import nmad
-from alight.geometry import Grid, Pose, so3_exp
+from alight.geometry import Pose, so3_exp
 from alight.pipeline.terrain_lane import TerrainLane
 from alight.records import F64, ElevationMap, Motion, PoseRing, View
 from alight.settings import Settings
@@ -163,10 +163,9 @@ class Refined(Flight):
         view = self._next
         motion = Motion(view.t_ns, view.world_from_cam, (view.world_from_cam,), np.diag(SIGMA**2))
         self._told = [*self._told[-7:], motion] if self._by_filter else [motion]
-        n, east = len(self._told), round(view.centre[0] / CELL) * CELL
+        n, grid = len(self._told), self.window()
         own = np.diag(np.repeat([0.01, 3e-4], 3) ** 2)  # a filter's poses among each other; all together SIGMA
         joint = np.kron(np.ones((n, n)), np.diag(SIGMA**2)) + np.kron(np.eye(n), own) if n > 1 else np.diag(SIGMA**2)
-        grid = Grid(east - 319.5 * CELL, 239.5 * CELL, CELL, 480, 640)
         self._ring.push([view], PoseRing(tuple(self._told), joint))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
         self._map.lean(self._ring.plane, self._ring.about)
@@ -174,9 +173,9 @@ class Refined(Flight):
             self._map.add(found, replace_all=True)
 
 
+@one_thread()
 def speed_rows() -> list[Row]:
     """CPU of a step with refinement over StereoSGBM(64), by turns with it."""
-    cv2.setNumThreads(1)
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(texture(), i, SPACING * i).image for i in range(2)]
     plain, out = Flight(), []
     for name, flight in (("a filter's poses", Refined(True)), ("each pose off by 5 cm and 0.2 deg", Refined(False))):

@@ -31,15 +31,14 @@ AS_THEY_COME, OF_A_CLASS = 8000, 800  # cells of a flight
 LEAST = 50  # cells of a class in a flight that count
 SHIFT = 0.35  # of a term's spread, 1-sigma of what a flight's evidence is shifted by
 PENALTY = 2e-3  # of squared weights
-CAUTION = (
-    0.25  # log odds taken from short grass: as much as leaves no open ground worse off than before, flights left out
-)
-ROUNDS, BATCH, RATE = 16, 1024, 3e-3
+# log odds taken from short grass: as much as leaves no open ground worse off than before, flights left out
+CAUTION = 0.25
 SCENES = (
     {"meadow"}, {"village", "yard"}, {"desert", "snow"}, {"lakes", "tall_grass"}, {"farmland", "forest"},
     {"car_park", "concrete", "quarry"},
 )  # fmt: skip  # those that are left out together
 Integers = NDArray[np.int64]
+Batch = tuple[Integers, F32, float]  # cells, what the terms of each are shifted by, and the rate of the step
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +122,28 @@ def joined(parts: list[Rows]) -> Rows:
     return Rows(parts[0].names, values, kind, weight / weight.sum(), flight)
 
 
+@dataclass(frozen=True)
+class Schedule:
+    """How often cells are drawn, how many at once, and how far the first step goes."""
+
+    rounds: int
+    batch: int
+    rate: float
+
+    def batches(self, rng: np.random.Generator, weight: F64, flight: Integers, terms: int) -> Iterator[Batch]:
+        """Cells drawn by weight (N,), by what the flight (N,) of each is shifted this time round, and the rate."""
+        steps = len(weight) // self.batch
+        for step in range(self.rounds * steps):
+            if step % steps == 0:
+                drawn = rng.choice(len(weight), steps * self.batch, p=weight)
+                shift = rng.normal(0, SHIFT, (int(flight.max()) + 1, terms)).astype(np.float32)
+            i = drawn[step % steps * self.batch :][: self.batch]
+            yield i, shift[flight[i]], self.rate * 0.5 * (1 + np.cos(np.pi * step / (self.rounds * steps)))
+
+
+SCHEDULE = Schedule(rounds=16, batch=1024, rate=3e-3)
+
+
 @dataclass(eq=False)
 class Adam:
     """Steps down the slopes of a loss, each weight by its own size of slope."""
@@ -169,15 +190,9 @@ def train(r: Rows, seed: int = 0) -> Net:
         for a, b in pairwise(sizes)
     ]
     adam = Adam(layers)
-    steps = len(r.kind) // BATCH
-    for step in range(ROUNDS * steps):
-        if step % steps == 0:
-            drawn = rng.choice(len(r.kind), steps * BATCH, p=r.weight)
-            shift = rng.normal(0, SHIFT, (int(r.flight.max()) + 1, sizes[0])).astype(np.float32)
-        i = drawn[step % steps * BATCH :][:BATCH]
-        x = ((r.values[i] - usual) / spread + shift[r.flight[i]]).clip(-CLIP, CLIP)
-        slopes = _slopes(layers, np.asarray(x, np.float32), r.kind[i])
-        adam.step(slopes, RATE * 0.5 * (1 + np.cos(np.pi * step / (ROUNDS * steps))))
+    for i, shift, rate in SCHEDULE.batches(rng, r.weight, r.flight, sizes[0]):
+        x = ((r.values[i] - usual) / spread + shift).clip(-CLIP, CLIP)
+        adam.step(_slopes(layers, np.asarray(x, np.float32), r.kind[i]), rate)
     layers[-1][-1, Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
     return Net(r.names, usual, spread, tuple(layers))
 

@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from cover_fit import Adam, Net, instead, joined, rows, text_of, train
+from cover_fit import Adam, Net, Schedule, instead, joined, rows, text_of, train
 from ground_flights import TUNING, Judged, cover_of, pooled, reliability
 from ground_maps import How, judgeable
 from numpy.typing import NDArray
@@ -33,9 +33,8 @@ stage = import_module("alight.hazards.assess")  # the module: the package names 
 
 SOME = 5000  # cells of a map
 HIDDEN = 16
-SHIFT = 0.35  # of a term's spread, 1-sigma of what a flight's evidence is shifted by
 PENALTY = 1e-3  # of squared weights
-ROUNDS, BATCH, RATE = 8, 2048, 4e-3
+SCHEDULE = Schedule(rounds=8, batch=2048, rate=4e-3)
 FOLDS = 5  # of flights, each judged by what was fitted without it
 STEPS = (0.0, 0.02, *np.linspace(0.05, 0.95, 19), 0.98, 1.0)  # of the cells, by their odds
 Bool = NDArray[np.bool_]
@@ -111,14 +110,9 @@ def fit(samples: list[Sample]) -> Net:
     inner = np.vstack([np.abs(rng.normal(0, len(names) ** -0.5, (len(names), HIDDEN))), rng.normal(0, 1, (1, HIDDEN))])
     outer = np.concatenate([np.abs(rng.normal(0, 1, HIDDEN)), np.full(len(names), 0.05), np.zeros(1)])[:, None]
     layers = [inner.astype(np.float32), outer.astype(np.float32)]
-    adam, steps = Adam(layers), len(x) // BATCH
-    for step in range(ROUNDS * steps):
-        if step % steps == 0:
-            drawn = rng.choice(len(x), steps * BATCH, p=weight)
-            shift = rng.normal(0, SHIFT, (len(values), len(names))).astype(np.float32)
-        i = drawn[step % steps * BATCH :][:BATCH]
-        slopes = _slopes(layers, (x[i] + shift[flight[i]]).clip(-CLIP, CLIP), least[i], unsafe[i])
-        adam.step(slopes, RATE * 0.5 * (1 + np.cos(np.pi * step / (ROUNDS * steps))))
+    adam = Adam(layers)
+    for i, shift, rate in SCHEDULE.batches(rng, weight, flight, len(names)):
+        adam.step(_slopes(layers, (x[i] + shift).clip(-CLIP, CLIP), least[i], unsafe[i]), rate)
         for w in layers:
             np.maximum(w[:-1], 0, out=w[:-1])
     return Net(names, usual, spread + np.float32(1e-3), tuple(layers))

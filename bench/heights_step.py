@@ -8,7 +8,8 @@ from __future__ import annotations
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import cv2
@@ -49,10 +50,17 @@ PARTS = {  # what is timed apart, outer before inner
 }
 
 
-def single_threaded() -> None:
+@contextmanager
+def one_thread() -> Iterator[None]:
     """Two threads that wait for each other cost CPU too, and by how much is the machine's."""
+    before = cv2.getNumThreads(), numba.get_num_threads()
     cv2.setNumThreads(1)
     numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before[0])
+        numba.set_num_threads(before[1])
 
 
 def cpu(work: Callable[[], object]) -> float:
@@ -83,15 +91,16 @@ class Flight:
     def seen(self) -> tuple[list[View], Grid, ElevationMap]:
         """The last pictures, the window under the newest of them, and what the map has there."""
         views = [view(self._ground, i, -12.0 + SPACING * i) for i in range(self._at - VIEWS + 1, self._at + 1)]
-        return views, self._window(), self._map.read(self._window())
+        return views, self.window(), self._map.read(self.window())
 
-    def _window(self) -> Grid:
+    def window(self) -> Grid:
+        """The 640 x 480 cells under the next picture."""
         east = round(self._next.centre[0] / CELL) * CELL
         return Grid(east - 319.5 * CELL, 239.5 * CELL, CELL, 480, 640)
 
     def step(self) -> None:
         """One exposure into the ring, one step, its heights into the map."""
-        grid = self._window()
+        grid = self.window()
         self._ring.push([self._next])
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
         if found is not None:
@@ -108,9 +117,9 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
     judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), known.rgb)
 
 
+@one_thread()
 def rows() -> list[Row]:
     """A step alone, and all that a new keyframe asks for; the pair by turns with each."""
-    single_threaded()
     flight, ground = Flight(), texture()
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(ground, i, SPACING * i).image for i in range(2)]
     alone, whole = [], []
@@ -128,9 +137,9 @@ def rows() -> list[Row]:
     ]  # fmt: skip
 
 
+@one_thread()
 def profile() -> None:
     """Print CPU time and share of each part of a step."""
-    single_threaded()
     spent, flight = Counter[str](), Flight()
 
     def timed(name: str, work: Callable[..., Any]) -> Callable[..., Any]:
