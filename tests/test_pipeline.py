@@ -151,13 +151,13 @@ def test_what_is_too_vague_is_refused() -> None:
 
 
 def test_a_height_among_refused_ones_is_refused() -> None:
-    given = np.zeros((60, 80), np.bool_)
-    given[5, 5] = given[20:23, 40:44] = True  # one cell, and twelve of 121
-    given[30:, :] = True  # a half-plane: at its border half of what is about is given out
-    given[45:50, 60:65] = False
+    given = np.zeros((100, 120), np.bool_)
+    given[5, 5] = given[20:34, 60:74] = True  # one cell, and 196 of 1681
+    given[60:, :] = True  # a half-plane: at its border half of what is about is given out
+    given[75:80, 60:65] = False
     alone = lone(given)
-    assert alone.sum() == 13
-    assert not alone[24:].any()
+    assert alone.sum() == 197
+    assert not alone[60:].any()
 
 
 def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:

@@ -162,7 +162,7 @@ class Elevation(_Model):
     """The map."""
 
     tile: int = Field(128, ge=64, description="cells a side; each chooses its own views")
-    max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 0.5 % of the height")
+    max_sigma: Positive | None = Field(None, description="m; cells above are not given out; None: 0.65 % of the height")
     most_cells: int = Field(
         16_000_000, ge=10_000, description="of the rasters of a run; where finer ones were used they are averaged"
     )

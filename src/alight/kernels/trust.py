@@ -9,7 +9,7 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 U16 = NDArray[np.uint16]
 
-ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
+ZERO, ONE = np.float32(0), np.float32(1)
 LEAST = np.float32(1e-4)  # metres: sigmas are at least this
 QUARTER = np.float32(0.25)
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
@@ -91,18 +91,11 @@ def pool(h: F32, mean: F32, noise: F32, precision: F32, per_px: F32, fill: float
 
 
 @kernel
-def _sigma_row(
-    h: F32, noise: F32, precision: F32, rough2: F32, low: F32, high: F32, fit: np.float32, floor2: np.float32,
-    step: np.float32, sigma: F32,
-) -> None:  # fmt: skip
+def _sigma_row(h: F32, noise: F32, precision: F32, hidden2: F32, fit: np.float32, sigma: F32) -> None:
     for c in range(h.size):
-        k = np.uintp(c // 2)
         known = (precision[c] > ZERO) & (h[c] == h[c])
-        variance = fit * noise[c] / (precision[c] if known else ONE) + floor2 + rough2[k]
-        down, up = h[c] - low[k], high[k] - h[c]
-        beyond = (down if down > up else up) - TWO * np.sqrt(variance)
-        beyond = beyond if beyond > ZERO else ZERO
-        sigma[c] = np.sqrt(variance + step * beyond * beyond) if known else np.float32(np.nan)
+        variance = fit * noise[c] / (precision[c] if known else ONE) + hidden2[np.uintp(c // 2)]
+        sigma[c] = np.sqrt(variance) if known else np.float32(np.nan)
 
 
 @kernel
@@ -124,17 +117,13 @@ def _judge_row(
 
 
 @parallel_kernel
-def sigma(h: F32, noise: F32, precision: F32, half: F32, fit: float, floor: float, step: float, out: F32) -> None:
+def sigma(h: F32, noise: F32, precision: F32, hidden2: F32, fit: float, out: F32) -> None:
     """Fill the 1-sigma of each height (eq. 14); NaN where there is no height or no information.
 
-    sigma^2: `fit` times noise over information, `floor` metres squared, relief, and the share `step` of the square of
-    what a neighbour lies beyond two sigma of that. `half` (3, R / 2, C / 2): relief in metres^2, lowest and highest
-    neighbour.
+    sigma^2: `fit` times noise over information, and what the windows flatten, `hidden2` (R / 2, C / 2) metres^2.
     """
-    fit32, floor2, step32 = np.float32(fit), np.float32(floor * floor), np.float32(step)
     for r in prange(h.shape[0]):
-        k = r // 2
-        _sigma_row(h[r], noise[r], precision[r], half[0, k], half[1, k], half[2, k], fit32, floor2, step32, out[r])
+        _sigma_row(h[r], noise[r], precision[r], hidden2[r // 2], np.float32(fit), out[r])
 
 
 @parallel_kernel

@@ -23,10 +23,12 @@ MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: le
 MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
 MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby: there the smoothing overruled what the cells saw
 # sigma (eq. 14), fitted on simulated flights
-FIT = 0.2  # of noise over information
-FLOOR_CELL = 0.1  # cells: a window is no point
-ROUGH = 7.0  # of the variance of the relief that is seen: what is not seen goes with it
-BESIDE = 0.15  # of the square of what neighbours lie off beyond two sigma
+FIT = 0.16  # of noise over information
+FLOOR_CELL = 0.03  # cells: a window is no point
+ROUGH = 2.2  # of the variance of the relief that is seen
+HIDDEN = 6.5  # parallax pixels
+FINE, BROAD, NOISE = 0.16, 0.22, 0.42  # powers of the variances of relief and samples that it goes with
+LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
 STEP_PX = 4.0  # parallax pixels
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 NEAR = 5  # cells of half resolution: what is nearby
@@ -49,7 +51,7 @@ class Pooled:
     texture: F32  # variance of the template nearby: the texture that all views share
     residual: F32  # share of the samples' variance that the views do not have in common: 0 perfect, 1 nothing
     noise: F32  # mean residual variance
-    rough2: F32  # metres^2, variance of the heights about the smoothed ones, by `ROUGH`
+    hidden2: F32  # metres^2, variance of what the windows flatten
     sigma2_px: F32  # variance of the heights, parallax pixels^2 (eq. 14)
     metres_per_px: F32
 
@@ -63,14 +65,25 @@ def pooled(fit: Fit, cell: float) -> Pooled:
     kernels.pool(height, mean, noise, precision, per_px, middle(height), out)
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
-    relief = mid - cv2.GaussianBlur(mid, (0, 0), 0.75)
-    rough2 = np.float32(ROUGH) * (uneven + _box(relief * relief, 3))
     per_px = np.ascontiguousarray(per_px[::2, ::2])
-    sigma2 = np.float32(FIT) * fitted + (np.float32((FLOOR_CELL * cell) ** 2) + rough2) / (per_px * per_px)
+    hidden2 = _hidden(mid, uneven, s2, per_px) + np.float32((FLOOR_CELL * cell) ** 2)
+    sigma2 = np.float32(FIT) * fitted + hidden2 / (per_px * per_px)
     near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
     share = s2 / np.maximum(texture + s2, 1e-6)
-    return Pooled(low, high, lowest, highest, texture, share, s2, rough2, sigma2, per_px)
+    return Pooled(low, high, lowest, highest, texture, share, s2, hidden2, sigma2, per_px)
+
+
+def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32) -> F32:
+    """Variance of what the windows flatten, metres^2: it goes with the relief that is left and with the noise."""
+    fine, broad = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
+    rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(broad * broad, (0, 0), 1.5)
+    square = per_px * per_px
+    out = square * np.float32(HIDDEN**2)
+    for variance, power in ((rough, FINE), (wide, BROAD)):
+        out *= cv2.pow(np.maximum(variance / square, np.float32(LEAST_RELIEF)), 2 * power)
+    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * NOISE)
+    return np.asarray(out + np.float32(ROUGH) * rough, dtype=np.float32)
 
 
 def _even(values: NDArray[Any]) -> NDArray[Any]:
@@ -143,8 +156,7 @@ def judge(fit: Fit, grid: Grid, ratio: F32, lit: list[Prepared], searched: tuple
     near |= _bit(doubt(terms) > MAX_DOUBT, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
-    half = np.stack([seen.rough2, seen.lowest, seen.highest])
-    kernels.sigma(fit.height, fit.noise, fit.precision, half, FIT, FLOOR_CELL * grid.cell, BESIDE, sigma)
+    kernels.sigma(fit.height, fit.noise, fit.precision, seen.hidden2, FIT, sigma)
     kernels.flag(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
         (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), residual, flags,

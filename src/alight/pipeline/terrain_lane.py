@@ -16,7 +16,7 @@ from alight.parallax import Images, Ring, find_points, ground_sampling, height_r
 from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View, is_trusted
 from alight.settings import Settings
 
-MAX_SIGMA = 0.005  # of the height: 95 of 100 are then within a hundredth of it
+MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
 LEAST_POINTS = 20
@@ -27,9 +27,9 @@ MOST_POINTS = 20_000  # that say where the ground is
 LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
 BEYOND = 0.3  # share of a step's cells at an end of the range that asks for another
 LEAST_KNOWN = 400  # heights of the map that say it better
-# a height is given out among others that are: of lone ones one in six is wrong, on ground of little texture one in five
+# a height is given out among others that are: of those that are left where most are refused one in five is wrong
 LEAST_GIVEN = 0.25  # of the cells about it
-ABOUT = 11  # cells
+ABOUT = 41  # cells
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 Progress = Callable[[float], None]
