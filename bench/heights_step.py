@@ -117,17 +117,22 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
     judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), known.rgb)
 
 
+def lone_step(flight: Flight) -> Callable[[], None]:
+    """`one_step` where a flight is now, all but the newest picture being ready."""
+    views, grid, known = flight.seen()
+    kept, buffers = [prepare(v, CELL, 0.0) for v in views[:-1]], Buffers()
+    return lambda: one_step(kept, views[-1], grid, known, buffers)
+
+
 @one_thread()
 def rows() -> list[Row]:
     """A step alone, and all that a new keyframe asks for; the pair by turns with each."""
     flight, ground = Flight(), texture()
     matcher, pair = cv2.StereoSGBM_create(0, 64, 5), [view(ground, i, SPACING * i).image for i in range(2)]
-    alone, whole = [], []
-    views, grid, known = flight.seen()
-    kept, buffers = [prepare(v, CELL, 0.0) for v in views[:-1]], Buffers()
+    step, alone, whole = lone_step(flight), [], []
     for _ in range(REPEATS):
         theirs = cpu(lambda: matcher.compute(*pair))
-        alone.append(cpu(lambda: one_step(kept, views[-1], grid, known, buffers)) / theirs)
+        alone.append(cpu(step) / theirs)
         whole.append(cpu(flight.step) / theirs)
         flight.advance()
     return [
