@@ -14,6 +14,7 @@ from heights_points import BAD, LEAST, OPEN, Answer, Mask, percent
 from heights_table import KEPT, Row, kept
 from heights_unflagged import DEEP, OF_GIVEN, WITH_TERRAIN, Ground, mapped_by_all, through
 from matchers import by_pair, inside
+from scipy.spatial import cKDTree
 from subjects import Subject, flight, photos
 
 from alight.evaluate.photos import interpolated, plane_of
@@ -23,6 +24,7 @@ from alight.settings import Settings
 
 DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
 OWN_NOISE = 0.028  # metres, of the reference's points
+BESIDE = 0.05, 0.2  # metres between points that are compared with one another: not one feature twice
 PAIR = 5.0  # metres between photos that follow each other, at most: a strip ends
 LEAST_GAP = 0.02  # of the height between exposures that the lane is given
 Numbers = dict[str, float]
@@ -104,7 +106,9 @@ def photo_rows() -> list[Row]:
     for n in (2, 8, 12):
         name = f"photos: within 1.96 sigma (0.028 m added), {n} views a cell, %"
         out.append(Row(name, found[f"within {n}"], (93, 97), (93, 97)))
-    return out
+    near, far = BESIDE
+    name = f"... points of open ground {near} to {far} m apart, as near to one another as 0.028 m each allows, %"
+    return [*out, Row(name, found["points alone"])]
 
 
 @cache
@@ -150,12 +154,21 @@ def _photos() -> Numbers:
         "ring/batch, all": nmad(two.height[have]) / nmad(one.height[have]),
     }
     out |= _rough(views, points.xyz, ~points.open, one)
+    out["points alone"] = _alike(points.xyz[points.open])
     return out | {f"within {n}": _within(_at(_matched(views, "batch", n), points.xyz)) for n in (2, 8, 12)}
 
 
 def _within(a: Answer) -> float:
     total = np.hypot(a.sigma[a.given], OWN_NOISE)
     return percent(np.abs(a.height[a.given]) < 1.96 * total)
+
+
+def _alike(xyz: F64) -> float:
+    """Share of neighbouring points whose heights differ by what their own noise allows, in percent."""
+    pairs = cKDTree(xyz[:, :2]).query_pairs(BESIDE[1], output_type="ndarray")
+    apart = xyz[pairs[:, 0]] - xyz[pairs[:, 1]]
+    some = np.linalg.norm(apart[:, :2], axis=1) > BESIDE[0]
+    return percent(np.abs(apart[some, 2]) < 1.96 * OWN_NOISE * math.sqrt(2))
 
 
 def _rough(views: list[View], xyz: F64, rough: Mask, ours: Answer) -> Numbers:
