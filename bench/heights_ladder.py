@@ -71,9 +71,12 @@ class Ladder:
                 print("\n".join(shown(f"{name}, N = {n}", self._found[name, n])), flush=True)
         return self._found[name, count]
 
-    def median(self, matcher: str, column: str, heights: Iterable[int], count: int) -> float:
-        """Of one number over the rungs of some heights."""
-        values = [self.of(n, count)[matcher].get(column, math.nan) for h in heights for n in self.rungs(h)]
+    def median(
+        self, matcher: str, column: str, heights: Iterable[int], count: int, scenes: Sequence[str] = SCENES
+    ) -> float:
+        """Of one number over the rungs of some heights and scenes."""
+        names = [n for h in heights for n in self.rungs(h) if rung(n).scene in scenes]
+        values = [self.of(n, count)[matcher].get(column, math.nan) for n in names]
         known = [v for v in values if not math.isnan(v)]
         return float(np.median(known)) if known else math.nan
 
@@ -96,12 +99,15 @@ def accuracy(rungs: Ladder) -> list[Row]:
 
 
 def exponent(rungs: Ladder) -> list[Row]:
-    """Slope of log error in metres over log height; of the rig, whose baseline does not grow, about 2."""
+    """Slope of log error in metres over log height; of the rig, whose baseline does not grow, about 2.
+
+    Of the scenes that are flown at every height: others, at one of them, would tilt it.
+    """
     heights = rungs.heights
     out = []
     for matcher in (*OURS, "SGBM rig", "SGBM rig x4"):
         for n in COUNTS if matcher in OURS else COUNTS[:1]:
-            errors = [0.01 * h * rungs.median(matcher, "open NMAD %", [h], n) for h in heights]
+            errors = [0.01 * h * rungs.median(matcher, "open NMAD %", [h], n, FEW) for h in heights]
             slope = float(np.polyfit(np.log(heights), np.log(errors), 1)[0]) if len(heights) > 1 else math.nan
             limits = (1.1, 1.0) if matcher in OURS else ()
             out.append(Row(f"exponent of the error over range, {matcher}, N = {n}", slope, *limits))
