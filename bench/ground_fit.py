@@ -97,19 +97,12 @@ def _slopes(layers: list[F32], x: F32, least: F32, unsafe: F32) -> list[F32]:
     return [np.vstack([a.T @ b + np.float32(PENALTY) * w[:-1], b.sum(axis=0)[None]]) for a, b, w in pairs]
 
 
-def scale_of(values: list[F32]) -> tuple[F32, F32]:
-    """Usual value and spread of each term, within maps and between them, every map weighing the same."""
-    means, spreads = (np.array([f(v, axis=0) for v in values]) for f in (np.mean, np.std))
-    spread = np.sqrt((spreads**2).mean(axis=0) + means.var(axis=0)) + 1e-3
-    return means.mean(axis=0).astype(np.float32), spread.astype(np.float32)
-
-
 def fit(samples: list[Sample]) -> Net:
     """The net of some flights: Adam, weights that became less than 0 put back to 0 after each step."""
     rng, names = np.random.default_rng(0), tuple(samples[0].terms)
     values = [np.stack([s.terms[k] for k in names], axis=1) for s in samples]
-    usual, spread = scale_of(values)
-    x = np.concatenate([(v - usual) / spread for v in values])
+    usual, spread = (np.mean([f(v, axis=0) for v in values], axis=0).astype(np.float32) for f in (np.mean, np.std))
+    x = np.concatenate([(v - usual) / (spread + np.float32(1e-3)) for v in values])
     least = np.concatenate([least_costs(s.terms) for s in samples])
     unsafe = np.concatenate([~s.near for s in samples]).astype(np.float32)
     weight = np.concatenate([np.full(len(v), 1 / len(v) / len(samples)) for v in values])
@@ -122,7 +115,7 @@ def fit(samples: list[Sample]) -> Net:
         adam.step(_slopes(layers, (x[i] + shift).clip(-CLIP, CLIP), least[i], unsafe[i]), rate)
         for w in layers:
             np.maximum(w[:-1], 0, out=w[:-1])
-    return Net(names, usual, spread, tuple(layers))
+    return Net(names, usual, spread + np.float32(1e-3), tuple(layers))
 
 
 def odds(s: Sample, net: Net) -> F32:
