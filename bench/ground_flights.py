@@ -56,7 +56,9 @@ FRESH = (  # seeds that nobody looked at before the method was settled: for the 
 LEVELS = (0.9, 0.95, 0.99)
 BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 1.0 + 1e-9)
 ENOUGH = 500  # cells of a bin
+NEVER = (Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.WATER)
 Bool = NDArray[np.bool_]
+Taken = dict[Terrain, NDArray[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,13 @@ def judged(j: Judgeable, found: HazardMap) -> Judged:
     safe, near = j.safe(Settings().lander)
     here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
     return Judged(j.name, np.nan_to_num(found.p_safe)[here], safe[here], near[here])
+
+
+def taken(j: Judgeable, found: HazardMap) -> Taken:
+    """Of each class that no lander may meet the seen cells, and those of them where a touchdown is called safe."""
+    here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
+    sure = np.nan_to_num(found.p_safe) >= Settings().hazards.p_safe
+    return {k: np.array([(here & (j.label == k)).sum(), (here & sure & (j.label == k)).sum()]) for k in NEVER}
 
 
 def reliability(j: Judged) -> list[tuple[float, float, int]]:
@@ -172,9 +181,11 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     options = parser.parse_args()
-    done = []
+    done, barred = [], list[Taken]()
     for j in flights(options):
-        done.append(judged(j, verdict(j)))
+        found = verdict(j)
+        done.append(judged(j, found))
+        barred.append(taken(j, found))
         print(f"{done[-1].name:36s} {100 * done[-1].safe.mean():5.1f} % truly safe", flush=True)
         for level in LEVELS:
             print("   " + done[-1].line(level), flush=True)
@@ -183,6 +194,9 @@ def main() -> None:
     every = pooled(done)
     for level in LEVELS:
         print(every.line(level))
+    for kind in NEVER:
+        cells, wrong = np.sum([t[kind] for t in barred], axis=0)
+        print(f"{kind.name.lower()}: {cells} cells, no touchdown on {100 * (1 - wrong / max(cells, 1)):.3f} %")
     for claimed, true, cells in reliability(every):
         print(f"   claimed {claimed:.3f}  true {true:.3f}  {cells:8d} cells")
     if options.figure is not None:
