@@ -30,7 +30,7 @@ LEAST_KNOWN = 400  # heights of the map that say it better
 # a height is given out among others that are: of those that are left where most are refused one in five is wrong
 LEAST_GIVEN = 0.25  # of the cells about it
 ABOUT = 41  # cells
-NICE = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0])
+NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 Progress = Callable[[float], None]
 
