@@ -34,6 +34,7 @@ stage = import_module("alight.hazards.assess")  # the module: the package names 
 SOME = 5000  # cells of a map
 HIDDEN = 16
 PENALTY = 1e-3  # of squared weights
+UNSAFE = np.float32(3)  # what a cell that is not safe weighs
 SCHEDULE = Schedule(rounds=8, batch=2048, rate=4e-3)
 FOLDS = 5  # of flights, each judged by what was fitted without it
 STEPS = (0.0, 0.02, *np.linspace(0.05, 0.95, 19), 0.98, 1.0)  # of the cells, by their odds
@@ -85,13 +86,14 @@ def sample(name: str, how: How, scratch: Path) -> Sample | None:
 
 
 def _slopes(layers: list[F32], x: F32, least: F32, unsafe: F32) -> list[F32]:
-    """Of the mean log loss, the costs being those of the net and the least ones together."""
+    """Of the mean log loss, the costs being those of the net and the least ones together; wrong safe ones cost more."""
     inner, outer = layers
     hidden = np.tanh(x @ inner[:-1] + inner[-1])
     units = hidden.shape[1]
     seen = np.hstack([hidden, x])
     cost = (seen @ outer[:-1] + outer[-1])[:, 0] + least
-    off = np.asarray(((expit(cost) - unsafe) / len(x))[:, None], np.float32)
+    weight = 1 + (UNSAFE - 1) * unsafe
+    off = np.asarray(((expit(cost) - unsafe) * weight / weight.sum())[:, None], np.float32)
     back = (off @ outer[:units].T) * (1 - hidden**2)
     pairs = ((x, back, inner), (seen, off, outer))
     return [np.vstack([a.T @ b + np.float32(PENALTY) * w[:-1], b.sum(axis=0)[None]]) for a, b, w in pairs]

@@ -43,6 +43,17 @@ TUNING = (
     "yard/50m/tuning-5", "concrete/50m/tuning-5", "lakes/50m/tuning-5", "forest/50m/tuning-5",
     "farmland/50m/tuning-5", "yard/40m/tuning-6", "desert/40m/tuning-6", "car_park/40m/tuning-6",
     "village/40m/tuning-6", "meadow/40m/tuning-6", "concrete/40m/tuning-6", "farmland/40m/tuning-6",
+    "meadow/20m/tuning-7", "village/20m/tuning-7", "yard/20m/tuning-7", "desert/20m/tuning-7",
+    "car_park/20m/tuning-7", "quarry/20m/tuning-7", "concrete/20m/tuning-7", "farmland/20m/tuning-7",
+    "lakes/20m/tuning-7", "forest/20m/tuning-7", "tall_grass/20m/tuning-7", "meadow/50m/tuning-8",
+    "village/50m/tuning-8", "yard/50m/tuning-8", "desert/50m/tuning-8", "car_park/50m/tuning-8",
+    "quarry/50m/tuning-8", "concrete/50m/tuning-8", "farmland/50m/tuning-8", "lakes/50m/tuning-8",
+    "forest/50m/tuning-8", "tall_grass/50m/tuning-8", "meadow/40m/tuning-9", "village/40m/tuning-9",
+    "yard/40m/tuning-9", "desert/40m/tuning-9", "car_park/40m/tuning-9", "quarry/40m/tuning-9",
+    "concrete/40m/tuning-9", "farmland/40m/tuning-9", "lakes/40m/tuning-9", "forest/40m/tuning-9",
+    "tall_grass/40m/tuning-9", "meadow/20m/tuning-10", "village/20m/tuning-10", "yard/20m/tuning-10",
+    "desert/20m/tuning-10", "car_park/20m/tuning-10", "quarry/20m/tuning-10", "concrete/20m/tuning-10",
+    "farmland/20m/tuning-10", "lakes/20m/tuning-10", "forest/20m/tuning-10", "tall_grass/20m/tuning-10",
 )  # fmt: skip
 TEST = (
     "meadow/50m/test-1", "village/50m/test-1", "yard/20m/test-1", "desert/50m/test-1", "meadow/20m/test-2",

@@ -333,7 +333,7 @@ def test_given_poses_replace_what_navigation_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.4), (0.55, 1.0)]
+    ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.5), (0.55, 1.0)]
 )
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
     assert nice_cell(sampling) == cell
