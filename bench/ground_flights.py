@@ -23,7 +23,7 @@ from ground_maps import HOWS, Judgeable, judgeable
 from heights_figures import Axis, chart
 from numpy.typing import NDArray
 
-from alight import hazards, terrain
+from alight import hazards, sites, terrain
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
 from alight.sources.library import read_model
@@ -115,6 +115,14 @@ def judged(j: Judgeable, found: HazardMap) -> Judged:
     return Judged(j.name, np.nan_to_num(found.p_safe)[here], safe[here], near[here])
 
 
+def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
+    """How many sites that the product would list are truly safe, or within 0.3 m of it; and how many it lists."""
+    s, near, grid = Settings(), j.safe(Settings().lander)[1], j.elevation.grid
+    chosen = sites.choose(found, None, j.elevation, s.sites, s.lander).sites
+    at = [tuple(int(np.rint(i)) for i in grid.index(c.east, c.north)) for c in chosen]
+    return sum(bool(near[k]) for k in at), len(at)
+
+
 def taken(j: Judgeable, found: HazardMap) -> Taken:
     """Of each class that no lander may meet the seen cells, and those of them where a touchdown is called safe."""
     here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
@@ -192,17 +200,22 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     options = parser.parse_args()
-    done, barred = [], list[Taken]()
+    done, barred, total = [], list[Taken](), np.zeros(2, np.int64)
     for j in flights(options):
         found = verdict(j)
         done.append(judged(j, found))
         barred.append(taken(j, found))
-        print(f"{done[-1].name:36s} {100 * done[-1].safe.mean():5.1f} % truly safe", flush=True)
+        right, count = listed(j, found)
+        total += right, count
+        print(
+            f"{done[-1].name:36s} {100 * done[-1].safe.mean():5.1f} % truly safe; sites: {right} of {count}", flush=True
+        )
         for level in LEVELS:
             print("   " + done[-1].line(level), flush=True)
         if options.waterfall:
             waterfall(j)
     every = pooled(done)
+    print(f"sites truly safe, or within 0.3 m of it: {total[0]} of {total[1]}")
     for level in LEVELS:
         print(every.line(level))
     for kind in NEVER:
