@@ -26,7 +26,7 @@ from scipy.special import expit, logit
 
 from alight.hazards.belief import learned_costs, least_costs
 from alight.net import CLIP
-from alight.records import F32, Flag
+from alight.records import F32
 from alight.settings import Settings
 
 stage = import_module("alight.hazards.assess")  # the module: the package names its function so
@@ -72,10 +72,9 @@ def sample(name: str, how: How, scratch: Path) -> Sample | None:
         verdict = stage.assess(j.elevation, cover_of(j), s.lander, s.hazards)
     finally:
         stage.safe_belief = plain  # type: ignore[attr-defined]
-    safe, near = j.safe(s.lander)
-    seen = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
-    left = np.flatnonzero((verdict.reasons == 0) & seen)  # the tilt leaves P >= 0.99
-    total = max(int((safe & seen).sum()), 1)
+    safe, near = j.safe
+    left = np.flatnonzero((verdict.reasons == 0) & j.seen)  # the tilt leaves P >= 0.99
+    total = max(int((safe & j.seen).sum()), 1)
     if len(left) < 50:
         return None
     share = float(safe.ravel()[left].sum() / total)

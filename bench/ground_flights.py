@@ -110,14 +110,13 @@ def verdict(j: Judgeable) -> HazardMap:
 
 def judged(j: Judgeable, found: HazardMap) -> Judged:
     """The verdict beside the truth."""
-    safe, near = j.safe(Settings().lander)
-    here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
-    return Judged(j.name, np.nan_to_num(found.p_safe)[here], safe[here], near[here])
+    safe, near = j.safe
+    return Judged(j.name, np.nan_to_num(found.p_safe)[j.seen], safe[j.seen], near[j.seen])
 
 
 def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
     """How many sites that the product would list are truly safe, or within 0.3 m of it; and how many it lists."""
-    s, near, grid = Settings(), j.safe(Settings().lander)[1], j.elevation.grid
+    s, near, grid = Settings(), j.safe[1], j.elevation.grid
     chosen = sites.choose(found, None, j.elevation, s.sites, s.lander).sites
     at = [tuple(int(np.rint(i)) for i in grid.index(c.east, c.north)) for c in chosen]
     return sum(bool(near[k]) for k in at), len(at)
@@ -125,9 +124,9 @@ def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
 
 def taken(j: Judgeable, found: HazardMap) -> Taken:
     """Of each class that no lander may meet the seen cells, and those of them where a touchdown is called safe."""
-    here = j.known & ((j.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
     sure = np.nan_to_num(found.p_safe) >= Settings().hazards.p_safe
-    return {k: np.array([(here & (j.label == k)).sum(), (here & sure & (j.label == k)).sum()]) for k in NEVER}
+    kinds = {k: j.seen & (j.label == k) for k in NEVER}
+    return {k: np.array([here.sum(), (here & sure).sum()]) for k, here in kinds.items()}
 
 
 def reliability(j: Judged) -> list[tuple[float, float, int]]:
@@ -164,7 +163,7 @@ def waterfall(j: Judgeable) -> None:
         print(
             f"   {name:34s}" + judged(j, hazards.assess(height, cover, s.lander, settings)).line(s.hazards.p_safe)[36:]
         )
-    safe = j.safe(s.lander)[0] & ((e.flags & np.uint16(Flag.UNSEEN)) == 0)
+    safe = j.safe[0] & ((e.flags & np.uint16(Flag.UNSEEN)) == 0)
     reasons = hazards.assess(e, own, s.lander, s.hazards).reasons[safe]
     shares = {bit: 100 * float(((reasons & bit) != 0).mean()) for bit in Hazard} if safe.any() else {}
     print("   truly safe and refused for: " + ", ".join(f"{b.name} {v:.0f} %" for b, v in shares.items() if v >= 1))

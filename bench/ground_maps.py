@@ -10,7 +10,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -19,8 +18,8 @@ from alight.elevation import FIELDS
 from alight.evaluate.flight import NEAR, Truth, at, read_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
-from alight.records import F32, F64, LANDABLE, U8, ElevationMap, Flag, Gauge, Motion, Terrain
-from alight.settings import Lander, load, with_imu
+from alight.records import F32, F64, U8, ElevationMap, Flag, Gauge, Motion
+from alight.settings import Settings, load, with_imu
 from alight.simulate import SimulatedFlight
 from alight.simulate.ladder import rung
 from alight.sources import Source, open_source
@@ -28,7 +27,6 @@ from alight.sources import Source, open_source
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]
 HOWS: tuple[How, ...] = ("batch", "ring")
-TINY, AROUND = 0.5, 0.5  # square metres of a patch; metres, 1-sigma of the ground that it is compared with
 NOT_WATER = np.uint16(0xFFFF & ~int(Flag.WATER))  # the cover's verdict is made anew
 
 
@@ -59,35 +57,24 @@ class Judgeable:
         """(R, C) true heights, metres."""
         return np.asarray(self._at(self.truth.dem), np.float32)
 
-    def safe(self, lander: Lander, strict: bool = True) -> tuple[Bool, Bool]:
-        """(R, C): a touchdown is truly safe; and it is, or is within 0.3 m of where it is.
+    @cached_property
+    def seen(self) -> Bool:
+        """(R, C): a camera saw the ground here, and the truth knows it."""
+        return self.known & ((self.elevation.flags & np.uint16(Flag.UNSEEN)) == 0)
 
-        `strict`: a single cell of the truth of another class refuses it, a blade of grass 2 cm high as well. Otherwise
-        what is smaller than 0.1 m^2 and lower than the lander's limit of roughness counts as the ground it stands on.
+    @cached_property
+    def safe(self) -> tuple[Bool, Bool]:
+        """(R, C): a touchdown of the default lander is truly safe; and it is, or is within 0.3 m of where it is.
+
+        A single cell of the truth of another class refuses it, a blade of grass 2 cm high as well.
         """
-        truth = self.truth if strict else replace(self.truth, label=of_consequence(self.truth, lander))
-        safe = truth.safe(lander)
-        away = distance_transform_edt(safe == 0) * truth.grid.cell if safe.any() else np.full(safe.shape, np.inf)
+        safe, cell = self.truth.safe(Settings().lander), self.truth.grid.cell
+        away = distance_transform_edt(safe == 0) * cell if safe.any() else np.full(safe.shape, np.inf)
         return self._at(safe) > 0, self._at((away <= NEAR).astype(np.uint8)) > 0
 
     def _at(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
         e, n = np.meshgrid(*self.elevation.grid.xy())
         return at(values, self.truth.grid, e, n)
-
-
-def of_consequence(truth: Truth, lander: Lander) -> U8:
-    """The classes less what no lander with these limits feels: tiny and low."""
-    barred = (~np.isin(truth.label, [int(k) for k in LANDABLE])).astype(np.uint8)
-    height = np.nan_to_num(truth.dem - np.nanmedian(truth.dem)).astype(np.float32)
-    open_ground, sigma = 1 - barred.astype(np.float32), AROUND / truth.grid.cell
-    share = np.maximum(cv2.GaussianBlur(open_ground, (0, 0), sigma), 1e-3)
-    above = height - cv2.GaussianBlur(height * open_ground, (0, 0), sigma) / share
-    count, patch, stats = cv2.connectedComponentsWithStats(barred, connectivity=8)[:3]
-    highest = np.zeros(count)
-    np.maximum.at(highest, patch.ravel(), above.ravel())
-    small = (stats[:, cv2.CC_STAT_AREA] * truth.grid.cell**2 < TINY) & (highest < lander.max_roughness)
-    small[0] = False
-    return np.where(small[patch], np.uint8(Terrain.BARE), truth.label)
 
 
 def _write(path: Path, e: ElevationMap, truth: Truth) -> None:
