@@ -94,9 +94,9 @@ def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings:
     hazards[..., OPEN] = -np.inf
     kind = (np.argmax(hazards, axis=-1) + 1).astype(np.uint8)
     above, leafy = np.nan_to_num(shape.above), np.nan_to_num(look.green) > LEAFY
-    standing = leafy & (above > settings.raised) & (kind != Terrain.WATER)
-    standing |= leafy & (kind == Terrain.ROCK)  # no rock is green
-    kind = np.where(standing, np.where(above > TALL, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
+    raised = (above > settings.raised) & (kind != Terrain.WATER)
+    plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
+    kind = np.where(plants, np.where(above > TALL, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
     return np.where(landable >= 0.5, _open_kind(look), kind).astype(np.uint8)
 
 
