@@ -19,14 +19,14 @@ import numpy as np
 from heights_table import Row, head, kept
 from numpy.typing import NDArray
 
-from alight.elevation import Elevation
+from alight.elevation import TiledElevation
 from alight.evaluate.report import nmad
 from alight.geometry import Grid
 from alight.pipeline.terrain_lane import TerrainLane, footprint
 from alight.records import F64, ElevationMap, View
 from alight.settings import Settings
-from alight.simulate import SimulatedFlight, fly
-from alight.simulate.patterns import FlightPlan
+from alight_sim import SimulatedFlight, fly
+from alight_sim.patterns import FlightPlan
 
 HIGH, LOW, SHARE = 100.0, 5.0, 0.02
 STAGES = (80, 70, 60, 50, 42, 35, 30, 25, 20, 17, 14, 12, 10, 8.5, 7, 6, 5.2)  # metres above ground
@@ -71,7 +71,7 @@ def truth_on(f: SimulatedFlight, grid: Grid) -> F64:
     return np.asarray(cv2.remap(f.truth.height.astype(np.float32), *at, cv2.INTER_LINEAR, **edge), dtype=np.float64)
 
 
-def under(elevation: Elevation, view: View, ground: float, level: int) -> ElevationMap:
+def under(elevation: TiledElevation, view: View, ground: float, level: int) -> ElevationMap:
     """The map in the inner part of what a picture sees."""
     seen = footprint(view, ground)
     low, high = seen.min(axis=0), seen.max(axis=0)

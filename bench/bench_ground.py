@@ -20,7 +20,7 @@ from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.records import ElevationMap, HazardMap
-from alight.settings import Hazards, Lander
+from alight.settings import HazardsSettings, Lander
 
 CELL = 0.2  # metres, dem.raw
 RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21
@@ -40,7 +40,7 @@ CONTEST = Lander(
     max_slope=math.radians(10.0),
 )
 # one survey: no tilt but what its pixels leave open, and nothing flattened
-SURVEY = Hazards(tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False)
+SURVEY = HazardsSettings(tilt_sigma=0.001, noise_length=0.2, bridge=0.0, smoothed=False)
 
 Pixels = NDArray[np.uint8]
 
@@ -60,7 +60,7 @@ def as_map(height: NDArray[np.float32], cell: float, sigma: NDArray[np.float32])
     return ElevationMap(grid, height, sigma, none.astype(np.uint16), none.astype(np.uint8) + 9, grey, none)
 
 
-def judge(fine: ElevationMap, settings: Hazards = SURVEY) -> tuple[HazardMap, slice]:
+def judge(fine: ElevationMap, settings: HazardsSettings = SURVEY) -> tuple[HazardMap, slice]:
     """The verdict on a map continued beyond its rim, and where the map itself is in it."""
     height, sigma = (np.pad(a, BEYOND, mode="edge") for a in (fine.height, fine.sigma))
     return assess(as_map(height, fine.grid.cell, sigma), None, CONTEST, settings), slice(BEYOND, -BEYOND)
@@ -110,11 +110,11 @@ def speed(cells: int = 1000) -> None:
         cv2.circle(z, (int(col), int(row)), int(rng.integers(1, 5)), float(z[row, col] + rng.uniform(0.1, 0.5)), -1)
     e = as_map(z.astype(np.float32), 0.1, np.full(z.shape, 0.02, np.float32))
     for name, lander in LANDERS.items():
-        assess(e, None, lander, Hazards())  # compile
+        assess(e, None, lander, HazardsSettings())  # compile
         took = []
         for _ in range(3):
             wall, cpu = time.perf_counter(), time.process_time()
-            assess(e, None, lander, Hazards())
+            assess(e, None, lander, HazardsSettings())
             took.append((time.perf_counter() - wall, time.process_time() - cpu))
         print(f"{name:26s} wall {min(t[0] for t in took):.2f} s  cpu {min(t[1] for t in took):.2f} s")
 

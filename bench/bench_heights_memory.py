@@ -25,9 +25,9 @@ import cv2
 import numpy as np
 from heights_table import Row, head, kept
 
-from alight.elevation import Far, Forgotten
+from alight.elevation import NullStore, TileStore
 from alight.geometry import Camera, Pose
-from alight.outputs import Spill
+from alight.outputs import FileStore
 from alight.pipeline import Pipeline
 from alight.records import U8, Event, Frame, ImuSample, NavSample, Rig, RigCamera
 from alight.settings import Settings
@@ -106,7 +106,7 @@ def fly(way: str, minutes: float) -> list[float]:
     out = []
     settings = Settings.model_validate({"parallax": {"method": "ring"}})
     with tempfile.TemporaryDirectory() as folder:
-        far: Far = Forgotten() if way == "forgotten" else Spill(Path(folder))
+        far: TileStore = NullStore() if way == "forgotten" else FileStore(Path(folder))
         pipeline = Pipeline(RIG, "flight", settings, far=far, history=False)
         for event in events(60.0 * minutes + 0.1):
             pipeline.feed(event)

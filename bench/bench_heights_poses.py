@@ -27,9 +27,9 @@ from heights_table import Row, head, kept
 from alight.evaluate.report import nmad
 from alight.geometry import Pose, so3_exp
 from alight.pipeline.terrain_lane import TerrainLane
-from alight.records import F64, ElevationMap, Motion, PoseRing, View
+from alight.records import F64, ElevationMap, KeyframePosterior, Motion, View
 from alight.settings import Settings
-from alight.simulate.ladder import rung
+from alight_sim.ladder import rung
 
 RUNGS = ("meadow/40m/test-1", "farmland/40m/test-1", "village/40m/test-1", "quarry/40m/test-1")
 COUNT = 20  # exposures
@@ -81,13 +81,13 @@ def disturbed(shot: list[View], body: Pose, error: F64, sigma: F64 = SIGMA) -> t
     return views, Motion(shot[0].t_ns, by @ body, cams, np.diag(sigma**2))
 
 
-def told(motions: list[Motion], kind: str) -> PoseRing:
+def told(motions: list[Motion], kind: str) -> KeyframePosterior:
     """What the ring hears at the newest of these motions."""
     if kind != "constant":
-        return PoseRing((motions[-1],), motions[-1].covariance)
+        return KeyframePosterior((motions[-1],), motions[-1].covariance)
     last = motions[-HELD:]
     joint = np.kron(np.full((len(last),) * 2, 1 - SHARE) + SHARE * np.eye(len(last)), np.diag(SIGMA**2))
-    return PoseRing(tuple(last), joint)
+    return KeyframePosterior(tuple(last), joint)
 
 
 def fly(name: str, kind: str, seed: int, refine: bool, scale: float = 1.0) -> dict[str, float]:
@@ -166,7 +166,7 @@ class Refined(Flight):
         n, grid = len(self._told), self.window()
         own = np.diag(np.repeat([0.01, 3e-4], 3) ** 2)  # a filter's poses among each other; all together SIGMA
         joint = np.kron(np.ones((n, n)), np.diag(SIGMA**2)) + np.kron(np.eye(n), own) if n > 1 else np.diag(SIGMA**2)
-        self._ring.push([view], PoseRing(tuple(self._told), joint))
+        self._ring.push([view], KeyframePosterior(tuple(self._told), joint))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
         self._map.lean(self._ring.plane, self._ring.about)
         if found is not None:

@@ -38,10 +38,10 @@ from point_flight import NOISE, PointFlight, best, error, nees, run
 from alight.geometry import Pose, so3_log
 from alight.motion import MotionFilter
 from alight.records import Frame, InputError, Motion, MotionState, NavSample
-from alight.settings import Settings, load
-from alight.simulate import ladder
+from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.tracks import Tracker
+from alight_sim import ladder
 
 # -- flights without images ----------------------------------------------------------------------------------------
 
@@ -60,7 +60,7 @@ def part_nees(_: argparse.Namespace) -> None:
 
 
 def part_batch(_: argparse.Namespace) -> None:
-    """The filter against the batch smoother (ours, motion/smoother.py) on the same measurements."""
+    """The filter against the batch smoother (ours, motion/smoother/smoother.py) on the same measurements."""
     online, batch = [], []
     for seed in range(16):
         f = PointFlight(seed=seed, seconds=8.0)
@@ -170,7 +170,7 @@ def part_photos(_: argparse.Namespace) -> None:
         z, lens = np.load(folder / "sfm_reference.npz"), Path(scratch) / "lens.yaml"
         lens.write_text(camchain(z["image_wh"], z["camera_params"]))
         for name, sensors in (("with gimbal", True), ("without any attitude", False)):
-            source = open_source(folder / "images", load("", [f"sources.calibration={lens}"]))
+            source = open_source(folder / "images", load_settings("", [f"sources.calibration={lens}"]))
             reference = body_poses(source, folder)
             motions = _photos(source, sensors)
             if not motions:

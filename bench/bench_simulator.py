@@ -16,9 +16,9 @@ import cv2
 import numba
 import numpy as np
 
-from alight import simulate
-from alight.simulate.exactness import LENSES, errors
-from alight.simulate.flight import SimulatedFlight
+import alight_sim as simulate
+from alight_sim.exactness import LENSES, errors
+from alight_sim.flight import SimulatedFlight
 
 SCENE = "meadow"
 PAIRS = 12

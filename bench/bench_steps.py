@@ -14,9 +14,9 @@ import numpy as np
 
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
-from alight.parallax.batch import Images, match
+from alight.parallax.batch import Images, match_tile
 from alight.records import ElevationMap, Heights, View
-from alight.settings import Hazards, Lander, Parallax
+from alight.settings import HazardsSettings, Lander, ParallaxSettings
 
 HEIGHT = 40.0  # metres above flat ground
 CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
@@ -47,7 +47,7 @@ def view(ground: np.ndarray, i: int, east: float) -> View:
 
 def step(views: list[View]) -> Heights | None:
     """One parallax batch, the views' preparation included."""
-    return match(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, Parallax())
+    return match_tile(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, ParallaxSettings())
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:
@@ -73,7 +73,7 @@ def main() -> None:
     elevation = ElevationMap(GRID, **fields)
     steps = {
         "parallax, batch of 12 views": lambda: step(views),
-        "hazards": lambda: assess(elevation, None, Lander(), Hazards()),
+        "hazards": lambda: assess(elevation, None, Lander(), HazardsSettings()),
     }
     print(f"{'StereoSGBM, 64 disparities':32s} {yardstick * 1e3:8.1f} ms   1.00")
     for name, work in steps.items():

@@ -23,8 +23,8 @@ from alight.records import LANDABLE, U8, ElevationMap, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
 from alight.terrain.appearance import seen
-from alight.terrain.confusion import lines_of
-from alight.terrain.train import elsewhere, judge_pixels
+from alight.training.confusion import lines_of
+from alight.training.train import elsewhere, judge_pixels
 
 NEVER = (Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.WATER)
 ALL = (*NEVER, Terrain.STRUCTURE, Terrain.ROCK, *LANDABLE)

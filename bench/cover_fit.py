@@ -18,7 +18,7 @@ from ground_maps import Judgeable, judgeable
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from alight.net import CLIP, pack
+from alight.learned.layers import CLIP, pack_layer
 from alight.records import F32, F64, LANDABLE, U8, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight.terrain import evidence
@@ -65,7 +65,7 @@ class Net:
 def evidence_of(e: ElevationMap) -> dict[str, F32]:
     """The terms of one map."""
     look = appearance(e)
-    return dict(evidence.terms(e, look, relief(e, wetness(e, look), TerrainSettings())))
+    return dict(evidence.cover_terms(e, look, relief(e, wetness(e, look), TerrainSettings())))
 
 
 def worst_class(j: Judgeable) -> U8:
@@ -217,7 +217,7 @@ def text_of(net: Net) -> list[str]:
 
 def packed(net: Net) -> tuple[tuple[int, int, str], ...]:
     """The layers as the product reads them."""
-    return tuple(pack(w) for w in net.layers)
+    return tuple(pack_layer(w) for w in net.layers)
 
 
 @contextmanager

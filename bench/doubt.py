@@ -1,4 +1,4 @@
-"""Fit the doubt of `alight.parallax.trust` (docs/method.md, eq. 15) on tuning flights of the ladder, with true poses.
+"""Fit the outlier probability of `alight.parallax.uncertainty` (eq. 15) on tuning flights of the ladder, true poses.
 
     python bench/doubt.py            # prints the coefficients and what they are worth on each flight
 
@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from alight import simulate
-from alight.parallax import trust
+import alight_sim as simulate
+from alight.parallax import uncertainty as trust
 from alight.pipeline.terrain_lane import TerrainLane
 from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
 from alight.settings import Settings
-from alight.simulate.ladder import rung
+from alight_sim.ladder import rung
 
 FLIGHTS = (
     "meadow/20m/tuning-1", "yard/20m/tuning-1", "village/50m/tuning-1", "quarry/50m/tuning-1", "forest/50m/tuning-1",
@@ -48,10 +48,10 @@ def exposures(flight: simulate.SimulatedFlight) -> Iterator[list[View]]:
 def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
     """What the trust stage knew of every grid it judged while this lasts."""
     import alight.parallax.batch as batch
-    import alight.parallax.ring as ring
+    import alight.parallax.recursive as ring
 
     kept: list[tuple[dict[str, F32], Heights]] = []
-    evidence, judged = trust.evidence, batch.judged
+    evidence, judged = trust.match_evidence, batch.judged
     last: list[dict[str, F32]] = []
 
     def spy(*args: object) -> dict[str, F32]:
@@ -63,13 +63,13 @@ def overheard() -> Iterator[list[tuple[dict[str, F32], Heights]]]:
         kept.append((last[-1], replace(out, height=out.height.copy())))  # a ring's is overwritten by its next step
         return out
 
-    trust.evidence, batch.judged, ring.judged = spy, listen, listen  # type: ignore[assignment, attr-defined]
+    trust.match_evidence, batch.judged, ring.judged = spy, listen, listen  # type: ignore[assignment, attr-defined]
     yield kept
-    trust.evidence, batch.judged, ring.judged = evidence, judged, judged  # type: ignore[attr-defined]
+    trust.match_evidence, batch.judged, ring.judged = evidence, judged, judged  # type: ignore[attr-defined]
 
 
 def rows_of(
-    terms: dict[str, F32], found: Heights, truth: simulate.Truth, camera: float
+    terms: dict[str, F32], found: Heights, truth: simulate.SceneTruth, camera: float
 ) -> tuple[F64, NDArray[np.bool_]]:
     """Logarithms of the evidence (N, terms) and whether each cell is wrong (N,), without water and unseen cells."""
     e, n = np.meshgrid(*found.grid.xy())

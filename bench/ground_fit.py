@@ -24,12 +24,12 @@ from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.special import expit, logit
 
-from alight.hazards.belief import learned_costs, least_costs
-from alight.net import CLIP
+from alight.hazards.monotone_net import learned_costs, least_costs
+from alight.learned.layers import CLIP
 from alight.records import F32
 from alight.settings import Settings
 
-stage = import_module("alight.hazards.assess")  # the module: the package names its function so
+stage = import_module("alight.hazards.assessment")  # the module: the package names its function so
 
 SOME = 5000  # cells of a map
 HIDDEN = 16

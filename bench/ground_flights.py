@@ -23,7 +23,8 @@ from ground_maps import HOWS, Judgeable, judgeable
 from heights_figures import Axis, chart
 from numpy.typing import NDArray
 
-from alight import hazards, sites, terrain
+from alight import hazards, terrain
+from alight.landing import sites
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
 from alight.sources.library import read_model
@@ -117,7 +118,7 @@ def judged(j: Judgeable, found: HazardMap) -> Judged:
 def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
     """How many sites that the product would list are truly safe, or within 0.3 m of it; and how many it lists."""
     s, near, grid = Settings(), j.safe[1], j.elevation.grid
-    chosen = sites.choose(found, None, j.elevation, s.sites, s.lander).sites
+    chosen = sites.choose_sites(found, None, j.elevation, s.sites, s.lander).sites
     at = [tuple(int(np.rint(i)) for i in grid.index(c.east, c.north)) for c in chosen]
     return sum(bool(near[k]) for k in at), len(at)
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from alight.elevation import FIELDS
-from alight.evaluate.flight import NEAR, Truth, at, read_truth
+from alight.evaluate.flight import NEAR, FlightTruth, at, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
-from alight.records import F32, F64, U8, ElevationMap, Flag, Gauge, Motion
-from alight.settings import Settings, load, with_imu
-from alight.simulate import SimulatedFlight
-from alight.simulate.ladder import rung
+from alight.records import F32, F64, U8, Datum, ElevationMap, Flag, Motion
+from alight.settings import Settings, load_settings, with_imu
 from alight.sources import Source, open_source
+from alight_sim import SimulatedFlight
+from alight_sim.ladder import rung
 
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]
@@ -36,7 +36,7 @@ class Judgeable:
 
     name: str
     elevation: ElevationMap
-    truth: Truth  # on its own grid, less the path's mean error
+    truth: FlightTruth  # on its own grid, less the path's mean error
 
     @cached_property
     def label(self) -> U8:
@@ -77,8 +77,8 @@ class Judgeable:
         return at(values, self.truth.grid, e, n)
 
 
-def _write(path: Path, e: ElevationMap, truth: Truth) -> None:
-    gauge = e.gauge or Gauge(0.0, 0.0, np.zeros((3, 3)))
+def _write(path: Path, e: ElevationMap, truth: FlightTruth) -> None:
+    gauge = e.gauge or Datum(0.0, 0.0, np.zeros((3, 3)))
     np.savez_compressed(
         path,
         grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
@@ -99,14 +99,14 @@ def _grid(g: F64) -> Grid:
 def _read(path: Path, name: str) -> Judgeable:
     with np.load(path) as z:
         g = z["gauge"]
-        gauge = Gauge(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
+        gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
         fine = z["fine"] if z["fine"].size else None
         e = ElevationMap(_grid(z["grid"]), **{k: z[k] for k in FIELDS}, gauge=gauge, fine=fine)
-        return Judgeable(name, e, Truth(z["dem"], z["label"], _grid(z["truth_grid"])))
+        return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])))
 
 
 def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
-    settings = with_imu(load("", [f"parallax.method={how.split('-')[0]}"]), source.notes.get("imu_noise", {}))
+    settings = with_imu(load_settings("", [f"parallax.method={how.split('-')[0]}"]), source.notes.get("imu_noise", {}))
     poses = source.truth_trajectory if how.endswith("true") else None
     return Pipeline(source.rig, source.kind, settings, poses)
 
@@ -121,15 +121,15 @@ def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:
 
 def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
     """Draw a flight once and feed it to every way of mapping."""
-    source = open_source(Path(name), load("")) if Path(name).is_dir() else rung(name).fly()
+    source = open_source(Path(name), load_settings("")) if Path(name).is_dir() else rung(name).fly()
     lanes = {how: _lane(source, how) for how in hows}
     for event in source.events():
         for lane in lanes.values():
             lane.feed(event)
-    true = read_truth(Path(name)) if Path(name).is_dir() else None
+    true = read_flight_truth(Path(name)) if Path(name).is_dir() else None
     if true is None:
         assert isinstance(source, SimulatedFlight)
-        true = Truth(source.truth.height, source.truth.label, source.truth.grid)
+        true = FlightTruth(source.truth.height, source.truth.label, source.truth.grid)
     for how, lane in lanes.items():
         found = lane.finish()
         if found.elevation is None:
@@ -137,7 +137,7 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
             continue
         off = _drift(found.motions, source)
         grid = replace(true.grid, east=true.grid.east + off[0], north=true.grid.north + off[1])
-        moved = Truth((true.dem + off[2]).astype(np.float32), true.label, grid)
+        moved = FlightTruth((true.dem + off[2]).astype(np.float32), true.label, grid)
         _write(paths[how], replace(found.elevation, flags=found.elevation.flags & NOT_WATER), moved)
 
 

@@ -13,7 +13,7 @@ from heights_matchers import MATCHERS
 from heights_points import compare, points_of
 from heights_table import Row, kept
 
-from alight.simulate.ladder import rung
+from alight_sim.ladder import rung
 
 COUNTS = (10, 20)  # exposures
 MIDDLE = 40  # metres: where everything is asked

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from alight.evaluate.report import nmad
 from alight.records import F64, Terrain, View
-from alight.simulate import SimulatedFlight
+from alight_sim import SimulatedFlight
 
 POINTS = 20_000
 LEAST = 50  # points that a percentage is worth naming of

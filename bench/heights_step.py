@@ -18,13 +18,17 @@ import numpy as np
 from bench_steps import HEIGHT, texture, view
 from heights_table import Row
 
-from alight.elevation import Elevation
+from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import Ring, refine, ring, sweep, witness
+from alight.parallax import RecursiveParallax
+from alight.parallax import gauss_newton as refine
+from alight.parallax import plane_sweep as sweep
+from alight.parallax import recursive as ring
+from alight.parallax import temporal_consistency as witness
 from alight.parallax.batch import judged
-from alight.parallax.views import Buffers, Prepared, prepare
+from alight.parallax.views import Buffers, Prepared, prepare_view
 from alight.records import ElevationMap, View
-from alight.settings import Parallax
+from alight.settings import ParallaxSettings
 
 VIEWS = 7
 CELL = HEIGHT / 480.0  # metres: a pixel of the camera
@@ -45,8 +49,8 @@ PARTS = {  # what is timed apart, outer before inner
     "fuse with the map": (ring, "fused"),
     "sigma and flags": (ring, "judged"),
     "what moves": (witness, "moving"),
-    "the map: read": (Elevation, "read"),
-    "the map: add": (Elevation, "add"),
+    "the map: read": (TiledElevation, "read"),
+    "the map: add": (TiledElevation, "add"),
 }
 
 
@@ -75,8 +79,8 @@ class Flight:
 
     def __init__(self) -> None:
         self._ground = texture()
-        self._ring = Ring(Parallax(ring=VIEWS), CELL, 0.0)
-        self._map = Elevation(CELL, 384)
+        self._ring = RecursiveParallax(ParallaxSettings(ring=VIEWS), CELL, 0.0)
+        self._map = TiledElevation(CELL, 384)
         self._at = 0
         self._next = view(self._ground, 0, -12.0)
         for _ in range(2 * VIEWS + 8):  # until the ring is full and all that it sees is known
@@ -109,8 +113,8 @@ class Flight:
 
 def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap, buffers: Buffers) -> None:
     """What a step is made of but for first looks at new cells and the map: preparation, Gauss-Newton, sigma, flags."""
-    fine = [*kept, prepare(newest, CELL, 0.0)]
-    per_px = refine.enlarged(refine.sight(fine, grid, known.height).metres_per_px, grid, refine.SEEN_BLOCK)
+    fine = [*kept, prepare_view(newest, CELL, 0.0)]
+    per_px = refine.enlarged(refine.view_geometry(fine, grid, known.height).metres_per_px, grid, refine.SEEN_BLOCK)
     visible = refine.visible_from(fine, grid, known.height, per_px)
     fit = refine.gauss_newton(fine, grid, known.height, per_px, visible, ring.STEPS, buffers)
     ratio = np.full((grid.rows // 2, grid.cols // 2), ring.UNKNOWN_RATIO, np.float32)
@@ -120,7 +124,7 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
 def lone_step(flight: Flight) -> Callable[[], None]:
     """`one_step` where a flight is now, all but the newest picture being ready."""
     views, grid, known = flight.seen()
-    kept, buffers = [prepare(v, CELL, 0.0) for v in views[:-1]], Buffers()
+    kept, buffers = [prepare_view(v, CELL, 0.0) for v in views[:-1]], Buffers()
     return lambda: one_step(kept, views[-1], grid, known, buffers)
 
 

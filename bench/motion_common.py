@@ -18,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from point_flight import error
 
 from alight.geometry import Pose
-from alight.motion import LateFilter
+from alight.motion import RollbackFilter
 from alight.records import F64, Frame, ImuSample, Motion, NavSample, Rig
 from alight.settings import Settings, with_imu
-from alight.simulate.flight import SimulatedFlight
 from alight.sources import Source, open_source
 from alight.tracks import Tracker
+from alight_sim.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
 DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -76,7 +76,7 @@ class Flown:
 def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
     settings = with_imu(settings, source.notes.get("imu_noise", {}))
-    tracker, estimator = Tracker(source.rig, settings.tracks), LateFilter(source.rig, settings.motion.filter)
+    tracker, estimator = Tracker(source.rig, settings.tracks), RollbackFilter(source.rig, settings.motion.filter)
     out = Flown(source.rig)
     for event in source.events():
         if isinstance(event, ImuSample):

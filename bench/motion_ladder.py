@@ -10,9 +10,9 @@ from motion_common import SECOND, Flown, Row, errors, fly, ring_px, say
 
 from alight.motion import MotionFilter
 from alight.records import ImuSample, MotionState, NavSample, Tracks
-from alight.settings import Filter, load
-from alight.simulate import ladder
-from alight.simulate.flight import SimulatedFlight
+from alight.settings import FilterSettings, load_settings
+from alight_sim import ladder
+from alight_sim.flight import SimulatedFlight
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Climbed:
     def of(cls, rung: ladder.Rung) -> Climbed:
         """Fly it."""
         flight = rung.fly()
-        flown = fly(flight, load("", ["motion.filter.smooth=false"]))
+        flown = fly(flight, load_settings("", ["motion.filter.smooth=false"]))
         px, length = ring_px(flown, flight.pose, float(rung.height))
         lost = sum(m.state is MotionState.LOST for m in flown.online)
         mean = errors(flown.online, flight.pose)[2]
@@ -70,7 +70,7 @@ def part_ladder(options: argparse.Namespace) -> None:
 
 def _alone(flown: Flown, flight: SimulatedFlight, imu: bool) -> float:
     """Percent of the way by which vision drifts when GPS/INS falls silent after the first second."""
-    estimator, motions = MotionFilter(flown.rig, Filter(smooth=False)), []
+    estimator, motions = MotionFilter(flown.rig, FilterSettings(smooth=False)), []
     begin = int(flight.frame_times[0]) + SECOND
     for e in flown.events:
         if isinstance(e, Tracks):

@@ -12,9 +12,9 @@ import numpy as np
 from motion_common import DATA, Row, recording, say
 
 from alight.live import SideBySide
-from alight.motion.forecast import Forecast
+from alight.motion.ekf.prediction import MotionPredictor
 from alight.records import U8, Frame, Tracks
-from alight.settings import load
+from alight.settings import load_settings
 
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ def part_speed(_: argparse.Namespace) -> None:
     CPU time does not mind neighbours much; the yardstick tells how much. GPS/INS and IMU rows come 20 and 200 times a
     second whatever the frame rate: they are taken off the filter's second first.
     """
-    settings = load("", ["tracks.count=140", "motion.filter.smooth=false"])
+    settings = load_settings("", ["tracks.count=140", "motion.filter.smooth=false"])
     source = recording(DATA / "sample", settings)
     if source is None:
         return
@@ -53,7 +53,7 @@ def part_speed(_: argparse.Namespace) -> None:
     counts, run, flow, before = list[int](), track.on(lane._tracking.run), Meter(), list[U8]()
     lane._filtering.see, lane._filtering.hear = see.on(lane._filtering.see), hear.on(lane._filtering.hear)  # type: ignore[method-assign]
 
-    def with_yardstick(frame: Frame, forecast: Forecast | None) -> Tracks:
+    def with_yardstick(frame: Frame, forecast: MotionPredictor | None) -> Tracks:
         """What OpenCV takes on the same thread at the same time."""
         tracks = run(frame, forecast)
         counts.append(len(tracks.ids))

@@ -22,7 +22,7 @@ from matchers import estimator, sgbm, survival
 from pictures import statistics
 from subjects import Subject, flight, photos
 
-from alight import simulate
+import alight_sim as simulate
 from alight.geometry import Camera, Pose
 from alight.records import AlightError, Rig, RigCamera
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from alight import simulate
+import alight_sim as simulate
 from alight.records import U8
-from alight.simulate.keys import reference
-from alight.simulate.scene import FOLDER, built_in
+from alight_sim.keys import reference
+from alight_sim.scene import FOLDER, built_in
 
 DOCS = Path(__file__).parents[1] / "docs" / "scenes"
 HEIGHTS = (20, 100)  # metres

@@ -12,7 +12,7 @@ from common_points import common_points
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from alight.evaluate.flight import Truth, read_truth
+from alight.evaluate.flight import FlightTruth, read_flight_truth
 from alight.evaluate.photos import LEAST_TRACK, MOST_ERROR
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, Frame, Terrain, View
@@ -44,7 +44,7 @@ class Subject:
     settings: Settings
     poses: str  # what `alight run --poses` would take
     at: dict[int, Pose]  # world_from_body by time, ns
-    truth: Truth | None  # a flight's rasters
+    truth: FlightTruth | None  # a flight's rasters
     cloud: F64 | None  # (N, 3) a reference's points
 
     def exposures(self) -> list[list[View]]:
@@ -110,7 +110,7 @@ def flight(name: str, folder: Path) -> Subject:
     source = open_source(folder, Settings())
     assert source.truth_trajectory is not None
     at = {int(t): p for t, p in zip(*source.truth_trajectory, strict=True)}
-    return Subject(name, source, Settings(), "truth", at, read_truth(folder), None)
+    return Subject(name, source, Settings(), "truth", at, read_flight_truth(folder), None)
 
 
 def photos(name: str, folder: Path, scratch: Path) -> Subject:

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from alight.geometry import Camera, Pose, so3_exp, so3_log
-from alight.motion import LateFilter, MotionFilter
+from alight.motion import MotionFilter, RollbackFilter
 from alight.records import F64, Event, ImuSample, Motion, NavSample, Rig, RigCamera, Tracks
-from alight.settings import Filter
+from alight.settings import FilterSettings
 
 START = 1_700_000_000_000_000_000
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # body_from_cam of a camera that looks down
@@ -26,7 +26,7 @@ RIG = Rig(
         RigCamera("right", CAMERA, Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0])),
     )
 )
-NOISE = Filter(pixel_sigma=0.25, pixel_repeat=1.0, smooth=False)  # what the errors are drawn from
+NOISE = FilterSettings(pixel_sigma=0.25, pixel_repeat=1.0, smooth=False)  # what the errors are drawn from
 UP = np.array([0.0, 0.0, 9.80665])
 
 
@@ -42,7 +42,7 @@ class PointFlight:
     count: int = 120  # points in view
     imu: bool = True
     rig: Rig = RIG
-    noise: Filter = NOISE
+    noise: FilterSettings = NOISE
     sigma_position: tuple[float, float, float] = (1.0, 1.0, 1.5)  # m
     sigma_attitude: tuple[float, float, float] = (0.0087, 0.0087, 0.026)  # rad
     sigma_velocity: float = 0.05  # m/s
@@ -217,14 +217,14 @@ def seconds(e: Event | Tracks | Motion) -> float:
 
 
 def run(
-    events: Iterator[Event | Tracks] | Sequence[Event | Tracks], settings: Filter = NOISE, rig: Rig = RIG
+    events: Iterator[Event | Tracks] | Sequence[Event | Tracks], settings: FilterSettings = NOISE, rig: Rig = RIG
 ) -> tuple[MotionFilter, list[Motion]]:
     """Feed a filter; the motions that it gave out."""
     f = MotionFilter(rig, settings)
     return f, [m for m in fed(f, events) if m is not None]
 
 
-def fed(f: MotionFilter | LateFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
+def fed(f: MotionFilter | RollbackFilter, events: Iterable[Event | Tracks]) -> list[Motion | None]:
     """Feed events as they come; what the filter said of each exposure."""
     out = []
     for e in events:

@@ -11,13 +11,21 @@ from numpy.typing import NDArray
 pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.motion.bundle import select, solve
-from alight.motion.bundle_match import Features, Observations, Pair, match, neighbours, tracks, verify
-from alight.motion.bundle_priors import make_priors
-from alight.motion.bundle_report import Solved
-from alight.motion.bundle_solve import Adjustment, Priors, State, residuals, total_cost, triangulate
+from alight.motion.bundle.adjust import select, solve_bundle
+from alight.motion.bundle.matching import (
+    BundleObservations,
+    Pair,
+    PhotoFeatures,
+    match_descriptors,
+    neighbours,
+    tracks,
+    verify,
+)
+from alight.motion.bundle.priors import make_priors
+from alight.motion.bundle.solver import Adjustment, BundleState, Priors, residuals, total_cost, triangulate_bundle
+from alight.motion.bundle.summary import Solved
 from alight.records import NavSample, Rig, RigCamera
-from alight.settings import Bundle
+from alight.settings import BundleSettings
 
 F64 = NDArray[np.float64]
 CAMERA = Camera(800, 640, 960.0, 960.0, 404.0, 311.0, "radial-tangential", (-0.30, 0.12, 0.0008, -0.0005))
@@ -31,10 +39,10 @@ class Scene:
     centres: F64
     body: F64  # (n, 3, 3)
     points: F64
-    features: list[Features]
+    features: list[PhotoFeatures]
     ids: list[NDArray[np.int64]]  # the point behind each feature
     pairs: list[Pair]
-    observations: Observations
+    observations: BundleObservations
 
 
 def flight(strips: int, photos: int) -> tuple[F64, F64]:
@@ -61,7 +69,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
         px = camera.project((points - C) @ (B @ LOOKS_FORWARD))
         seen = np.flatnonzero(((px > 0) & (px < [camera.width - 1, camera.height - 1])).all(axis=1))
         features.append(
-            Features(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.float32))
+            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.float32))
         )
         ids.append(seen)
     pairs = []
@@ -86,11 +94,13 @@ def told(
         )
         for k, (C, B) in enumerate(zip(s.centres, s.body, strict=True))
     ]
-    return make_priors(nav, Rig((RigCamera("cam0", camera, Pose(LOOKS_FORWARD)),)), Bundle.model_validate(settings))
+    return make_priors(
+        nav, Rig((RigCamera("cam0", camera, Pose(LOOKS_FORWARD)),)), BundleSettings.model_validate(settings)
+    )
 
 
 def solved(s: Scene, priors: Priors, **settings: object) -> Solved:
-    out = solve(s.observations, s.pairs, priors, Bundle.model_validate(settings))
+    out = solve_bundle(s.observations, s.pairs, priors, BundleSettings.model_validate(settings))
     assert out is not None
     return out
 
@@ -217,8 +227,8 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
     priors = told(exact, mounting=np.array([0.01, -0.02, 0.01]))
     rng = np.random.default_rng(2)
     obs = select(exact.observations, 30)
-    start = triangulate(exact.centres, exact.body @ LOOKS_FORWARD, CAMERA, obs)
-    state = State(
+    start = triangulate_bundle(exact.centres, exact.body @ LOOKS_FORWARD, CAMERA, obs)
+    state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
         start,
@@ -257,7 +267,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
 
 
 def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
-    features = [Features(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.float32)) for _ in range(3)]
+    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.float32)) for _ in range(3)]
     none = np.eye(3), np.zeros(3)
     pairs = [
         Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),
@@ -287,7 +297,7 @@ def test_match_is_mutual_and_clear() -> None:
     good = (distance[rows, order[:, 0]] < 0.8 * distance[rows, order[:, 1]]) & (
         distance.argmin(axis=0)[order[:, 0]] == rows
     )
-    found = match(a.astype(np.float32), b.astype(np.float32))
+    found = match_descriptors(a.astype(np.float32), b.astype(np.float32))
     assert good.sum() > 250
     assert np.array_equal(found, np.stack([rows[good], order[good, 0]], axis=1))
 

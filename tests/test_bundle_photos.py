@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.motion.bundle import BundleResult, adjust
+from alight.motion.bundle.adjust import BundleResult, adjust
 from alight.records import Frame, InputError, MissingExtraError, NavSample, Rig, RigCamera
-from alight.settings import Bundle
+from alight.settings import BundleSettings
 
 F64 = NDArray[np.float64]
 CAMERA = Camera(480, 384, 520.0, 520.0, 241.5, 190.0)
 LOOKS_FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # the optical axis is body x
-SETTINGS = Bundle(features=1200, neighbours=4, lens="held")
+SETTINGS = BundleSettings(features=1200, neighbours=4, lens="held")
 CELL = 0.1  # m, of the texture
 
 
@@ -187,7 +187,7 @@ def test_real_photos_of_one_strip(shared_data: Path) -> None:
             nav.append(event)
         if len(frames) == 5:
             break
-    result = adjust(frames, nav[:5], source.rig, Bundle(features=1500, image_px=800, neighbours=4))
+    result = adjust(frames, nav[:5], source.rig, BundleSettings(features=1500, image_px=800, neighbours=4))
     reference = np.load(folder / "sfm_reference.npz")
     latitude, longitude, height_ = reference["origin_llh"]
     local = LocalFrame(float(latitude), float(longitude), float(height_))

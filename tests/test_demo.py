@@ -74,7 +74,7 @@ def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "out-flight").mkdir()
     (tmp_path / "out-flight" / "thesis.tex").write_text("precious")
     with pytest.raises(OutputError, match="out-flight: exists already"):
-        demo.fly(tmp_path / "out", 1, Settings(), True, lambda stage, share: None)
+        demo.fly_demo(tmp_path / "out", 1, Settings(), True, lambda stage, share: None)
     assert (tmp_path / "out-flight" / "thesis.tex").read_text() == "precious"
 
 
@@ -87,5 +87,5 @@ def test_the_folder_here_has_its_flight_beside_it(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(demo, "_simulate", lambda folder, *_: flown.append(folder))
     monkeypatch.setattr(demo, "open_source", lambda *_: None)
     monkeypatch.setattr(replay, "replay", lambda *_: None)
-    assert demo.fly(Path(), 1, Settings(), False, lambda stage, share: None)[0] == tmp_path / "here-flight"
+    assert demo.fly_demo(Path(), 1, Settings(), False, lambda stage, share: None)[0] == tmp_path / "here-flight"
     assert flown == [tmp_path / "here-flight"]

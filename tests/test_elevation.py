@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.elevation import FIELDS, Elevation, Forgotten
+from alight.elevation import FIELDS, NullStore, TiledElevation
 from alight.geometry import Grid
-from alight.outputs import Spill
+from alight.outputs import FileStore
 from alight.records import REFUSED, Flag, Heights
 
 CELL, SIDE = 0.25, 16
@@ -54,13 +54,13 @@ def one(height: float, sigma: float, flags: int = 0) -> Heights:
 
 
 def fused(*steps: Heights) -> float:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     for h in steps:
         e.add(h)
     return float(e.read(steps[0].grid).height[0, 0])
 
 
-def held(e: Elevation) -> int:
+def held(e: TiledElevation) -> int:
     """Tiles in memory."""
     return sum(len(layer._near) for layer in e._layers.values())
 
@@ -75,7 +75,7 @@ size = st.integers(1, 40)
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 def test_what_is_added_anywhere_is_read_back(col: int, row: int, rows: int, cols: int) -> None:
     """Over tile borders, on both sides of the origin."""
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     h = heights(aligned(col, row, rows, cols))
     e.add(h)
     same(e.read(h.grid), h)
@@ -88,7 +88,7 @@ def test_what_is_added_anywhere_is_read_back(col: int, row: int, rows: int, cols
 @given(index, index)
 @settings(derandomize=True, database=None, deadline=None, max_examples=20)
 def test_tiles_meet_without_gap_or_overlap(row: int, col: int) -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     xs, ys = e.tile_grid((row, col)).xy()
     assert_allclose(e.tile_grid((row, col + 1)).xy()[0][0] - xs[-1], CELL)
     assert_allclose(ys[-1] - e.tile_grid((row - 1, col)).xy()[1][0], CELL)
@@ -101,7 +101,7 @@ def test_tiles_meet_without_gap_or_overlap(row: int, col: int) -> None:
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (-7.3, 2.2), (-0.1, -0.1), (12.9, -30.4)])
 def test_a_window_covers_its_rectangle_with_whole_cells(at: tuple[float, float]) -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     east, north = (at[0], at[0] + 3.1), (at[1], at[1] + 1.7)
     grid = e.window(east, north)
     xs, ys = grid.xy()
@@ -115,13 +115,13 @@ def test_a_window_covers_its_rectangle_with_whole_cells(at: tuple[float, float])
 
 
 def test_cover_names_every_tile_a_rectangle_touches() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     assert list(e.cover((-0.1, 0.1), (-0.1, 0.1))) == [(-1, -1), (-1, 0), (0, -1), (0, 0)]
     assert list(e.cover((0.1, SPAN - 0.1), (SPAN + 0.1, SPAN + 0.2))) == [(1, 0)]
 
 
 def test_what_was_never_seen_reads_as_unknown() -> None:
-    got = Elevation(CELL, SIDE).read(aligned(-5, 5, 9, 9))
+    got = TiledElevation(CELL, SIDE).read(aligned(-5, 5, 9, 9))
     assert np.isnan(got.height).all()
     assert np.isnan(got.sigma).all()
     assert (got.flags == np.uint16(Flag.UNSEEN)).all()
@@ -153,7 +153,7 @@ def test_unseen_takes_nothing_away_and_gives_nothing() -> None:
     nothing = one(np.nan, np.nan, int(Flag.UNSEEN))
     assert fused(one(1.0, 0.5, int(Flag.MOVING)), nothing) == 1.0
     assert fused(nothing, one(1.0, 0.5, int(Flag.MOVING))) == 1.0
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(one(1.0, 0.5))
     e.add(nothing, replace_all=True)
     assert e.read(nothing.grid).height[0, 0] == 1.0
@@ -166,7 +166,7 @@ def test_the_first_stays_where_nothing_tells_them_apart() -> None:
 def test_all_fields_of_a_cell_come_from_one_step() -> None:
     grid = aligned(-9, 20, 30, 30)
     a, b = heights(grid, 1), heights(grid, 2)
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(a)
     e.add(b)
     got, first = e.read(grid), a.sigma <= b.sigma
@@ -177,7 +177,7 @@ def test_all_fields_of_a_cell_come_from_one_step() -> None:
 
 
 def test_the_ring_writes_over_what_was_there() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(one(1.0, 0.01))
     e.add(one(2.0, 0.50, int(Flag.MOVING)), replace_all=True)
     assert e.read(aligned(3, 3, 1, 1)).height[0, 0] == 2.0
@@ -189,7 +189,7 @@ def test_the_ring_writes_over_what_was_there() -> None:
 def test_rolling_packs_and_unpacks_without_loss() -> None:
     grid = aligned(-50, 60, 100, 120)
     rough = heights(grid, flags=np.random.default_rng(1).integers(0, 1024, grid.shape))
-    rolled, still = Elevation(CELL, SIDE), Elevation(CELL, SIDE)
+    rolled, still = TiledElevation(CELL, SIDE), TiledElevation(CELL, SIDE)
     for e in (rolled, still):
         e.add(rough)
     rolled.roll((0.0, 0.0), 5.0)
@@ -209,7 +209,7 @@ def test_rolling_packs_and_unpacks_without_loss() -> None:
 def test_a_packed_tile_takes_new_heights() -> None:
     grid = aligned(0, 10, 8, 8)
     old, new = heights(grid, 1, sigma=0.5), heights(grid, 2, sigma=0.1)
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(old)
     e.roll((1e3, 0.0), 1.0)
     e.add(new)
@@ -218,7 +218,7 @@ def test_a_packed_tile_takes_new_heights() -> None:
 
 
 def test_a_reading_is_a_copy() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     h = heights(aligned(0, 10, 4, 4))
     e.add(h)
     e.read(h.grid).height[:] = 99.0
@@ -229,7 +229,7 @@ def test_a_reading_is_a_copy() -> None:
 
 
 def test_a_snapshot_is_cropped_to_what_was_seen() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     grid = aligned(-20, 33, 40, 50)
     flags = np.full(grid.shape, np.uint16(Flag.UNSEEN))
     flags[7:19, 11:30] = 0
@@ -245,7 +245,7 @@ def test_a_snapshot_is_cropped_to_what_was_seen() -> None:
 
 
 def test_nothing_seen_is_no_snapshot() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     assert e.snapshot() is None
     e.add(heights(aligned(0, 0, 3, 3), flags=int(Flag.UNSEEN)))
     assert e.snapshot() is None
@@ -289,7 +289,7 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
     grid = aligned(col, row, rows, cols)
     rng = np.random.default_rng([col + 100, row + 100])
     fine = heights(grid, flags=rng.choice([0, int(Flag.MOVING), int(Flag.UNSEEN), int(Flag.STEP)], grid.shape))
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.window((0, 0), (0, 0), level=1)
     e.add(fine)
     for (north, east), cells in by_cell(fine, 1).items():
@@ -314,7 +314,7 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
 def test_a_plane_is_the_same_plane_at_every_cell_size(col: int, row: int, written: int, coarser: int) -> None:
     """No shift by half a cell: what was added at one level reads as the same plane at any other."""
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(written, row, row + 23, col, col + 31)))
     asked, scale = written + coarser, 0.5**coarser
     south, west = (int(np.ceil(k * scale)) for k in (row + 2, col + 2))
@@ -330,7 +330,7 @@ def test_a_plane_is_the_same_plane_at_every_cell_size(col: int, row: int, writte
 
 def test_the_finer_stands_and_the_coarser_shows_around_it() -> None:
     """A patch seen from near in what was seen from afar: one map, no gap and no step between them."""
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(2, -10, 10, -10, 10)))
     e.add(slanted(at_level(-1, -20, 20, -20, 20), sigma=0.01), replace_all=True)
     got = e.read(at_level(-1, -60, 60, -60, 60))
@@ -346,7 +346,7 @@ def test_the_finer_stands_and_the_coarser_shows_around_it() -> None:
 
 def test_a_coarser_layer_that_comes_later_knows_what_is_there() -> None:
     """A climb: packed tiles count as well."""
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     fine = slanted(at_level(0, -40, 39, -40, 39))
     e.add(fine)
     e.roll((1e3, 1e3), 1.0)
@@ -358,7 +358,7 @@ def test_a_coarser_layer_that_comes_later_knows_what_is_there() -> None:
 
 def test_refused_cells_do_not_leak_into_their_neighbours() -> None:
     """Interpolation goes between trusted cells only; beside others a cell keeps its own value."""
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     coarse = at_level(1, 0, 3, 0, 3)
     flags = np.zeros((4, 4), np.uint16)
     flags[1, 1] = int(Flag.AMBIGUOUS)
@@ -370,7 +370,7 @@ def test_refused_cells_do_not_leak_into_their_neighbours() -> None:
 
 
 def test_batch_at_a_finer_cell_keeps_what_is_better_known_coarsely() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(heights(at_level(1, 0, 3, 0, 3), height=1.0, sigma=0.02, flags=0))
     e.add(heights(at_level(0, 0, 7, 0, 3), height=2.0, sigma=0.01, flags=int(Flag.MOVING)))
     e.add(heights(at_level(0, 0, 7, 4, 7), height=3.0, sigma=0.01, flags=0))
@@ -382,7 +382,7 @@ def test_batch_at_a_finer_cell_keeps_what_is_better_known_coarsely() -> None:
 
 
 def test_a_snapshot_is_as_fine_as_a_twentieth_of_it_and_no_larger_than_asked() -> None:
-    e = Elevation(CELL, SIDE)
+    e = TiledElevation(CELL, SIDE)
     e.add(slanted(at_level(0, -30, 29, -40, 39)))
     e.add(slanted(at_level(-2, 0, 39, 0, 79)), replace_all=True)  # 3200 fine cells of what would be 76800
     few = e.snapshot()
@@ -408,7 +408,7 @@ def test_a_snapshot_is_as_fine_as_a_twentieth_of_it_and_no_larger_than_asked() -
 
 def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
     """A long way at two cell sizes: what is held does not grow, and no coarse cell is left of what is forgotten."""
-    e = Elevation(CELL, SIDE, Forgotten())
+    e = TiledElevation(CELL, SIDE, NullStore())
     e.window((0, 0), (0, 0), level=2)
     most = []
     for k in range(60):
@@ -424,8 +424,8 @@ def test_forgotten_tiles_are_gone_and_memory_is_bounded() -> None:
 def test_a_spilled_map_is_the_map(tmp_path: Path) -> None:
     grid = aligned(-50, 60, 100, 120)
     rough, more = heights(grid, 1), heights(grid, 2)
-    with closing(Spill(tmp_path)) as far:
-        kept, spilled = Elevation(CELL, SIDE), Elevation(CELL, SIDE, far)
+    with closing(FileStore(tmp_path)) as far:
+        kept, spilled = TiledElevation(CELL, SIDE), TiledElevation(CELL, SIDE, far)
         for e in (kept, spilled):
             e.add(rough)
             e.roll((1e4, 0.0), 5.0)
@@ -438,7 +438,7 @@ def test_a_spilled_map_is_the_map(tmp_path: Path) -> None:
 
 
 def test_a_spill_is_a_mapping_and_takes_no_room_twice(tmp_path: Path) -> None:
-    with closing(Spill(tmp_path)) as far:
+    with closing(FileStore(tmp_path)) as far:
         for size in (100, 80, 100, 120, 90):
             far[0, 1, 2] = bytes(size)
             far[0, -1, 2] = bytes([7]) * 50

@@ -12,14 +12,14 @@ from point_flight import fed
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
-from alight.motion.blocks import BlockTridiagonal
-from alight.motion.course import attitude
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
-from alight.motion.inertial import corrected, preintegrate, segments
-from alight.motion.state import GYRO
-from alight.motion.vision import jacobians, project
+from alight.motion.ekf.initial_attitude import attitude_from_course
+from alight.motion.ekf.state import GYRO
+from alight.motion.preintegration import corrected, preintegrate, segments
+from alight.motion.projection import jacobians, project
+from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
-from alight.settings import Filter
+from alight.settings import FilterSettings
 
 MS = 1_000_000
 START = 1_700_000_000_000_000_000
@@ -105,9 +105,9 @@ def events(seconds: float, seed: int = 3) -> list[Event | Tracks]:
 
 
 def fly(
-    stream: list[Event | Tracks], settings: Filter | None = None, rig: Rig = RIG
+    stream: list[Event | Tracks], settings: FilterSettings | None = None, rig: Rig = RIG
 ) -> tuple[MotionFilter, list[Motion | None]]:
-    f = MotionFilter(rig, settings or Filter())
+    f = MotionFilter(rig, settings or FilterSettings())
     return f, fed(f, stream)
 
 
@@ -163,7 +163,7 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
     ring = f.posterior().motions
-    assert len(ring) == Filter().clones
+    assert len(ring) == FilterSettings().clones
     assert ring[-1].t_ns == motions[-1].t_ns
     assert seconds(ring[-1]) - seconds(ring[0]) > 0.6
     assert drift_px(ring[0], ring[-1]) < 0.35
@@ -308,7 +308,7 @@ def _pieces() -> list[tuple[float, np.ndarray, np.ndarray]]:
 def test_preintegration_is_the_motion() -> None:
     pieces = _pieces()
     assert sum(dt for dt, _, _ in pieces) == pytest.approx(0.289)
-    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, Filter())
+    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
     after = inertial_step(body(0.003).rotation, body(0.003).translation, velocity(0.003), m)
     assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)
     assert np.linalg.norm(after.position - body(0.292).translation) < 5 * 2.5e-3 * 0.3**1.5
@@ -317,8 +317,8 @@ def test_preintegration_is_the_motion() -> None:
 
 def test_preintegration_corrects_for_biases_to_first_order() -> None:
     pieces, d = _pieces(), np.array([1e-3, -2e-3, 1e-3, 0.02, 0.01, -0.03])
-    at_zero = preintegrate(pieces, np.zeros(3), np.zeros(3), Filter())
-    there, said = preintegrate(pieces, d[:3], d[3:], Filter()), corrected(at_zero, d[:3], d[3:])
+    at_zero = preintegrate(pieces, np.zeros(3), np.zeros(3), FilterSettings())
+    there, said = preintegrate(pieces, d[:3], d[3:], FilterSettings()), corrected(at_zero, d[:3], d[3:])
     assert np.linalg.norm(so3_log(said.rotation.T @ there.rotation)) < 1e-6
     np.testing.assert_allclose(said.velocity, there.velocity, atol=1e-4)
     np.testing.assert_allclose(said.position, there.position, atol=1e-4)
@@ -333,19 +333,19 @@ def test_transitions_agree_with_differences() -> None:
     v = velocity(0.003)
 
     def inertial(d: np.ndarray) -> Step:
-        m = preintegrate(pieces, GYRO_BIAS + d[9:12], ACC_BIAS + d[12:15], Filter())
+        m = preintegrate(pieces, GYRO_BIAS + d[9:12], ACC_BIAS + d[12:15], FilterSettings())
         return inertial_step(so3_exp(d[0:3]) @ x.rotation, x.translation + d[3:6], v + d[6:9], m)
 
     def constant(d: np.ndarray) -> Step:
         rate = np.array([0.1, -0.2, 0.3]) + d[9:12]
         return constant_step(so3_exp(d[0:3]) @ x.rotation, x.translation + d[3:6], v + d[6:9], rate, 0.1)
 
-    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, Filter())
+    m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
     zero = np.zeros(15)
     F, Q = inertial_transition(Step(x.rotation, x.translation, v), inertial(zero), m)
     np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(inertial(d), inertial(zero)), 15, 1e-5), atol=2e-4)
     assert np.linalg.eigvalsh(Q[:9, :9]).min() > 0
-    F, _ = constant_transition(x.rotation, np.array([0.1, -0.2, 0.3]), 0.1, Filter())
+    F, _ = constant_transition(x.rotation, np.array([0.1, -0.2, 0.3]), 0.1, FilterSettings())
     np.testing.assert_allclose(F[:9], numeric(lambda d: _difference(constant(d), constant(zero)), 15, 1e-5), atol=1e-5)
     assert F[GYRO, GYRO].tolist() == np.eye(3).tolist()
 
@@ -381,6 +381,8 @@ def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
         seen.append(Tracks(0, np.arange(90), z, z))
     wrong = seen[1].normalised.copy()
     wrong[:36] = rng.uniform(-0.6, 0.6, (36, 1, 2))
-    found = attitude(seen[0], replace(seen[1], normalised=wrong), second.translation - first.translation, cam)
+    found = attitude_from_course(
+        seen[0], replace(seen[1], normalised=wrong), second.translation - first.translation, cam
+    )
     assert found is not None
     assert np.linalg.norm(so3_log(found @ second.rotation.T)) < 0.05

@@ -14,17 +14,17 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.hazards import assess
-from alight.hazards.belief import LEAST, least_costs, safe_belief
-from alight.hazards.spots import spots
+from alight.hazards.blob_contrast import blob_contrast
+from alight.hazards.monotone_net import LEAST, least_costs, safe_belief
 from alight.hazards.weights import TERMS
-from alight.records import ElevationMap, Flag, Gauge, Hazard, HazardMap
-from alight.settings import Hazards, Lander
+from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap
+from alight.settings import HazardsSettings, Lander
 
-EXACT = Hazards(tilt_sigma=0.0, smoothed=False)
+EXACT = HazardsSettings(tilt_sigma=0.0, smoothed=False)
 MID = (40, 40)
 
 
-def judge(height: np.ndarray, lander: Lander | None = None, settings: Hazards = EXACT) -> HazardMap:
+def judge(height: np.ndarray, lander: Lander | None = None, settings: HazardsSettings = EXACT) -> HazardMap:
     return assess(ground(height), None, lander or Lander(radius=1.0), settings)
 
 
@@ -88,12 +88,12 @@ def test_a_crater_is_refused_on_its_wall_and_rim_and_not_far_away() -> None:
 def test_unknown_ground_is_never_safe() -> None:
     z = flat()
     z[MID] = np.nan
-    none = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, unknown_share=0.0))
+    none = judge(z, settings=HazardsSettings(tilt_sigma=0.0, smoothed=False, unknown_share=0.0))
     r, c = np.mgrid[:81, :81]
     near = np.hypot(r - 40, c - 40) <= 10
     inside = (none.reasons & Hazard.EDGE) == 0
     assert (((none.reasons & Hazard.UNKNOWN) > 0) == near)[inside].all()
-    few = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, unknown_share=0.02))
+    few = judge(z, settings=HazardsSettings(tilt_sigma=0.0, smoothed=False, unknown_share=0.02))
     assert refused(few) == Hazard.UNKNOWN  # the cell itself
     assert refused(few, (40, 41)) == Hazard(0)  # one unknown cell of 317 beside the centre is allowed
     assert (judge(np.full((81, 81), np.nan)).reasons != 0).all()
@@ -117,7 +117,9 @@ def test_a_narrow_doubtful_gap_counts_as_known_only_if_it_agrees() -> None:
     assert refused(assess(agrees, None, lander, EXACT)) == Hazard(0)
     assert Hazard.UNKNOWN in refused(assess(differs, None, lander, EXACT))
     assert Hazard.UNKNOWN in refused(assess(moves, None, lander, EXACT))
-    assert Hazard.UNKNOWN in refused(assess(agrees, None, lander, Hazards(tilt_sigma=0.0, smoothed=False, bridge=0.0)))
+    assert Hazard.UNKNOWN in refused(
+        assess(agrees, None, lander, HazardsSettings(tilt_sigma=0.0, smoothed=False, bridge=0.0))
+    )
 
 
 def test_the_footprint_must_lie_on_the_map() -> None:
@@ -207,8 +209,8 @@ def test_a_skid_across_an_edge_pitches_on_it() -> None:
 
 def test_noise_makes_doubt_and_not_refusal() -> None:
     noise = np.random.default_rng(0).normal(0, 0.035, (81, 81))
-    sure = assess(ground(flat(), sigma=0.01), None, Lander(radius=1.0), Hazards(smoothed=False))
-    unsure = assess(ground(noise, sigma=0.035), None, Lander(radius=1.0), Hazards(smoothed=False))
+    sure = assess(ground(flat(), sigma=0.01), None, Lander(radius=1.0), HazardsSettings(smoothed=False))
+    unsure = assess(ground(noise, sigma=0.035), None, Lander(radius=1.0), HazardsSettings(smoothed=False))
     assert sure.p_safe[MID] > 0.99
     assert refused(sure) == Hazard(0)
     assert 0.3 < unsure.p_safe[MID] < 0.99
@@ -227,14 +229,14 @@ def test_a_belly_at_its_clearance_is_even_odds() -> None:
 def test_what_was_not_seen_costs_probability() -> None:
     z = flat()
     z[40, 44] = np.nan
-    p = judge(z, settings=Hazards(tilt_sigma=0.0, smoothed=False, bridge=0.0, hidden_hazard=0.5)).p_safe
+    p = judge(z, settings=HazardsSettings(tilt_sigma=0.0, smoothed=False, bridge=0.0, hidden_hazard=0.5)).p_safe
     assert_allclose(p[MID], 1 - 0.5 / 317, atol=1e-6)
     assert p[60, 20] == 1.0
 
 
 def test_a_slope_at_the_limit_is_even_odds() -> None:
     tan = math.tan(math.radians(10) - 1e-4)
-    h = assess(ground(plane(81, 81, tan, 0.0), sigma=0.02), None, Lander(radius=1.0), Hazards(smoothed=False))
+    h = assess(ground(plane(81, 81, tan, 0.0), sigma=0.02), None, Lander(radius=1.0), HazardsSettings(smoothed=False))
     assert_allclose(h.p_safe[MID], 0.51, atol=0.02)
 
 
@@ -288,7 +290,7 @@ def pictured(stone: bool, cell: float = 0.1) -> ElevationMap:
 
 
 def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_matched() -> None:
-    seen, clear = (assess(pictured(s), None, Lander(radius=1.0), Hazards()).p_safe for s in (True, False))
+    seen, clear = (assess(pictured(s), None, Lander(radius=1.0), HazardsSettings()).p_safe for s in (True, False))
     assert logit(clear[MID]) - logit(seen[MID]) > 3.0  # how sure it was without it is for the other terms to say
     r, c = np.mgrid[:81, :81]
     assert seen[np.hypot(r - 40, c - 41) <= 7].max() < clear[MID]
@@ -299,11 +301,11 @@ def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_m
 def test_a_brighter_exposure_and_another_white_balance_have_the_same_spots() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(40, 80, (81, 81, 3)).astype(np.uint8)
-    dim = spots(ground(flat(), rgb=rgb))
+    dim = blob_contrast(ground(flat(), rgb=rgb))
     for gain in (np.array([3, 3, 3]), np.array([3, 2, 1])):
-        other = spots(ground(flat(), rgb=(gain * rgb).astype(np.uint8)))
+        other = blob_contrast(ground(flat(), rgb=(gain * rgb).astype(np.uint8)))
         assert_allclose(other["tint"], dim["tint"], atol=0.05)
-    bright = spots(ground(flat(), rgb=3 * rgb))
+    bright = blob_contrast(ground(flat(), rgb=3 * rgb))
     assert_allclose(bright["dark"], dim["dark"], atol=0.03)
     assert dim["dark"].max() > 0.1
 
@@ -330,16 +332,17 @@ def test_what_no_flight_teaches_costs_at_least_what_was_set(name: str, least: fl
 
 def test_cells_too_coarse_for_the_limits_are_less_sure() -> None:
     fine, coarse = (
-        assess(pictured(False, cell), None, Lander(radius=10 * cell), Hazards()).p_safe[MID] for cell in (0.1, 0.6)
+        assess(pictured(False, cell), None, Lander(radius=10 * cell), HazardsSettings()).p_safe[MID]
+        for cell in (0.1, 0.6)
     )
-    assert fine > Hazards().p_safe > coarse
+    assert fine > HazardsSettings().p_safe > coarse
 
 
 def test_single_heights_far_beyond_their_sigma_refuse_even_where_their_mean_is_level() -> None:
     z = flat()
     z[MID] = 0.3
-    assert Hazard.ROUGHNESS in refused(assess(ground(z, sigma=0.03), None, Lander(radius=1.0), Hazards()))
-    assert Hazard.ROUGHNESS not in refused(assess(ground(z, sigma=0.06), None, Lander(radius=1.0), Hazards()))
+    assert Hazard.ROUGHNESS in refused(assess(ground(z, sigma=0.03), None, Lander(radius=1.0), HazardsSettings()))
+    assert Hazard.ROUGHNESS not in refused(assess(ground(z, sigma=0.06), None, Lander(radius=1.0), HazardsSettings()))
 
 
 def test_ground_that_nobody_could_measure_is_not_safe_and_what_nobody_saw_even_less() -> None:
@@ -347,21 +350,25 @@ def test_ground_that_nobody_could_measure_is_not_safe_and_what_nobody_saw_even_l
     flags = e.flags.copy()
     flags[30:51, 25:56] = Flag.UNSURE
     half = replace(e, flags=flags)
-    assert Hazard.UNKNOWN in refused(assess(half, None, Lander(radius=1.0), Hazards(bridge=0.0)))
+    assert Hazard.UNKNOWN in refused(assess(half, None, Lander(radius=1.0), HazardsSettings(bridge=0.0)))
     few = e.flags.copy()
     few[38:42, 38:42] = Flag.UNSURE  # 5 % of the footprint
-    assert Hazard.UNKNOWN not in refused(assess(replace(e, flags=few), None, Lander(radius=1.0), Hazards(bridge=0.0)))
+    assert Hazard.UNKNOWN not in refused(
+        assess(replace(e, flags=few), None, Lander(radius=1.0), HazardsSettings(bridge=0.0))
+    )
     few[38:42, 38:42] = Flag.UNSEEN
-    assert Hazard.UNKNOWN in refused(assess(replace(e, flags=few), None, Lander(radius=1.0), Hazards(bridge=0.0)))
+    assert Hazard.UNKNOWN in refused(
+        assess(replace(e, flags=few), None, Lander(radius=1.0), HazardsSettings(bridge=0.0))
+    )
 
 
 def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
     """The gauge's tilt takes the place of a smaller `tilt_sigma`, and never of a larger one."""
     near = ground(plane(81, 81, math.tan(math.radians(9.6)), 0.0))
-    level = Gauge(0.0, 0.0, np.diag([0.1, 1e-3, 1e-3]) ** 2)
+    level = Datum(0.0, 0.0, np.diag([0.1, 1e-3, 1e-3]) ** 2)
     leaning = replace(level, covariance=np.diag([0.1, 5e-3, 20e-3]) ** 2)
     assert leaning.tilt_sigma == pytest.approx(20e-3)
-    settings = Hazards(tilt_sigma=0.003, smoothed=False)
+    settings = HazardsSettings(tilt_sigma=0.003, smoothed=False)
     p = [
         float(assess(replace(near, gauge=g), None, Lander(radius=1.0), settings).p_safe[MID])
         for g in (None, level, leaning)

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
 from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
+from alight.hazards.contact_kernels import resting_pitches
 from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, skids_of, unlike_directions
-from alight.kernels.contact import resting_pitches
-from alight.kernels.terrain import fill_basins
 from alight.settings import Lander
+from alight.terrain.basin_kernels import fill_basins
 
 CELL = 0.1
 SHAPE = (23, 29)

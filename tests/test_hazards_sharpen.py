@@ -8,9 +8,9 @@ import pytest
 from ground import ground
 from numpy.testing import assert_allclose
 
-from alight.hazards.light import find_light, gradients, in_shadow, shadow_level
+from alight.hazards.footprint_kernels import cast_shadows
 from alight.hazards.sharpen import _spread, coarsen, sharpen
-from alight.kernels.hazards import cast_shadows
+from alight.hazards.sunlight import find_light, gradients, in_shadow, shadow_level
 from alight.records import Flag
 
 PIXEL = 0.1

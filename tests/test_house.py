@@ -13,11 +13,12 @@ from pathlib import Path
 import pytest
 
 import alight
+from alight.compiled import kernel_sources
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "alight"
-SOURCES = sorted(PACKAGE.rglob("*.py"))
-KERNELS = sorted((PACKAGE / "kernels").glob("*.py"))
+SOURCES = sorted((ROOT / "src").rglob("*.py"))
+KERNELS = list(kernel_sources())
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
@@ -46,15 +47,20 @@ def test_import_contracts_hold() -> None:
 @pytest.mark.parametrize("path", SOURCES, ids=name_of)
 def test_only_the_kernels_doorway_imports_the_compiler(path: Path) -> None:
     found = [m for m in imports(path) if m.split(".")[0] == "numba"]
-    assert not found or path == PACKAGE / "kernels" / "compiler.py"
+    assert not found or path == PACKAGE / "compiled.py"
 
 
 @pytest.mark.parametrize("path", KERNELS, ids=name_of)
 def test_kernels_stand_on_the_ground(path: Path) -> None:
-    if path.name == "compiler.py":  # the doorway itself arranges the compiler's cache
-        return
-    allowed = {"__future__", "functools", "math", "numpy", "numpy.typing"}
-    assert all(m in allowed or m.startswith("alight.kernels") for m in imports(path))
+    allowed = {"__future__", "functools", "math", "numpy", "numpy.typing", "alight.compiled"}
+    own = {".".join(p.relative_to(ROOT / "src").with_suffix("").parts) for p in KERNELS}
+    assert all(m in allowed | own for m in imports(path))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_compiled_loops_stand_where_the_cache_looks_for_them(path: Path) -> None:
+    uses = [m for m in imports(path) if m == "alight.compiled"]
+    assert not uses or path in KERNELS or path == PACKAGE / "__init__.py"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=name_of)

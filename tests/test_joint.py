@@ -12,15 +12,15 @@ import pytest
 from ground_views import UP, Scene, Texture, plane
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.elevation import Elevation
+from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
-from alight.kernels import joint as kernels
-from alight.parallax import Ring
-from alight.parallax.belief import PLANE, POSE, Belief, between, moved, regression
-from alight.parallax.joint import thinning
+from alight.parallax import RecursiveParallax
+from alight.parallax.pose_refinement import kernels
+from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, moved, regress_on
+from alight.parallax.pose_refinement.solve import thinning
 from alight.pipeline.navigation import GivenLane
-from alight.records import ElevationMap, Frame, Gauge, Heights, Motion, PoseRing, Rig, RigCamera, View
-from alight.settings import MotionSettings, Parallax
+from alight.records import Datum, ElevationMap, Frame, Heights, KeyframePosterior, Motion, Rig, RigCamera, View
+from alight.settings import MotionSettings, ParallaxSettings
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -88,7 +88,7 @@ def twin(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
 def filled(c: dict[str, np.ndarray]) -> tuple[F64, F64]:
     M, rows = PLANE + POSE * len(c["pivots"]), len(c["ys"])
     A, b = np.full((rows, M, M), 7.0), np.full((rows, M), 7.0)
-    kernels.normal_equations(*c.values(), A, b)
+    kernels.joint_normal_equations(*c.values(), A, b)
     assert not np.tril(A, -1).any()
     upper = A.sum(axis=0)
     return upper + np.triu(upper, 1).T, b.sum(axis=0)
@@ -147,7 +147,7 @@ def covariance(size: int, seed: int) -> F64:
 def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
     """Against the joint Gaussian written out: the others keep what they are given those told of (eq. 23)."""
     ms = motions(4)
-    first = Belief.none(np.array([0.3, 0.02, 0.01])).told(PoseRing(ms[:3], covariance(18, 1)))
+    first = PoseGaussian.none(np.array([0.3, 0.02, 0.01])).told(KeyframePosterior(ms[:3], covariance(18, 1)))
     P = covariance(PLANE + 18, 2)  # pictures have tied the plane and the poses
     first = first.corrected(np.zeros(len(P)), P)
     error = np.random.default_rng(3).normal(0, 0.01, 12)
@@ -155,7 +155,7 @@ def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
         replace(m, world_from_body=moved(m.world_from_body, error[6 * k : 6 * k + 6])) for k, m in enumerate(ms[1:3])
     )
     Q = covariance(18, 4)
-    then = first.told(PoseRing((*again, ms[3]), Q))
+    then = first.told(KeyframePosterior((*again, ms[3]), Q))
     shared, rest = np.arange(9, 21), np.arange(9)  # exposures 1 and 2; the plane and exposure 0
     gain = P[np.ix_(rest, shared)] @ np.linalg.inv(P[np.ix_(shared, shared)])
     left = P[np.ix_(rest, rest)] - gain @ P[np.ix_(shared, rest)]
@@ -179,9 +179,9 @@ def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
 
 def test_poses_told_of_one_by_one_are_independent() -> None:
     ms = motions(2)
-    belief = Belief.none(np.ones(3))
+    belief = PoseGaussian.none(np.ones(3))
     for m in ms:
-        belief = belief.told(PoseRing((m,), m.covariance))
+        belief = belief.told(KeyframePosterior((m,), m.covariance))
     assert_array_equal(belief.covariance, np.eye(15))
 
 
@@ -193,7 +193,7 @@ def test_some_cells_of_a_grid() -> None:
 
 def test_errors_in_common_are_passed_on_whole() -> None:
     """A singular covariance: what all share is expected of the next as well."""
-    assert_allclose(regression(np.ones((3, 3)), np.ones((3, 1))), np.full((1, 3), 1 / 3), atol=1e-6)
+    assert_allclose(regress_on(np.ones((3, 3)), np.ones((3, 1))), np.full((1, 3), 1 / 3), atol=1e-6)
 
 
 def test_given_poses_are_told_of_when_the_settings_say_that_they_have_errors() -> None:
@@ -236,13 +236,15 @@ def off(errors: F64) -> list[tuple[View, Motion]]:
     return out
 
 
-def flown(errors: F64, refine: bool = True, told: Callable[[list[Motion]], PoseRing] | None = None) -> ElevationMap:
+def flown(
+    errors: F64, refine: bool = True, told: Callable[[list[Motion]], KeyframePosterior] | None = None
+) -> ElevationMap:
     """The map of a ring that hears of each pose by itself, or of what `told` makes of those so far."""
-    ring, elevation, seen = Ring(Parallax(), CELL, 0.1), Elevation(CELL, 64), list[Motion]()
-    gauge: Gauge | None = None
+    ring, elevation, seen = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64), list[Motion]()
+    gauge: Datum | None = None
     for view, motion in off(errors):
         seen.append(motion)
-        poses = told(seen) if told else PoseRing((motion,), motion.covariance)
+        poses = told(seen) if told else KeyframePosterior((motion,), motion.covariance)
         ring.push([view], poses if refine else None)
         found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
         elevation.lean(ring.plane, ring.about)
@@ -294,7 +296,7 @@ def test_good_poses_are_left_alone() -> None:
 
 def test_exact_poses_do_not_move() -> None:
     """Told that they are exact to a tenth of a millimetre, the ring gives what it gives when it is told nothing."""
-    exact = flown(NOTHING, told=lambda ms: PoseRing((ms[-1],), 1e-8 * np.eye(6)))
+    exact = flown(NOTHING, told=lambda ms: KeyframePosterior((ms[-1],), 1e-8 * np.eye(6)))
     plain = flown(NOTHING, refine=False)
     both = exact.trusted & plain.trusted
     assert both.mean() > 0.95
@@ -309,9 +311,9 @@ def test_the_gauge_follows_the_prior() -> None:
     """
     common = np.repeat((2.0 * np.array([0.01, -0.02, 0.05, 0.002, -0.001, 0.001]))[None], COUNT, axis=0)
 
-    def told(ms: list[Motion]) -> PoseRing:
+    def told(ms: list[Motion]) -> KeyframePosterior:
         n = len(ms)
-        return PoseRing(tuple(ms), np.kron(np.ones((n, n)) + 1e-4 * np.eye(n), np.diag(SIGMA**2)))
+        return KeyframePosterior(tuple(ms), np.kron(np.ones((n, n)) + 1e-4 * np.eye(n), np.diag(SIGMA**2)))
 
     found = flown(common, told=told)
     spread, fit = shape(found)
@@ -347,9 +349,9 @@ def test_pictures_of_nothing_change_nothing() -> None:
     """
     rng = np.random.default_rng(0)
     for paint in (lambda: np.full((120, 160), 90, np.uint8), lambda: rng.integers(0, 255, (120, 160), dtype=np.uint8)):
-        ring, elevation = Ring(Parallax(), CELL, 0.1), Elevation(CELL, 64)
+        ring, elevation = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64)
         for view, motion in off(white(6)):
-            ring.push([replace(view, image=paint())], PoseRing((motion,), motion.covariance))
+            ring.push([replace(view, image=paint())], KeyframePosterior((motion,), motion.covariance))
             found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
             assert np.isfinite(ring.plane).all()
             if found is not None:
@@ -360,7 +362,7 @@ def test_pictures_of_nothing_change_nothing() -> None:
 
 
 def test_the_map_leans_where_it_is_held() -> None:
-    elevation = Elevation(CELL, 64)
+    elevation = TiledElevation(CELL, 64)
     found = flown(NOTHING, refine=False)
     fields = {k: getattr(found, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual")}
     elevation.add(Heights(GRID, **fields), replace_all=True)

@@ -9,11 +9,11 @@ import twins_motion as twins
 from point_flight import DOWN
 
 from alight.geometry import Camera, Pose, so3_exp
-from alight.motion.vision import project
-from alight.motion.window import Poses, Sights, eliminate, meet
+from alight.motion.ekf.observations import WindowObservations, WindowPoses, marginalise_points, triangulate_window
+from alight.motion.projection import project
 from alight.tracks.corners import corners, strength
 from alight.tracks.lens import Lens
-from alight.tracks.patches import Patches
+from alight.tracks.patches import FeaturePatches
 
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
 
@@ -56,7 +56,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     """Turned by 0.1 rad, half as bright and 20 levels up, from a pixel away: place and correlation are the twin's."""
     image, rng = picture(4), np.random.default_rng(5)
     pixels = rng.uniform(30, 90, (20, 2))
-    patches = Patches.cut(image, np.arange(20), pixels, 15)
+    patches = FeaturePatches.cut(image, np.arange(20), pixels, 15)
     c, s = np.cos(0.1), np.sin(0.1)
     map_ = np.array([[c, -s, 8.3], [s, c, -5.6]])
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
@@ -76,14 +76,14 @@ def test_what_is_not_there_is_not_found() -> None:
     """Other ground, a flat patch, a place at the edge, a patch that would have to show more than it holds."""
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
-    patch = Patches.cut(image, np.arange(1), pixels, 15)
+    patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
     assert patch.found(image, pixels, ahead, 15)[1].all()
     assert not patch.found(elsewhere, pixels, ahead, 15)[1].any()
     assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
     assert not patch.found(image, pixels, 4.0 * ahead, 15)[1].any()
-    flat = Patches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
+    flat = FeaturePatches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
     assert not flat.found(image, pixels, ahead, 15)[1].any()
-    assert len(Patches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
+    assert len(FeaturePatches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 
 def test_the_table_takes_the_lens_out() -> None:
@@ -99,7 +99,7 @@ def test_the_table_takes_the_lens_out() -> None:
     assert np.isfinite(outside).all()
 
 
-def scene(seed: int) -> tuple[Sights, Poses]:
+def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
     """Points seen now and then from six poses, one behind the cameras; first estimates are a little off."""
     rng = np.random.default_rng(seed)
     R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(6)])
@@ -110,16 +110,16 @@ def scene(seed: int) -> tuple[Sights, Poses]:
     z += 1e-3 * rng.normal(size=z.shape)
     z[rng.random(z.shape[:3]) < 0.3] = np.nan
     z[0, :, :, :] = -z[0]
-    poses = Poses(R, p, first_R, p + 0.02 * rng.normal(size=p.shape))
-    return Sights(np.arange(30), z, rng.uniform(5e-4, 2e-3, (30, 6))), poses
+    poses = WindowPoses(R, p, first_R, p + 0.02 * rng.normal(size=p.shape))
+    return WindowObservations(np.arange(30), z, rng.uniform(5e-4, 2e-3, (30, 6))), poses
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
     sights, poses = scene(seed)
-    x = meet(sights, poses, CAMS)
+    x = triangulate_window(sights, poses, CAMS)
     np.testing.assert_allclose(x[1:], twins.meet(sights, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
-    found, wanted = eliminate(sights, poses, CAMS, x), twins.eliminate(sights, poses, CAMS, x)
+    found, wanted = marginalise_points(sights, poses, CAMS, x), twins.eliminate(sights, poses, CAMS, x)
     for name in ("b", "misfit", "freedom", "point_covariance", "step"):
         np.testing.assert_allclose(getattr(found, name), wanted[name], rtol=1e-6, atol=1e-6, err_msg=name)
     np.testing.assert_allclose(found.by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
@@ -132,7 +132,7 @@ def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
 def test_nothing_seen_is_no_number_but_no_error() -> None:
     """A feature without a sight, and none at all."""
     sights, poses = scene(0)
-    blind = Sights(sights.ids[:1], np.full_like(sights.seen[:1], np.nan), sights.sigma[:1])
-    assert np.isfinite(meet(blind, poses, CAMS)).all()
-    assert eliminate(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
-    assert meet(sights.rows(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)
+    blind = WindowObservations(sights.ids[:1], np.full_like(sights.seen[:1], np.nan), sights.sigma[:1])
+    assert np.isfinite(triangulate_window(blind, poses, CAMS)).all()
+    assert marginalise_points(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
+    assert triangulate_window(sights.rows(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)

@@ -11,8 +11,12 @@ import twins
 from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
-from alight.kernels import parallax, projection, sight, surface, sweep
-from alight.kernels.sorting import NOTHING, fill_row, median_row, network, sort_rows
+from alight.parallax import gauss_newton_kernels as parallax
+from alight.parallax import projection_kernels as projection
+from alight.parallax import sweep_kernels as sweep
+from alight.parallax import view_kernels as sight
+from alight.parallax import visibility_kernels as surface
+from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, network, sort_rows
 from alight.parallax.views import radius2_limit
 
 N, ROWS, COLS, DEPTH = 6, 17, 19, 12
@@ -122,7 +126,7 @@ def run_normal_equations(s: np.ndarray, h: np.ndarray) -> tuple[np.ndarray, ...]
 
 def run_solve(h: np.ndarray) -> tuple[np.ndarray, ...]:
     out = tuple(np.full(h.shape, -9, np.float32) for _ in range(3))
-    parallax.solve(*solve_input(h), h, positive(4, 0.1), 0.5, *out)
+    parallax.solve_window(*solve_input(h), h, positive(4, 0.1), 0.5, *out)
     return out
 
 
@@ -391,7 +395,7 @@ def run_project(camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose)
     intrinsics = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     maps = tuple(np.full(h.shape, -9, np.float32) for _ in range(2))
     size = float(camera.width), float(camera.height)
-    projection.project(
+    projection.project_grid(
         H, b, intrinsics, camera.coefficients, camera.code, radius2_limit(camera), *size, xs, ys, h, *maps
     )  # fmt: skip
     return maps

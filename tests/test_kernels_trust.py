@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.kernels import trust
+from alight.parallax import uncertainty_kernels as trust
 
 ROWS, COLS, N = 13, 17, 5
 BITS = (1, 2, 4, 8)
@@ -53,7 +53,7 @@ def sigma_input() -> tuple[np.ndarray, ...]:
 
 def run_sigma() -> tuple[np.ndarray, ...]:
     out = np.full((ROWS, COLS), -9, np.float32)
-    trust.sigma(*sigma_input(), 0.4, out)
+    trust.height_sigma(*sigma_input(), 0.4, out)
     return (out,)
 
 

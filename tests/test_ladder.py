@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from alight.records import InputError
-from alight.simulate import ladder as steps
-from alight.simulate.ladder import HEIGHTS, SCENES, Rung, ladder, rung
-from alight.simulate.scene import built_in, read_scene
+from alight_sim import ladder as steps
+from alight_sim.ladder import HEIGHTS, SCENES, Rung, ladder, rung
+from alight_sim.scene import built_in, read_scene
 
 
 def test_the_ladder_is_scenes_by_heights_by_seeds_and_names_are_read_back() -> None:

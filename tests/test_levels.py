@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from descent_views import descent, level_flight, look, surface
 
-from alight.elevation import FIELDS, Forgotten
+from alight.elevation import FIELDS, NullStore
 from alight.geometry import Pose
 from alight.pipeline.terrain_lane import TerrainLane, footprint, level_for
 from alight.records import ElevationMap, View
-from alight.settings import Settings, load
+from alight.settings import Settings, load_settings
 
 SMALL = ["elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
 
@@ -26,7 +26,7 @@ def down() -> tuple[View, ...]:
 
 def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> TerrainLane:
     """A lane that knows where the ground is."""
-    lane = TerrainLane(settings or load("", SMALL), Forgotten() if forget else None)
+    lane = TerrainLane(settings or load_settings("", SMALL), NullStore() if forget else None)
     assert lane.learn(list(views)), lane.reason
     return lane
 
@@ -148,7 +148,7 @@ def test_one_raster_comes_out() -> None:
     x, y = np.meshgrid(*whole.grid.xy())
     e = np.abs(whole.height - surface(x, y))[whole.trusted]
     assert np.percentile(e, 95) < 0.01 * 80
-    small = load("", [*SMALL, "elevation.most_cells=100000"])
+    small = load_settings("", [*SMALL, "elevation.most_cells=100000"])
     lane.settings, before = small, lane.settings
     coarse = lane.map()
     lane.settings = before
@@ -197,7 +197,7 @@ def test_a_gust_does_not_change_the_cell() -> None:
 
 
 def test_a_cell_that_was_asked_for_stays() -> None:
-    lane = lane_of(down()[:10], load("", [*SMALL, "parallax.cell=0.8"]))
+    lane = lane_of(down()[:10], load_settings("", [*SMALL, "parallax.cell=0.8"]))
     for v in down()[::3]:
         lane.step([v])
     m = lane.map()
@@ -207,7 +207,7 @@ def test_a_cell_that_was_asked_for_stays() -> None:
 
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     views = [v for v in down() if v.centre[2] < 20]
-    lane = lane_of(views[::2], load("", ["elevation.tile=192", "elevation.max_sigma=5"]))
+    lane = lane_of(views[::2], load_settings("", ["elevation.tile=192", "elevation.max_sigma=5"]))
     lane.build(views[::2], lambda share: None)
     assert lane.elevation is not None
     cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
@@ -349,7 +349,7 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
 
 
 def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
-    lane = TerrainLane(load("", SMALL))
+    lane = TerrainLane(load_settings("", SMALL))
     assert not lane.learn(level()[:3], 0.2)
     assert "hardly moved" in lane.reason
     assert lane.elevation is None

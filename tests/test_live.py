@@ -14,8 +14,8 @@ from alight.geometry import Camera
 from alight.live import Closed, Mailbox, SideBySide
 from alight.pipeline.side_by_side import Desk, FilterStep, TrackingStep, forecast_for
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
-from alight.settings import Settings, load
-from alight.simulate import SimulatedFlight, default_rig, fly
+from alight.settings import Settings, load_settings
+from alight_sim import SimulatedFlight, default_rig, fly
 
 LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 
@@ -29,7 +29,7 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings() -> Settings:
-    return load("", ["tracks.count=40", "motion.filter.points=16", "motion.filter.smooth=false"])
+    return load_settings("", ["tracks.count=40", "motion.filter.points=16", "motion.filter.smooth=false"])
 
 
 def in_turn(events: tuple[Event, ...]) -> list[Motion]:
@@ -110,7 +110,7 @@ def test_nothing_grows_with_the_flight() -> None:
     """Asked to keep five exposures, it keeps the last five; the filter records nothing, whatever the settings say."""
     rig, events = flight()[0].rig, flight()[1]
     told: list[int] = []
-    smoothing = settings().model_copy(update={"motion": load("").motion})
+    smoothing = settings().model_copy(update={"motion": load_settings("").motion})
     lane = SideBySide(rig, smoothing, drop=False, tell=lambda m: told.append(m.t_ns), keep=5)
     for e in events:
         lane.feed(e)

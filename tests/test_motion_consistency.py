@@ -10,13 +10,19 @@ from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
 from alight.geometry import Pose, skew, so3_exp, so3_log
-from alight.motion.consensus import agreed
-from alight.motion.navigation import measurements
-from alight.motion.points import MISSES, watch
-from alight.motion.ring import refine
-from alight.motion.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, Point, State
-from alight.motion.vision import project
-from alight.motion.window import Poses, Sights, as_rows, eliminate, meet
+from alight.motion.ekf.keyframe_posterior import refine
+from alight.motion.ekf.landmarks import MISSES, count_misses
+from alight.motion.ekf.observations import (
+    WindowObservations,
+    WindowPoses,
+    as_rows,
+    marginalise_points,
+    triangulate_window,
+)
+from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Point
+from alight.motion.gps_ins import measurements
+from alight.motion.projection import project
+from alight.motion.robust import agree_on_poses
 from alight.records import F64, Motion, NavSample
 
 FLIGHTS = 50
@@ -55,17 +61,17 @@ angles = st.floats(-0.3, 0.3)
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
 
 
-def seen_from(poses: Poses, x: F64, rng: np.random.Generator, noise: float = 0.0) -> Sights:
+def seen_from(poses: WindowPoses, x: F64, rng: np.random.Generator, noise: float = 0.0) -> WindowObservations:
     """All points seen from all poses by both cameras."""
     z = np.array([[[project(R, p, c, q) for c in CAMS] for R, p in zip(poses.R, poses.p, strict=True)] for q in x])
-    return Sights(np.arange(len(x)), z + noise * rng.normal(size=z.shape), np.full(z.shape[:2], 1e-3))
+    return WindowObservations(np.arange(len(x)), z + noise * rng.normal(size=z.shape), np.full(z.shape[:2], 1e-3))
 
 
-def row_of_poses(rng: np.random.Generator, count: int = 4) -> Poses:
+def row_of_poses(rng: np.random.Generator, count: int = 4) -> WindowPoses:
     """Some poses 30 m up, a metre apart."""
     R = np.array([so3_exp(rng.normal(size=3) * 0.05) for _ in range(count)])
     p = np.array([[1.0 * k, 0.1 * k, 30.0] for k in range(count)]) + 0.1 * rng.normal(size=(count, 3))
-    return Poses(R, p, R, p)
+    return WindowPoses(R, p, R, p)
 
 
 def ground(rng: np.random.Generator, count: int = 20) -> F64:
@@ -77,7 +83,7 @@ def ground(rng: np.random.Generator, count: int = 20) -> F64:
 def test_rays_meet_in_their_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
-    np.testing.assert_allclose(meet(seen_from(poses, x, rng), poses, CAMS), x, atol=1e-5)
+    np.testing.assert_allclose(triangulate_window(seen_from(poses, x, rng), poses, CAMS), x, atol=1e-5)
 
 
 @given(st.integers(0, 1000), st.tuples(angles, angles, angles))
@@ -86,7 +92,7 @@ def test_turning_and_moving_everything_is_not_seen(seed: int, turn: tuple[float,
     """The gauge: a rigid motion of all poses (about any axis) leaves every eliminated row as it is."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
-    found = eliminate(seen_from(poses, x, rng, 1e-3), poses, CAMS, x)
+    found = marginalise_points(seen_from(poses, x, rng, 1e-3), poses, CAMS, x)
     A, b = found.information(np.ones(len(x)))
     move = np.concatenate(
         [np.concatenate([turn, np.cross(turn, p) + np.array([0.1, -0.2, 0.3])]) for p in poses.first_p]
@@ -104,9 +110,9 @@ def test_misfits_follow_the_poses(seed: int) -> None:
     sights, error = seen_from(poses, x, rng, 1e-3), 1e-4 * rng.normal(size=24) * np.tile([1, 1, 1, 20, 20, 20], 4)
     e = error.reshape(-1, 6)
     R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
-    moved = Poses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-    there = eliminate(sights, moved, CAMS, meet(sights, moved, CAMS)).misfit
-    said = eliminate(sights, poses, CAMS, meet(sights, poses, CAMS)).misfits(error)
+    moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
+    there = marginalise_points(sights, moved, CAMS, triangulate_window(sights, moved, CAMS)).misfit
+    said = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS)).misfits(error)
     np.testing.assert_allclose(said, there, rtol=0.05, atol=0.2)
 
 
@@ -121,14 +127,14 @@ def test_most_of_the_ground_is_believed() -> None:
         sights = seen_from(poses, x, rng, 3e-4)
         moves = np.arange(60) < 20
         sights.seen[moves] += np.arange(6)[:, None, None] * drift
-        state = State(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+        state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
         for k in range(6):
             state.R, state.core[3:6] = poses.R[k], poses.p[k]
             state.add_clone(k)
         state.P[CORE:, :] = state.P[:, CORE:] = 0.0
         state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 1e-2], 3), 6))
-        found = eliminate(sights, poses, CAMS, meet(sights, poses, CAMS))
-        weight = agreed(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
+        found = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS))
+        weight = agree_on_poses(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
         for name, some in (("all", sights), ("still", sights.rows(~moves))):
             p = refine(state, some, CAMS, ALIKE).p - poses.p
@@ -148,14 +154,14 @@ def test_a_point_that_lags_behind_is_dropped() -> None:
     for _ in range(12):
         residual = 0.5 * rng.normal(size=(12, 4)) / 2.0
         residual[0] = 0.4 * np.array([1.0, -1.0, 1.0, -1.0]) + 0.02 * rng.normal(size=4)
-        watch(points, residual)
+        count_misses(points, residual)
     assert [q.misses >= MISSES for q in points] == [True] + [False] * 11
 
 
 def test_gps_and_ins_rows_agree_with_differences() -> None:
     """The Jacobians of M14 to M16 by every part of the core: numerical ones of what the rows leave over."""
     rng = np.random.default_rng(4)
-    state = State(0, so3_exp(rng.normal(size=3)), rng.normal(size=CORE), np.eye(CORE))
+    state = FilterState(0, so3_exp(rng.normal(size=3)), rng.normal(size=CORE), np.eye(CORE))
     state.core[NAV_ATT] *= 1e-3  # degrees at most: H takes the error of a turned frame for that of the frame
     sample = NavSample(0, rng.normal(size=3), state.R @ so3_exp([1e-3, 2e-3, -1e-3]), rng.normal(size=3))
     sigma, h = np.ones(9), 1e-6
@@ -163,7 +169,7 @@ def test_gps_and_ins_rows_agree_with_differences() -> None:
     def left(error: F64) -> F64:
         R = so3_exp(error[:3]) @ state.R
         core = np.concatenate([state.core[:3], state.core[3:] + error[3:]])
-        return np.concatenate([r for r, _, _ in measurements(State(0, R, core, state.P), sample, sigma, NOISE)])
+        return np.concatenate([r for r, _, _ in measurements(FilterState(0, R, core, state.P), sample, sigma, NOISE)])
 
     H = np.concatenate([H for _, H, _ in measurements(state, sample, sigma, NOISE)])
     numeric = np.column_stack([(left(h * e) - left(-h * e)) / (2 * h) for e in np.eye(CORE)])
@@ -173,7 +179,7 @@ def test_gps_and_ins_rows_agree_with_differences() -> None:
 def test_a_new_clone_agrees_with_differences() -> None:
     """The derivative of a clone by attitude, position and mounting: what the rig's pose does when they change."""
     rng, h = np.random.default_rng(6), 1e-6
-    state = State(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.diag(rng.uniform(1.0, 2.0, CORE)))
+    state = FilterState(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.diag(rng.uniform(1.0, 2.0, CORE)))
     state.core[MOUNT], state.P[TIME, TIME] = 1e-3 * rng.normal(size=3), 0.0
     before = np.maximum(state.P.diagonal(), 1.0)
     state.add_clone(0)
@@ -196,10 +202,10 @@ def test_eliminated_rows_agree_with_differences() -> None:
     def misfit(d: F64) -> float:
         e = d.reshape(-1, 6)
         R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
-        moved = Poses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-        return float(eliminate(sights, moved, CAMS, meet(sights, moved, CAMS)).misfit.sum())
+        moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
+        return float(marginalise_points(sights, moved, CAMS, triangulate_window(sights, moved, CAMS)).misfit.sum())
 
-    _, b = eliminate(sights, poses, CAMS, meet(sights, poses, CAMS)).information(np.ones(6))
+    _, b = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS)).information(np.ones(6))
     h = 1e-6
     numeric = np.array([(misfit(h * e) - misfit(-h * e)) / (2 * h) for e in np.eye(18)])
     np.testing.assert_allclose(-2.0 * b, numeric, rtol=1e-3, atol=2e-3 * np.abs(b).max())
@@ -222,7 +228,7 @@ def test_a_correction_is_that_of_least_squares() -> None:
     P, H, r = L @ L.T, rng.normal(size=(4, 3)), rng.normal(size=4)
     columns, full = np.array([3, 16, 28]), np.zeros((4, CORE))
     full[:, columns] = H
-    state = State(0, np.eye(3), np.zeros(CORE), P.copy())
+    state = FilterState(0, np.eye(3), np.zeros(CORE), P.copy())
     state.correct(r, H, columns)
     np.testing.assert_allclose(state.P, np.linalg.inv(np.linalg.inv(P) + full.T @ full), rtol=1e-6, atol=1e-8)
     np.testing.assert_allclose(state.core[3:], (state.P @ full.T @ r)[3:], rtol=1e-6, atol=1e-8)
@@ -232,7 +238,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
     """Poses of a loose prior and many sights come out where the sights want them, and claim no less than they are."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
-    state = State(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
     state.core[3:6] = true.p[0]
     for k in range(4):  # the first is known, the others are off by what the prior says
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
@@ -253,7 +259,7 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
     25 times the variance, and what is claimed of that one stays."""
     rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
     true, x = row_of_poses(rng, 4), ground(rng, 200)
-    state = State(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
     for k in range(4):
         state.R, state.core[3:6] = true.R[k], true.p[k]
         state.add_clone(k)

@@ -11,12 +11,12 @@ from point_flight import NOISE, RIG, PointFlight, fed
 
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion import MotionFilter
-from alight.motion.forecast import Forecast
-from alight.motion.state import POS, VEL
+from alight.motion.ekf.prediction import MotionPredictor
+from alight.motion.ekf.state import POS, VEL
 from alight.records import F64, Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
-from alight.settings import Tracks as TracksSettings
+from alight.settings import TracksSettings
 from alight.tracks import Tracker
-from alight.tracks.bounds import scatter, within
+from alight.tracks.search_region import scatter, within
 
 STEP = 100_000_000  # ns between two exposures
 
@@ -37,7 +37,7 @@ def shift(now: Prediction) -> Pose:
     return now.world_from_cams[0].inverse @ now.earlier[0]
 
 
-def moved(f: Forecast, error: F64) -> Forecast:
+def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
     """A forecast whose state is off by (24,) errors: the last rig, then attitude, place, velocity, biases, mounting."""
     assert f.last is not None
     core = f.core.copy()

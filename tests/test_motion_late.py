@@ -9,17 +9,17 @@ import pytest
 from point_flight import CAMERA, DOWN, NOISE, RIG, PointFlight, best, error, fed, nees, run, seconds
 
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion import LateFilter
-from alight.motion.state import CORE, TIME, VEL, State
+from alight.motion import RollbackFilter
+from alight.motion.ekf.state import CORE, TIME, VEL, FilterState
 from alight.records import Event, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
-from alight.settings import Filter
+from alight.settings import FilterSettings
 
 SMALL = NOISE.model_copy(update={"points": 16})
 
 
-def flown(events: list[Event | Tracks], settings: Filter = SMALL) -> tuple[LateFilter, list[Motion]]:
+def flown(events: list[Event | Tracks], settings: FilterSettings = SMALL) -> tuple[RollbackFilter, list[Motion]]:
     """What the filter that takes late events gives out."""
-    f = LateFilter(RIG, settings)
+    f = RollbackFilter(RIG, settings)
 
     def expected() -> Iterator[Event | Tracks]:
         for e in events:
@@ -106,7 +106,7 @@ def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
 def test_a_pose_at_another_time_agrees_with_differences() -> None:
     """The derivative of a clone by the time offset is that of the pose by time, negated."""
     rng = np.random.default_rng(0)
-    state = State(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.eye(CORE) * 1e-6, rate=rng.normal(size=3))
+    state = FilterState(0, so3_exp(rng.normal(size=3)), np.zeros(CORE), np.eye(CORE) * 1e-6, rate=rng.normal(size=3))
     state.core[VEL] = rng.normal(size=3) * 4
     state.P[TIME, TIME] = 1e-10
     state.add_clone(0)

@@ -13,15 +13,15 @@ from point_flight import PointFlight, best, run
 from test_motion_consistency import ALIKE, CAMS, ground, row_of_poses, seen_from
 
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.ring import refine
-from alight.motion.state import CORE, State
+from alight.motion.ekf.keyframe_posterior import refine
+from alight.motion.ekf.state import CORE, FilterState
 
 
-def loose_state(seed: int, count: int = 5) -> tuple[State, object, np.ndarray]:
+def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndarray]:
     """Poses off by what their prior says; the sights of forty points from where they truly are."""
     rng = np.random.default_rng(seed)
     true, x = row_of_poses(rng, count), ground(rng, 40)
-    state = State(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
     for k in range(count):
         off = rng.normal(size=6) * np.repeat([2e-3, 0.1], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
@@ -35,7 +35,7 @@ def loose_state(seed: int, count: int = 5) -> tuple[State, object, np.ndarray]:
 def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same priors and sights, every sight believed alike, solved by gtsam's Levenberg-Marquardt over all points:
     poses to 2 mm and 0.05 mrad, claimed sigmas to 3 %."""
-    monkeypatch.setattr("alight.motion.consensus.belief", lambda misfit, usual: np.ones(len(misfit)))
+    monkeypatch.setattr("alight.motion.robust.robust_weights", lambda misfit, usual: np.ones(len(misfit)))
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed: pip install 'alight[reference]'")
     state, sights, x = loose_state(1)
     found = refine(state, sights, CAMS, ALIKE)  # type: ignore[arg-type]

@@ -10,9 +10,9 @@ import pytest
 from alight.geometry import Camera
 from alight.pipeline import Decision, Pipeline
 from alight.records import Hazard, Rig, RigCamera
-from alight.settings import load
-from alight.simulate import default_rig, fly
-from alight.simulate.scene import Scene
+from alight.settings import load_settings
+from alight_sim import default_rig, fly
+from alight_sim.scene import Scene
 
 LENS = Camera(240, 180, 180.0, 180.0, 119.5, 89.5)
 RELIEF = [{"height": 0.8, "longest": 60, "shortest": 8, "fall": 1.8}]
@@ -30,7 +30,7 @@ def flown(ground: str) -> Decision:
     scene = Scene.model_validate({"name": ground, "ground": {"size": [90, 90], **GROUNDS[ground]}})
     rig = Rig((RigCamera("cam0", LENS, default_rig().cameras[0].body_from_cam),))
     f = fly(scene, 3, 5.0, rig=rig, rate_hz=5.0, height=18.0, speed=2.0)
-    p = Pipeline(rig, "flight", load("", ["elevation.tile=128"]), f.truth_trajectory)
+    p = Pipeline(rig, "flight", load_settings("", ["elevation.tile=128"]), f.truth_trajectory)
     for event in f.events():
         p.feed(event)
     return p.finish()
@@ -49,7 +49,7 @@ def test_every_cell_that_is_not_safe_says_why_and_every_other_says_nothing(groun
     if danger is None:  # no height at all: the whole map is the reason
         assert ground == "glare"
         return
-    safe = danger.p_safe >= load("", []).hazards.p_safe
+    safe = danger.p_safe >= load_settings("", []).hazards.p_safe
     assert ((danger.reasons == 0) == safe).all()
     assert ((danger.reasons[np.isnan(danger.p_safe)] & (Hazard.UNKNOWN | Hazard.EDGE)) != 0).all()
 

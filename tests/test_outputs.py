@@ -15,7 +15,8 @@ import rasterio
 from some_run import CELL, GRID, LOCAL, elevation, site, some_run
 
 from alight import outputs
-from alight.outputs import FILES, prepare, read_run, whole, world_up, write_run
+from alight.outputs import FILES, prepare_folder, read_run, world_up, write_run
+from alight.outputs import atomic_write as whole
 from alight.records import Flag, InputError, OutputError, Sites, Terrain
 from alight.settings import Settings
 
@@ -53,7 +54,7 @@ def test_rasters_are_cloud_optimised_on_one_grid(out: Path, name: str) -> None:
 
 
 def test_large_rasters_have_overviews() -> None:
-    flat = outputs.rasters.Raster(np.zeros((1, 700, 900), np.float32), ("flat",))
+    flat = outputs.rasters.RasterFile(np.zeros((1, 700, 900), np.float32), ("flat",))
     grid = outputs.rasters.Grid(0.0, 0.0, 0.1, 700, 900)
     data = outputs.rasters.encode(flat, grid, rasterio.crs.CRS.from_string(LOCAL.crs))
     with rasterio.io.MemoryFile(data) as m, m.open() as d:
@@ -291,8 +292,8 @@ def test_a_second_run_leaves_nothing_of_the_first(tmp_path: Path) -> None:
 def test_somebody_elses_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(OutputError, match="--force"):
-        prepare(tmp_path)
-    prepare(tmp_path, overwrite=True)
+        prepare_folder(tmp_path)
+    prepare_folder(tmp_path, overwrite=True)
     write_run(some_run(), tmp_path, overwrite=True)
     assert (tmp_path / "thesis.tex").read_text() == "precious"
 
@@ -301,21 +302,21 @@ def test_a_run_json_of_somebody_else_is_no_licence(tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text('{"score": 3}')
     (tmp_path / "model.pt").write_text("precious")
     with pytest.raises(OutputError, match="not a run's"):
-        prepare(tmp_path)
+        prepare_folder(tmp_path)
 
 
 def test_an_interrupted_run_can_be_repeated(tmp_path: Path) -> None:
     (tmp_path / "dem.tif").write_text("old")
     (tmp_path / ".flags.tif.tmp").write_text("ha")
-    prepare(tmp_path)
+    prepare_folder(tmp_path)
 
 
 def test_a_file_is_no_folder(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(OutputError, match="is a file"):
-        prepare(tmp_path / "out")
+        prepare_folder(tmp_path / "out")
     with pytest.raises(OutputError, match="cannot be written"):
-        prepare(tmp_path / "out" / "deeper")
+        prepare_folder(tmp_path / "out" / "deeper")
 
 
 @contextmanager
@@ -377,7 +378,7 @@ def test_ctrl_c_between_files_leaves_no_run_json(tmp_path: Path) -> None:
     assert not (tmp_path / "run.json").exists()
     with pytest.raises(InputError):
         read_run(tmp_path)
-    prepare(tmp_path)
+    prepare_folder(tmp_path)
 
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -11,14 +11,14 @@ import pytest
 from ground_views import DOWN, UP, Scene, Texture, box, plane
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.elevation import Elevation
+from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, so3_exp
-from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.parallax.ground import triangulate
-from alight.parallax.sweep import parallax_per_metre
-from alight.parallax.views import choose
+from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
+from alight.parallax.plane_sweep import parallax_per_metre
+from alight.parallax.sparse_points import triangulate_pair
+from alight.parallax.views import choose_views
 from alight.records import REFUSED, ElevationMap, Flag, Heights, View
-from alight.settings import Parallax
+from alight.settings import ParallaxSettings
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -49,7 +49,7 @@ def box_views() -> tuple[View, ...]:
 
 
 def heights(views: list[View] | tuple[View, ...], low: float = LOW, high: float = HIGH) -> Heights:
-    found = match(Images(list(views), CELL, 0.0), GRID, low, high, Parallax())
+    found = match_tile(Images(list(views), CELL, 0.0), GRID, low, high, ParallaxSettings())
     assert found is not None
     return found
 
@@ -121,7 +121,7 @@ def seeing(grid: Grid, margin: float) -> np.ndarray:
 def test_what_no_two_views_see_stays_unknown() -> None:
     """A grid that reaches far beyond the pictures: NaN and UNSEEN there, never filled from the neighbours."""
     wide = Grid(-29.9, 4.5, CELL, 46, 300)
-    found = match(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, Parallax())
+    found = match_tile(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, ParallaxSettings())
     assert found is not None
     count, about = seeing(wide, 0.0), seeing(wide, 2.0)
     nobody = count == 0
@@ -144,14 +144,14 @@ def test_views_that_do_not_see_the_grid_are_ignored() -> None:
     up = replace(v[0], world_from_cam=Pose(np.eye(3), np.array([0.0, 0.0, UP])))
     together = heights([away, *v, up])
     assert together.height.tobytes() == heights(v).height.tobytes()
-    assert match(Images([away, up, v[0]], CELL, 0.0), GRID, LOW, HIGH, Parallax()) is None
+    assert match_tile(Images([away, up, v[0]], CELL, 0.0), GRID, LOW, HIGH, ParallaxSettings()) is None
 
 
 def test_views_are_chosen_for_their_baseline() -> None:
     """Three of thirty: both ends and about the middle."""
     first = level_views()[0]
     views = [replace(first, world_from_cam=Pose(DOWN, np.array([0.2 * k - 3.0, 0.0, UP]))) for k in range(30)]
-    chosen = choose(views, GRID, 0.0, 3, 0.4)
+    chosen = choose_views(views, GRID, 0.0, 3, 0.4)
     x = np.array([views[k].centre[0] for k in chosen])
     assert np.ptp(x) > 3.0
     assert np.diff(x).min() > 1.0
@@ -224,14 +224,14 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
 
 def nothing_known(grid: Grid) -> ElevationMap:
     """A map that never saw anything."""
-    return Elevation(grid.cell, 64).read(grid)
+    return TiledElevation(grid.cell, 64).read(grid)
 
 
 def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     """Flat ground from nothing, first look at the first baseline, every later keyframe starts from the map."""
     s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
     truth = s.surface(EAST, NORTH)
-    ring = Ring(Parallax(), CELL, 0.0)
+    ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     views, known = s.views(COUNT), nothing_known(GRID)
     ring.push([views[0]])
     assert ring.step(GRID, known, LOW, HIGH) is None  # one view sees no parallax
@@ -252,7 +252,7 @@ def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
 
 def test_the_ring_never_fills_what_it_does_not_see() -> None:
     wide = Grid(-29.9, 4.5, CELL, 46, 300)
-    ring = Ring(Parallax(), CELL, 0.0)
+    ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     for v in level_views():
         ring.push([v])
     found = ring.step(wide, nothing_known(wide), LOW, HIGH)
@@ -299,13 +299,13 @@ def test_triangulation_meets_points_and_sees_what_cannot_meet() -> None:
     X = rng.uniform([-5, -5, -1], [5, 5, 1], (20, 3))
     a, b = np.array([-1.0, 0, 20.0]), np.array([1.0, 0.5, 19.0])
     ra, rb = ((X - c) / np.linalg.norm(X - c, axis=1)[:, None] for c in (a, b))
-    points, angle, miss = triangulate(a, ra, b, rb)
+    points, angle, miss = triangulate_pair(a, ra, b, rb)
     assert_allclose(points, X, atol=1e-9)
     assert_allclose(angle, np.arccos((ra * rb).sum(1)), rtol=5e-3)  # its sine: small angles
     assert (miss < 1e-9).all()
-    assert np.isinf(triangulate(a, -ra, b, -rb)[2]).all()
+    assert np.isinf(triangulate_pair(a, -ra, b, -rb)[2]).all()
     skewed = rb + np.array([0.0, 0.05, 0.0])
-    aside = triangulate(a, ra, b, skewed / np.linalg.norm(skewed, axis=1)[:, None])[2]
+    aside = triangulate_pair(a, ra, b, skewed / np.linalg.norm(skewed, axis=1)[:, None])[2]
     assert np.median(aside) > 0.02
 
 

@@ -8,16 +8,16 @@ from functools import cache
 import numpy as np
 import pytest
 
-from alight.elevation import Forgotten
+from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.navigation import FilterLane
 from alight.pipeline.store import FrameStore
 from alight.pipeline.terrain_lane import lone, nice_cell
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
-from alight.settings import Settings, load
-from alight.simulate import SimulatedFlight, default_rig, fly
-from alight.simulate.faults import Faults
+from alight.settings import Settings, load_settings
+from alight_sim import SimulatedFlight, default_rig, fly
+from alight_sim.faults import Faults
 
 LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 FORWARD = Pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # optical axis along the nose
@@ -35,7 +35,7 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings_of(*assignments: str) -> Settings:
-    return load("", ["parallax.cell=0.25", "elevation.tile=64", *assignments])
+    return load_settings("", ["parallax.cell=0.25", "elevation.tile=64", *assignments])
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
 def flown(history: bool, events: tuple[Event, ...] | None = None) -> tuple[Pipeline, Decision, int]:
     """The recursive way; the pipeline, its decision, and the most motions that were held."""
     f, all_events = flight()
-    far = None if history else Forgotten()
+    far = None if history else NullStore()
     p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring"), f.truth_trajectory, far=far, history=history)
     most = 0
     for e in events or all_events:
@@ -346,7 +346,7 @@ def navigated(faults: Faults) -> tuple[FilterLane, SimulatedFlight, list[Motion]
     """A flight with faults through tracker and filter."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
-    lane = FilterLane(f.rig, load("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
     for e in f.events():
         lane.feed(e)
     return lane, f, lane.finish(lambda share: None)
@@ -394,7 +394,7 @@ def test_thinning_keeps_the_newest_and_every_second() -> None:
 def test_what_could_not_be_refined_together_is_said() -> None:
     """Two exposures are too few for a batch: the poses of the flight stay, and the run says so."""
     f, events = flight()
-    lane = FilterLane(f.rig, load("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
     given = 0
     for e in events:
         given += lane.feed(e) is not None

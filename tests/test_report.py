@@ -16,7 +16,7 @@ from some_run import CELL, GRID, elevation, hazards, site, some_run
 
 from alight.records import Flag, Hazard, Sites
 from alight.report import canvas, facts, figures, maps, paint, render, words
-from alight.settings import load
+from alight.settings import load_settings
 
 VOID = {"meta", "image", "circle", "line", "path"}
 
@@ -98,7 +98,7 @@ def test_warnings_settings_counts_and_notes_are_there(page: str) -> None:
     assert "held at the calibration&#39;s 620.0 px" in page
     assert "frames dropped, file missing" in page
     settings = html.unescape(re.search(r"<pre>(.*?)</pre>", page, re.S).group(1))
-    assert load(settings) == some_run().settings
+    assert load_settings(settings) == some_run().settings
 
 
 def test_the_routes_warnings_are_told_once() -> None:
@@ -209,7 +209,7 @@ def test_the_first_reason_wins_and_shares_add_up() -> None:
     names = list(paint.HAZARD_COLOURS)
     assert index[0, 0] == -1
     assert [names[i] for i in index[0, 1:]] == [Hazard.UNKNOWN, Hazard.TERRAIN, Hazard.SLOPE]
-    keys = maps.reasons(hazards(), elevation(), canvas.whole(elevation())).keys
+    keys = maps.reasons_figure(hazards(), elevation(), canvas.whole(elevation())).keys
     assert sum(float(k.share.removesuffix(" %")) for k in keys) == pytest.approx(100, abs=0.2)
 
 
@@ -232,7 +232,7 @@ def test_light_comes_from_the_north_west() -> None:
 
 
 def test_a_ramp_meets_its_ends() -> None:
-    colours = paint.ramp(np.array([-5.0, 0.0, 1.0, 9.0]), 0.0, 1.0, ("#102030", "#ff0000"))
+    colours = paint.colour_ramp(np.array([-5.0, 0.0, 1.0, 9.0]), 0.0, 1.0, ("#102030", "#ff0000"))
     np.testing.assert_array_equal(colours, [[16, 32, 48], [16, 32, 48], [255, 0, 0], [255, 0, 0]])
 
 

@@ -10,7 +10,7 @@ import pytest
 from ground import ground
 from numpy.testing import assert_allclose
 
-from alight import route
+from alight.landing import route
 from alight.records import ElevationMap, Route, Site, Terrain
 from alight.settings import RouteSettings
 
@@ -52,7 +52,7 @@ def test_the_line_clears_everything_mapped(seed: int) -> None:
     z[40:61, 110:131] = 0.0
     e = ground(z, cell=0.5, sigma=0.1)
     start = np.array([5.0, rng.uniform(5, 45), rng.uniform(2, 25)])
-    got = route.plan(site(60.0, 25.0), e, start, SETTINGS)
+    got = route.plan_route(site(60.0, 25.0), e, start, SETTINGS)
     climbs = any(w.name == "climb" for w in got.waypoints)
     assert least_gap(got, e, SETTINGS.clearance, climbs) >= SETTINGS.clearance - 0.1  # half a cell of sideways rounding
     assert_allclose(got.waypoints[-1].position_world, [60.0, 25.0, 0.0])
@@ -60,7 +60,7 @@ def test_the_line_clears_everything_mapped(seed: int) -> None:
 
 def test_from_above_the_line_slopes_straight_to_the_approach() -> None:
     e = ground(np.zeros((101, 141)), cell=0.5)
-    got = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
+    got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
     assert [w.name for w in got.waypoints] == ["start", "approach", "inspect", "touchdown"]
     assert_allclose([w.position_world[2] for w in got.waypoints], [30.0, 10.0, 5.0, 0.0])
     assert [w.look for w in got.waypoints] == [False, True, True, False]
@@ -76,9 +76,9 @@ def test_a_tree_on_the_way_keeps_the_line_level() -> None:
     z = np.zeros((101, 141))
     z[48:53, 80:84] = 20.0
     e = ground(z, cell=0.5)
-    got = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
+    got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 30.0]), SETTINGS)
     assert_allclose(got.waypoints[1].position_world, [60.0, 25.0, 30.0])
-    low = route.plan(site(60.0, 25.0), e, np.array([5.0, 25.0, 8.0]), SETTINGS)
+    low = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 8.0]), SETTINGS)
     assert low.waypoints[1].name == "climb"
     assert_allclose(low.waypoints[1].position_world, [5.0, 25.0, 23.0])
     assert "climbs 15.0 m" in low.warnings[0]
@@ -88,14 +88,14 @@ def test_unknown_ground_may_be_as_high_as_anything_known() -> None:
     z = np.zeros((101, 141))
     z[5:8, 5:8] = 40.0  # far off the track
     z[:, 60:70] = np.nan
-    got = route.plan(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
+    got = route.plan_route(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
     assert any("not mapped" in w for w in got.warnings)
     assert max(w.position_world[2] for w in got.waypoints) >= 43.0
 
 
 def test_a_vehicle_over_the_site_only_descends() -> None:
     e = ground(np.zeros((101, 101)), cell=0.5)
-    got = route.plan(site(25.0, 25.0), e, np.array([25.0, 25.0, 20.0]), SETTINGS)
+    got = route.plan_route(site(25.0, 25.0), e, np.array([25.0, 25.0, 20.0]), SETTINGS)
     heights = [w.position_world[2] for w in got.waypoints]
     assert heights == sorted(heights, reverse=True)
     assert all(w.speed == 1.0 for w in got.waypoints[1:])

@@ -6,11 +6,11 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
-from alight.settings import IMU_MARGIN, Settings, load, with_imu
+from alight.settings import IMU_MARGIN, Settings, load_settings, with_imu
 
 
 def test_nothing_needs_to_be_set() -> None:
-    assert load() == load("") == load("# only a remark\n") == Settings()
+    assert load_settings() == load_settings("") == load_settings("# only a remark\n") == Settings()
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def test_nothing_needs_to_be_set() -> None:
 )
 def test_an_unknown_key_is_refused_by_name(text: str, key: str) -> None:
     with pytest.raises(ValueError, match=rf"^{key}: unknown key; 'alight settings' lists every key$"):
-        load(text)
+        load_settings(text)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +45,7 @@ def test_an_unknown_key_is_refused_by_name(text: str, key: str) -> None:
 )
 def test_a_bad_value_is_refused_with_its_key(text: str, key: str, got: str) -> None:
     with pytest.raises(ValueError, match=rf"^{key}: .*{got}") as e:
-        load(text)
+        load_settings(text)
     assert "\n" not in str(e.value)
 
 
@@ -60,29 +60,29 @@ def test_a_bad_value_is_refused_with_its_key(text: str, key: str, got: str) -> N
 )
 def test_gear_that_cannot_stand_is_refused(text: str, why: str) -> None:
     with pytest.raises(ValueError, match=f"^lander: .*{why}"):
-        load(text)
+        load_settings(text)
 
 
 def test_all_mistakes_are_told_at_once() -> None:
     with pytest.raises(ValueError, match=r"parallax\.cell: .*; sites\.cuont: unknown key"):
-        load("parallax: {cell: -1}\nsites: {cuont: 3}")
+        load_settings("parallax: {cell: -1}\nsites: {cuont: 3}")
 
 
 @pytest.mark.parametrize("text", ["- a\n- b", "just words", "3"])
 def test_text_that_is_no_mapping_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="mapping of keys"):
-        load(text)
+        load_settings(text)
 
 
 def test_text_that_is_no_yaml_is_refused_in_one_line() -> None:
     with pytest.raises(ValueError, match="not valid YAML") as e:
-        load("parallax: {cell: 0.1\nlander: [")
+        load_settings("parallax: {cell: 0.1\nlander: [")
     assert "\n" not in str(e.value)
 
 
 def test_assignments_win_over_the_file_and_the_last_over_the_first() -> None:
     text = "parallax: {cell: 0.5, views: 9}"
-    s = load(text, ["parallax.cell=0.2", "parallax.cell=0.3", "lander.radius=2"])
+    s = load_settings(text, ["parallax.cell=0.2", "parallax.cell=0.3", "lander.radius=2"])
     assert (s.parallax.cell, s.parallax.views, s.lander.radius) == (0.3, 9, 2.0)
     assert s.parallax.method == "auto"  # and what nobody names keeps its default
 
@@ -96,7 +96,7 @@ def test_assignments_win_over_the_file_and_the_last_over_the_first() -> None:
     ],
 )
 def test_an_assignment_takes_any_yaml(assignment: str, value: object) -> None:
-    assert load("", [assignment]).parallax.height_range == value
+    assert load_settings("", [assignment]).parallax.height_range == value
 
 
 @pytest.mark.parametrize(
@@ -112,14 +112,14 @@ def test_an_assignment_takes_any_yaml(assignment: str, value: object) -> None:
 )
 def test_a_bad_assignment_is_refused_by_name(assignment: str, why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        load("parallax: {cell: 0.5}", [assignment])
+        load_settings("parallax: {cell: 0.5}", [assignment])
 
 
 def test_yaml_goes_out_and_comes_back() -> None:
-    s = load("", ["parallax.cell=0.07", "lander.skids=[1.2, 0.8]", "sources.calibration=rig.yaml"])
+    s = load_settings("", ["parallax.cell=0.07", "lander.skids=[1.2, 0.8]", "sources.calibration=rig.yaml"])
     text = s.to_yaml()
-    assert load(text) == s
-    assert load(Settings().to_yaml()) == Settings()
+    assert load_settings(text) == s
+    assert load_settings(Settings().to_yaml()) == Settings()
     tree = yaml.safe_load(text)
     assert tree["parallax"]["cell"] == 0.07
     assert set(tree) == set(Settings.model_fields)  # every group, defaults included
@@ -147,8 +147,8 @@ def test_every_key_says_what_it_means() -> None:
 def test_the_imu_of_a_recording_is_as_noisy_as_it_says() -> None:
     """Its numbers replace defaults, with a margin; what the user has set, and what is no noise, stays."""
     noise = {"gyroscope_noise_density": 2e-3, "accelerometer_noise_density": 8e-3, "gyroscope_random_walk": 0.0}
-    found = with_imu(load("", ["motion.filter.accelerometer_noise=0.02"]), noise).motion.filter
+    found = with_imu(load_settings("", ["motion.filter.accelerometer_noise=0.02"]), noise).motion.filter
     assert found.gyro_noise == pytest.approx(IMU_MARGIN * 2e-3)
     assert found.accelerometer_noise == 0.02
-    assert found.gyro_walk == load().motion.filter.gyro_walk
-    assert with_imu(load(), {}) == load()
+    assert found.gyro_walk == load_settings().motion.filter.gyro_walk
+    assert with_imu(load_settings(), {}) == load_settings()

@@ -14,11 +14,11 @@ from rich.console import Console
 
 from alight import cli
 from alight.cli.simulate import PICTURE, blocks
-from alight.evaluate.flight import read_truth
+from alight.evaluate.flight import read_flight_truth
 from alight.records import Frame
 from alight.settings import Settings
-from alight.simulate.scene import FOLDER, built_in, parse_scene, read_scene, things
 from alight.sources import open_source
+from alight_sim.scene import FOLDER, built_in, parse_scene, read_scene, things
 
 SMALL = "ground: {size: [60, 60]}\nflight: {height: 20, duration: 0.5}\nimaging: {rate_hz: 4}\n"
 HILL = """
@@ -61,7 +61,7 @@ def test_a_written_scene_becomes_a_flight_log_that_is_read_back(
     frames = [e for e in source.events() if isinstance(e, Frame)]
     assert len(frames) == 3
     assert all(i is not None and i.shape == (480, 640, 3) for f in frames for i in f.images)
-    truth = read_truth(out)
+    truth = read_flight_truth(out)
     assert truth.grid.cell == pytest.approx(0.1)
     assert source.truth_trajectory is not None
     at = dict(zip(source.truth_trajectory[0].tolist(), source.truth_trajectory[1], strict=True))

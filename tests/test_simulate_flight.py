@@ -11,24 +11,24 @@ import yaml
 from alight.geometry import Camera, Pose, so3_log
 from alight.records import Frame, ImuSample, InputError, NavSample, OutputError, Rig, RigCamera, Terrain
 from alight.settings import Settings
-from alight.simulate import (
+from alight.sources import open_source
+from alight_sim import (  # fmt: skip
     Faults,
     FlightPlan,
-    Footprint,
     Imaging,
     ImuErrors,
     NavErrors,
     RigModel,
     Scene,
+    TrueFootprint,
     build,
     default_rig,
     fly,
     read_scene,
     write,
-)  # fmt: skip
-from alight.simulate.flight import START_NS
-from alight.simulate.truth import safe_mask
-from alight.sources import open_source
+)
+from alight_sim.flight import START_NS
+from alight_sim.truth import safe_mask
 
 EVERYTHING = {
     "dropped": 0.15, "dropped_one": 0.2, "jitter": 0.004, "time_offset": 0.02, "mounting_deg": (0.4, -0.3, 1.0),
@@ -207,7 +207,7 @@ def test_safe_is_the_plane_within_the_slope_limit():
     x = 0.1 * np.arange(41) - 2.0
     for degrees, heading, safe in ((9.9, 0.3, True), (10.1, 0.3, False), (9.9, 2.1, True), (10.1, 2.1, False)):
         ramp = math.tan(math.radians(degrees)) * (math.cos(heading) * x[None] + math.sin(heading) * x[:, None])
-        mask = safe_mask(ramp.astype(np.float32), label, 0.1, Footprint())
+        mask = safe_mask(ramp.astype(np.float32), label, 0.1, TrueFootprint())
         assert mask[15:26, 15:26].all() == safe
         assert mask[15:26, 15:26].any() == safe
 
@@ -215,20 +215,20 @@ def test_safe_is_the_plane_within_the_slope_limit():
 def test_safe_ends_where_the_footprint_meets_a_stone_or_the_edge():
     height, label = flat(81)
     height[40, 40] = 0.17
-    mask = safe_mask(height, label, 0.1, Footprint())
+    mask = safe_mask(height, label, 0.1, TrueFootprint())
     rows, cols = np.mgrid[:81, :81]
     away = np.hypot(rows - 40, cols - 40) * 0.1
     inside = (np.minimum(rows, cols) >= 15) & (np.maximum(rows, cols) <= 65)
     assert np.array_equal(mask, inside & (away > 1.5 + 1e-9))
     height[40, 40] = 0.14
-    assert np.array_equal(safe_mask(height, label, 0.1, Footprint()), inside)
+    assert np.array_equal(safe_mask(height, label, 0.1, TrueFootprint()), inside)
 
 
 @pytest.mark.parametrize("kind", list(Terrain))
 def test_safe_asks_for_an_allowed_class_in_the_whole_footprint(kind):
     height, label = flat()
     label[20, 34] = kind
-    mask = safe_mask(height, label, 0.1, Footprint())
+    mask = safe_mask(height, label, 0.1, TrueFootprint())
     assert mask[20, 20] == (kind in (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED))
     assert mask[20, 18]
 
@@ -238,7 +238,7 @@ def test_safe_fraction_of_the_sample_flight_agrees_with_its_maker(shared_data):
     with rasterio.open(truth / "dem.tif") as dem, rasterio.open(truth / "class.tif") as kinds:
         height, label = dem.read(1), kinds.read(1)
     expected = yaml.safe_load((truth / "scene.yaml").read_text())["safety"]["safe_fraction"]
-    assert safe_mask(height, label, 0.1, Footprint()).mean() == pytest.approx(expected, abs=2e-6)
+    assert safe_mask(height, label, 0.1, TrueFootprint()).mean() == pytest.approx(expected, abs=2e-6)
 
 
 # -- the log

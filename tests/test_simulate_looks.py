@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from alight.geometry import Camera, Grid, Pose
-from alight.kernels import block, texture
-from alight.kernels.boxes import hit_box
-from alight.kernels.noise import gradient_noise, noise32, seed32
 from alight.records import InputError, Terrain
-from alight.simulate import cameras, coarser
-from alight.simulate.cameras import Eye, Shutter, spread
-from alight.simulate.exactness import LENSES, errors
-from alight.simulate.light import Clouds, Light, Wind
-from alight.simulate.looks import Look
-from alight.simulate.materials import MATERIALS, tables
-from alight.simulate.movers import Mover, Traffic, boxes_at
-from alight.simulate.world import world_of
+from alight_sim import cameras, coarser
+from alight_sim.cameras import Eye, Shutter, rays_in_pixel
+from alight_sim.exactness import LENSES, errors
+from alight_sim.kernels import block, texture
+from alight_sim.kernels.boxes import hit_box
+from alight_sim.kernels.noise import gradient_noise, noise32, seed32
+from alight_sim.light import Clouds, Light, Wind
+from alight_sim.looks import Look
+from alight_sim.materials import MATERIALS, tables
+from alight_sim.movers import Mover, Traffic, boxes_at
+from alight_sim.world import world_of
 
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # image top is east, image right is south
 SMALL = Camera(160, 96, 120.0, 120.0, 79.5, 47.5)
@@ -52,11 +52,11 @@ def test_plane_sphere_and_step_land_where_projection_says(lens):
 
 def test_rays_of_a_pixel_spread_about_its_centre():
     for n in (1, 2, 4, 8, 16):
-        offsets = spread(n)
+        offsets = rays_in_pixel(n)
         assert offsets.shape == (n, 2)
         assert np.abs(offsets.mean(axis=0)).max() < 1e-12
         assert np.abs(offsets).max() < 0.75
-    assert np.ptp(spread(16), axis=0).min() > 0.75
+    assert np.ptp(rays_in_pixel(16), axis=0).min() > 0.75
 
 
 def test_a_camera_below_the_ground_is_refused():
@@ -81,7 +81,10 @@ def test_small_functions_agree_with_numpy():
     assert max(abs(block.fading(v) - np.exp(-v)) for v in x) < 0.004
     t = np.clip((x - 2) / 3, 0, 1)
     assert (
-        max(abs(block.smooth(np.float32(2), np.float32(5), a) - b) for a, b in zip(x, t * t * (3 - 2 * t), strict=True))
+        max(
+            abs(block.smoothstep(np.float32(2), np.float32(5), a) - b)
+            for a, b in zip(x, t * t * (3 - 2 * t), strict=True)
+        )
         < 1e-6
     )
 
@@ -99,7 +102,7 @@ def test_detail_agrees_with_numpy():
     rng = np.random.default_rng(1)
     x, y = rng.uniform(-30, 30, (2, block.B)).astype(np.float32)
     buf, base, q = scratch(x, y, Look.SOIL), np.array([812.0, -377.0, 0.0]), 1.0
-    texture.detail(buf, base, 5)
+    texture.texture_detail(buf, base, 5)
     value, wavelength, c, s = np.zeros(block.B), 3.0, 1.0, 0.0
     for k in range(9):
         t = np.clip((wavelength / 0.02 - 1.2) / 1.2, 0, 1)

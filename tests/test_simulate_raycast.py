@@ -5,12 +5,12 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from alight.geometry import Camera, Grid, Pose
-from alight.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
-from alight.kernels.raycast import cast_ray, cast_rays, max_pyramid
 from alight.records import Terrain
-from alight.simulate.cameras import Eye
-from alight.simulate.light import Light
-from alight.simulate.world import world_of
+from alight_sim.cameras import Eye
+from alight_sim.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
+from alight_sim.kernels.raycast import cast_ray, cast_rays, max_pyramid
+from alight_sim.light import Light
+from alight_sim.world import world_of
 
 LENSES = {
     "none": Camera(96, 72, 72.0, 71.0, 48.3, 36.1),

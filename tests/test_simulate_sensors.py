@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from alight.geometry import Camera, so3_exp, so3_log
-from alight.kernels.exposure import LEVELS, develop
-from alight.simulate import Air, Faults, FlightPlan, Imaging, ImuErrors, NavErrors, default_rig
-from alight.simulate.exposure import QUIET, Sensor, gains, wander
-from alight.simulate.faults import Calibration, exposures
-from alight.simulate.patterns import line
-from alight.simulate.sensors import gauss_markov, imu_biases, imu_samples, nav_samples
-from alight.simulate.vehicle import fly_through
+from alight_sim import Air, Faults, FlightPlan, Imaging, ImuErrors, NavErrors, default_rig
+from alight_sim.exposure import QUIET, Sensor, gains, irregular_gauss_markov
+from alight_sim.faults import Calibration, exposures
+from alight_sim.kernels.exposure import LEVELS, develop
+from alight_sim.patterns import line
+from alight_sim.sensors import gauss_markov, imu_biases, simulated_imu, simulated_nav
+from alight_sim.vehicle import fly_through
 
 SILENT_NAV = {
     "position": (0, 0, 0), "position_white": 0, "attitude_deg": (0, 0, 0), "attitude_white_deg": 0, "velocity_white": 0,
@@ -38,13 +38,13 @@ def trajectory():
 
 def nav_of(trajectory, seconds=None, **errors):
     t = np.arange(0.0, 20.0, 0.1) if seconds is None else seconds
-    return list(nav_samples(trajectory, np.round(t * 1e9).astype(np.int64), t, NavErrors(**errors), seeds(1)))
+    return list(simulated_nav(trajectory, np.round(t * 1e9).astype(np.int64), t, NavErrors(**errors), seeds(1)))
 
 
 def imu_of(trajectory, **errors):
     t, e = np.arange(0.0, 4.0, 0.01), ImuErrors(rate_hz=100.0, **errors)
     biases = imu_biases(len(t), e, seeds(2))
-    return list(imu_samples(trajectory, np.round(t * 1e9).astype(np.int64), t, biases, e, seeds(3)))
+    return list(simulated_imu(trajectory, np.round(t * 1e9).astype(np.int64), t, biases, e, seeds(3)))
 
 
 def field(samples, name):
@@ -328,8 +328,8 @@ def test_exposure_control_follows_the_light_with_its_lag():
 def test_wander_does_not_depend_on_the_times_that_are_asked():
     t = np.arange(0.0, 30.0, 0.25)
     keep = np.array([0, 3, 4, 50, 119])
-    every = wander(np.random.default_rng(3), t, 2, 4.0)
-    assert np.array_equal(wander(np.random.default_rng(3), t[keep], 2, 4.0), every[keep])
+    every = irregular_gauss_markov(np.random.default_rng(3), t, 2, 4.0)
+    assert np.array_equal(irregular_gauss_markov(np.random.default_rng(3), t[keep], 2, 4.0), every[keep])
 
 
 # -- faults

@@ -8,9 +8,9 @@ import pytest
 from pydantic import ValidationError
 
 from alight.geometry import so3_exp, so3_log
-from alight.simulate import Air, FlightPlan, Limits
-from alight.simulate.patterns import line
-from alight.simulate.vehicle import CALM, GRAVITY, UPWARDS, VEHICLES, Vehicle, correlated, fly_through
+from alight_sim import Air, FlightPlan, Limits
+from alight_sim.patterns import line
+from alight_sim.vehicle import CALM, GRAVITY, UPWARDS, VEHICLES, Vehicle, correlated, fly_through
 
 SMOOTH = {"multirotor": VEHICLES["multirotor"], "helicopter": Vehicle(0.07, math.radians(2.5))}  # no vibration
 PLANS = {

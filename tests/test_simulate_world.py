@@ -8,14 +8,23 @@ import pytest
 import rasterio
 
 from alight.geometry import Grid, LocalFrame
-from alight.kernels.layers import BLOCK, HILLS, RIDGES, add_fractal, along_line, block_tops, box_mean, sun_margin
-from alight.kernels.noise import gradient_noise
-from alight.kernels.stamps import EAST, HALF_U, NORTH
 from alight.records import InputError, Terrain
-from alight.simulate.looks import Look
-from alight.simulate.scene import Scene, built_in, parse_scene, read_scene, things
-from alight.simulate.truth import Footprint, safe_mask
-from alight.simulate.world import build, world_of
+from alight_sim.kernels.layers import (
+    BLOCK,
+    HILLS,
+    RIDGES,
+    add_fractal,
+    along_line,
+    box_mean,
+    sun_margin,
+    tile_block_tops,
+)
+from alight_sim.kernels.noise import gradient_noise
+from alight_sim.kernels.stamps import EAST, HALF_U, NORTH
+from alight_sim.looks import Look
+from alight_sim.scene import Scene, built_in, parse_scene, read_scene, things
+from alight_sim.truth import TrueFootprint, safe_mask
+from alight_sim.world import build, world_of
 
 FLAT = [{"height": 0.0}]
 
@@ -368,7 +377,7 @@ def test_shadow_margin_agrees_with_numpy():
     height = rng.uniform(0, 1, (22, 35)).astype(np.float32)
     height[8:12, 20:23] += 2.0
     tops = np.empty([-(-n // BLOCK) for n in height.shape], np.float32)
-    block_tops(height, tops)
+    tile_block_tops(height, tops)
     step, limit, out = np.array([0.7, -0.6, 0.08]), 0.5, np.empty((12, 15), np.float32)
     sun_margin(height, tops, 10, 3, float(height.max()), step, limit, out)
     for r in range(12):
@@ -448,7 +457,7 @@ def test_safe_cells_agree_with_a_fit_for_every_cell():
     height = (0.16 * x * (x > 5) + 0.1 * np.sin(2 * y) + 400.0 + rng.normal(0, 0.03, x.shape)).astype(np.float32)
     label = np.where(rng.random(x.shape) < 0.004, Terrain.ROCK, Terrain.BARE).astype(np.uint8)
     height[50, 20] = np.nan
-    foot = Footprint(radius=0.9, max_slope=math.radians(8.0), max_roughness=0.14)
+    foot = TrueFootprint(radius=0.9, max_slope=math.radians(8.0), max_roughness=0.14)
     mask = safe_mask(height, label, 0.2, foot)
     assert 0.05 < mask.mean() < 0.7
     assert np.array_equal(mask, plane_by_plane(height, label, 0.2, foot))
@@ -456,9 +465,9 @@ def test_safe_cells_agree_with_a_fit_for_every_cell():
 
 def test_truth_in_bands_is_truth_in_one(monkeypatch):
     truth = truth_of({"thing": "rocks", "per_hectare": 300}, relief=[{"height": 0.4, "longest": 8}])
-    whole = safe_mask(truth.height, truth.label, 0.1, Footprint())
-    monkeypatch.setattr("alight.simulate.truth.BAND", 37)
-    assert np.array_equal(whole, safe_mask(truth.height, truth.label, 0.1, Footprint()))
+    whole = safe_mask(truth.height, truth.label, 0.1, TrueFootprint())
+    monkeypatch.setattr("alight_sim.truth.BAND", 37)
+    assert np.array_equal(whole, safe_mask(truth.height, truth.label, 0.1, TrueFootprint()))
     assert 0 < whole.mean() < 1
 
 

@@ -10,19 +10,19 @@ import pytest
 from ground import covered, ground, plane
 from numpy.testing import assert_allclose
 
-from alight import sites
 from alight.hazards import assess
+from alight.landing import sites
 from alight.records import ElevationMap, Hazard, HazardMap, Sites, Terrain, TerrainMap
-from alight.settings import Hazards, Lander, SitesSettings
+from alight.settings import HazardsSettings, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
-EXACT = Hazards(tilt_sigma=0.0)
+EXACT = HazardsSettings(tilt_sigma=0.0)
 
 
 def choose(
     e: ElevationMap, t: TerrainMap | None = None, settings: SitesSettings | None = None, vehicle: object = None
 ) -> Sites:
-    return sites.choose(assess(e, t, LANDER, EXACT), t, e, settings or SitesSettings(), LANDER, vehicle)  # type: ignore[arg-type]
+    return sites.choose_sites(assess(e, t, LANDER, EXACT), t, e, settings or SitesSettings(), LANDER, vehicle)  # type: ignore[arg-type]
 
 
 def rocky(rows: int = 101, cols: int = 151) -> np.ndarray:
@@ -120,12 +120,12 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
     e = ground(np.full((101, 101), 3.0))
     r, c = np.mgrid[:101, :101]
     p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
-    look = sites.next_look(doubtful(e, p), e, LANDER, above=40.0)
+    look = sites.next_view(doubtful(e, p), e, LANDER, above=40.0)
     assert look is not None
     assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
     assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
     assert look.p_safe == pytest.approx(0.9, abs=0.01)
-    low = sites.next_look(doubtful(e, p), e, LANDER, above=10.0)
+    low = sites.next_view(doubtful(e, p), e, LANDER, above=10.0)
     assert low is not None
     assert low.height == 8.0
 
@@ -133,9 +133,9 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
 def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
     e = ground(np.zeros((101, 101)))
     refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
-    assert sites.next_look(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
+    assert sites.next_view(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
     refused[50, 50] = 0
-    assert sites.next_look(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None
+    assert sites.next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None
 
 
 def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:
@@ -166,7 +166,7 @@ def test_terms_that_a_user_adds_move_the_choice_and_their_gaps_refuse() -> None:
     east = np.broadcast_to(np.linspace(0, 1, 151, dtype=np.float32), (101, 151)).copy()
 
     def first(values: np.ndarray) -> float:
-        found = sites.choose(h, None, e, SitesSettings(), LANDER, extra=[(100.0, values)]).sites
+        found = sites.choose_sites(h, None, e, SitesSettings(), LANDER, extra=[(100.0, values)]).sites
         return found[0].east if found else math.nan
 
     assert first(east) < 3.0

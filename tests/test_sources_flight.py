@@ -14,14 +14,14 @@ import pytest
 import yaml
 
 from alight.records import Event, Frame, ImuSample, InputError, NavSample
-from alight.settings import Settings, load
+from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.sources.exposures import group_exposures
 from alight.sources.tables import rising
 
 
 def opened(path: Path, *assignments: str) -> Source:
-    return open_source(path, load("", assignments))
+    return open_source(path, load_settings("", assignments))
 
 
 def of_kind(source: Source, kind: type[Event]) -> list[Any]:

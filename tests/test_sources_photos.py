@@ -14,7 +14,7 @@ from PIL import Image
 
 from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.records import Event, Frame, InputError, NavSample
-from alight.settings import Settings, load
+from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.sources.images import has_end
 from alight.sources.photo_pose import BODY_FROM_CAM
@@ -22,7 +22,7 @@ from alight.sources.photo_tags import parse_xmp
 
 
 def opened(path: Path, *assignments: str) -> Source:
-    return open_source(path, load("", assignments))
+    return open_source(path, load_settings("", assignments))
 
 
 def of_kind(source: Source, kind: type[Event]) -> list[Any]:

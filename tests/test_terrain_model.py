@@ -18,11 +18,11 @@ from alight.records import LANDABLE, InputError, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import DEFAULT_MODEL, kind_of, model_bytes, read_labelled, read_library, read_model
 from alight.terrain import classify, says
-from alight.terrain.confusion import Confusion
-from alight.terrain.features import against, frame_of, level_of, look, names
+from alight.terrain.features import against, appearance_features, frame_of, level_of, names
 from alight.terrain.model import Model, distance, log_probability, standardised
-from alight.terrain.patches import Patch
-from alight.terrain.train import elsewhere, judge, train
+from alight.training.confusion import Confusion
+from alight.training.patches import LabelledPatch
+from alight.training.train import elsewhere, judge_patches, train
 
 LOOKS = {  # colour, contrast, size of the grain in pixels
     Terrain.BARE: ((160, 140, 110), 0.04, 1.0),
@@ -39,9 +39,9 @@ def picture(kind: Terrain, seed: int, side: int = 96, light: float = 1.0) -> NDA
     return np.clip(np.asarray(colour) * light * shade[..., None], 1, 255).astype(np.uint8)
 
 
-def patches(sites: tuple[str, ...] = ("a", "b", "c"), each: int = 5) -> list[Patch]:
+def patches(sites: tuple[str, ...] = ("a", "b", "c"), each: int = 5) -> list[LabelledPatch]:
     return [
-        Patch(picture(kind, 100 * i + j, light=1.0 - 0.15 * i), 0.05, int(kind), site)
+        LabelledPatch(picture(kind, 100 * i + j, light=1.0 - 0.15 * i), 0.05, int(kind), site)
         for i, site in enumerate(sites)
         for kind in LOOKS
         for j in range(each)
@@ -55,7 +55,7 @@ def model() -> Model:
 
 def test_features_do_not_know_the_exposure() -> None:
     rgb = picture(Terrain.TREE, 1, light=1.5)
-    bright, dark = look(rgb, 0.05), look((rgb * 0.6).astype(np.uint8), 0.05)
+    bright, dark = appearance_features(rgb, 0.05), appearance_features((rgb * 0.6).astype(np.uint8), 0.05)
     assert bright is not None
     assert dark is not None
     octaves = [i for i, n in enumerate(names(0)) if n.startswith("detail") and "frame" not in n]
@@ -65,7 +65,7 @@ def test_features_do_not_know_the_exposure() -> None:
 def test_detail_is_measured_in_metres_not_in_pixels() -> None:
     rgb = picture(Terrain.TREE, 2, side=192)
     half = cv2.resize(rgb, (96, 96), interpolation=cv2.INTER_AREA)
-    fine, coarse = look(rgb, 0.05), look(half, 0.1)
+    fine, coarse = appearance_features(rgb, 0.05), appearance_features(half, 0.1)
     assert fine is not None
     assert coarse is not None
     assert fine.level == coarse.level == 0
@@ -74,7 +74,7 @@ def test_detail_is_measured_in_metres_not_in_pixels() -> None:
 
 def test_levels_follow_the_sampling() -> None:
     assert [level_of(s) for s in (0.02, 0.1, 0.135, 0.2, 0.3, 0.5, 0.6)] == [0, 0, 0, 1, 2, 2, None]
-    assert look(picture(Terrain.BARE, 0), 1.0) is None
+    assert appearance_features(picture(Terrain.BARE, 0), 1.0) is None
     assert [len(names(level)) for level in range(3)] == [19, 16, 12]
 
 
@@ -84,7 +84,7 @@ def test_what_was_not_seen_has_no_features_and_changes_none_beside_it() -> None:
     seen[:, 120:] = False
     spoiled = rgb.copy()
     spoiled[:, 120:] = 255
-    a, b = look(spoiled, 0.1, seen), look(rgb, 0.1)
+    a, b = appearance_features(spoiled, 0.1, seen), appearance_features(rgb, 0.1)
     assert a is not None
     assert b is not None
     assert not a.known[:, -5:].any()
@@ -105,7 +105,7 @@ def test_it_learns_what_it_is_shown_and_says_so_of_places_left_out(model: Model)
     left_out = elsewhere(patches())
     assert left_out.accuracy() > 0.9
     assert left_out.hazards_called_safe(0.5) < 0.1
-    assert judge(model, patches(("d",))).accuracy() > 0.9
+    assert judge_patches(model, patches(("d",))).accuracy() > 0.9
     assert "3 site(s): a, b, c" in model.provenance
     assert all(h is None or 0.4 < h.temperature < 11 for h in model.heads)
 

@@ -8,10 +8,10 @@ import pytest
 
 from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Frame, Prediction, Rig, RigCamera
-from alight.settings import Tracks as Settings
+from alight.settings import TracksSettings as Settings
 from alight.tracks import Tracker, corners, epipolar_distance, inverse_depth, strength
 from alight.tracks.lens import Lens
-from alight.tracks.patches import Ground, turns
+from alight.tracks.patches import GroundPlane, view_warps
 
 HEIGHT, FOCAL = 20.0, 300.0
 CAMERA = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5)
@@ -111,7 +111,7 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
     here = pose(0.0) @ Pose(so3_exp([tilt, 0.0, 0.0]))
     then = pose(0.4, -0.2, 0.1) @ Pose(so3_exp([tilt, 0.05, 0.0]))
     pixels = np.array([[160.0, 120.0], [60.0, 200.0], [250.0, 180.0]])
-    below, then_from_here = Ground.below(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
+    below, then_from_here = GroundPlane.below(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
 
     def there(at: np.ndarray) -> np.ndarray:
         rays = camera.rays(at)
@@ -119,7 +119,7 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
         depth = HEIGHT / -world[:, 2] if tilt < 1.0 else np.full(len(at), HEIGHT / np.cos(tilt))
         return camera.project(then_from_here.apply(rays * depth[:, None]))
 
-    found = turns(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
+    found = view_warps(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
     for k, step in enumerate(np.eye(2)):
         wanted = (there(pixels + step) - there(pixels - step)) / 2
         np.testing.assert_allclose(found[:, :, k], wanted, atol=0.004)

@@ -13,10 +13,11 @@ from ground_views import Scene, Texture
 from numpy.testing import assert_allclose
 
 from alight.geometry import Grid, Pose
-from alight.kernels import witness as kernels
-from alight.parallax import Images, Ring, match, witness
+from alight.parallax import Images, RecursiveParallax, match_tile
+from alight.parallax import consistency_kernels as kernels
+from alight.parallax import temporal_consistency as witness
 from alight.records import ElevationMap, Flag, Heights, View
-from alight.settings import Parallax
+from alight.settings import ParallaxSettings
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -104,9 +105,9 @@ def found(method: str, moving: bool) -> Heights:
     """The grid by the ring, or by the batch."""
     shots = rig(moving)
     if method == "batch":
-        heights = match(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, Parallax())
+        heights = match_tile(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
     else:
-        ring = Ring(Parallax(), CELL, 0.0)
+        ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
         empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan)
         kinds = (np.float32, np.float32, np.uint16, np.uint8, np.float32)
         h, s, f, v, e = (np.full(GRID.shape, a, t) for a, t in zip(empty, kinds, strict=True))
@@ -131,7 +132,7 @@ def test_a_rig_tells_waves_from_ground(method: str) -> None:
 
 
 def test_one_camera_has_no_witness() -> None:
-    heights = match(Images([s[0] for s in rig(moving=True)], CELL, 0.0), GRID, -1.5, 2.5, Parallax())
+    heights = match_tile(Images([s[0] for s in rig(moving=True)], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
     assert heights is not None
     inner = (np.abs(NORTH) < 3.0) & (EAST < -2.5) & (EAST > -5.0)
     assert ((heights.flags[inner] & np.uint16(Flag.MOVING)) != 0).mean() < 0.5

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from alight.geometry import Camera, Pose
-from alight.motion.turns import skews
-from alight.motion.window import Poses, Sights
+from alight.motion.ekf.observations import WindowObservations, WindowPoses
+from alight.motion.rotations import skews
 from alight.records import F32, F64, U8
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
@@ -65,7 +65,7 @@ def _in_cameras(R: F64, p: F64, cams: Sequence[Pose], x: F64) -> F64:
     return np.stack([(rig - c.translation) @ c.rotation for c in cams], axis=2)
 
 
-def linearise(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> tuple[F64, F64, F64]:
+def linearise(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> tuple[F64, F64, F64]:
     """Residuals (N, K, C, 2) at the estimates, Jacobians by pose and by point at the first ones (M11)."""
     now, first = _in_cameras(poses.R, poses.p, cams, x), _in_cameras(poses.first_R, poses.first_p, cams, x)
     ok = np.isfinite(sights.seen[..., 0]) & (now[..., 2] > NEAR) & (first[..., 2] > NEAR)
@@ -82,8 +82,8 @@ def linearise(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> tup
     return residual, by_pose, by_point
 
 
-def eliminate(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
-    """The fields of `Reduced` that do not depend on which root is taken, and A of every feature in full (M21)."""
+def eliminate(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
+    """The fields of `PoseConstraint` that do not depend on the root taken, and A of every feature in full (M21)."""
     e, P, X = linearise(sights, poses, cams, x)
     n, k = sights.sigma.shape
     inverse = np.linalg.inv(np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3))
@@ -104,7 +104,7 @@ def eliminate(sights: Sights, poses: Poses, cams: Sequence[Pose], x: F64) -> dic
     }
 
 
-def meet(sights: Sights, poses: Poses, cams: Sequence[Pose]) -> F64:
+def meet(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose]) -> F64:
     """(N, 3) points by least squares (M12): the place nearest to the rays, then three steps of Gauss-Newton."""
     rays = np.concatenate([sights.seen, np.ones((*sights.seen.shape[:-1], 1))], axis=-1)
     turn = np.stack([R @ c.rotation for R in poses.R for c in cams]).reshape(*rays.shape[1:3], 3, 3)
@@ -115,7 +115,7 @@ def meet(sights: Sights, poses: Poses, cams: Sequence[Pose]) -> F64:
     A = np.where(seen[..., None, None], np.eye(3) - u[..., :, None] * u[..., None, :], 0.0)
     N = A.sum(axis=(1, 2)) + REGULAR * np.eye(3)
     x = np.linalg.solve(N, np.einsum("nkcij,kcj->ni", A, origin)[..., None])[..., 0]
-    level = Poses(poses.R, poses.p, poses.R, poses.p)
+    level = WindowPoses(poses.R, poses.p, poses.R, poses.p)
     for _ in range(3):
         e, _, X = linearise(sights, level, cams, x)
         V = np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3)

@@ -7,8 +7,9 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from alight import replay, simulate
-from alight.outputs import prepare
+import alight_sim as simulate
+from alight import replay
+from alight.outputs import prepare_folder
 from alight.records import RunResult
 from alight.settings import Settings
 from alight.sources import open_source
@@ -16,7 +17,7 @@ from alight.sources import open_source
 Tell = Callable[[str, float], None]
 
 
-def fly(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> tuple[Path, RunResult]:
+def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> tuple[Path, RunResult]:
     """Fly over simulated ground and find a site; return the folder of the flight, and what was found.
 
     The flight stays beside the results in a folder of its own, `OUT-flight`, as a log with its truth.
@@ -24,7 +25,7 @@ def fly(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -
     Raises:
         AlightError: a folder cannot be written.
     """
-    prepare(out, overwrite)
+    prepare_folder(out, overwrite)
     named = out if out.name not in ("", "..") else out.resolve()
     flight = named.with_name(f"{named.name}-flight")
     _simulate(flight, seed, None, tell)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from threading import Condition, Thread
 from typing import Generic, TypeVar
 
-from alight.motion.forecast import Forecast
+from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.side_by_side import Desk, FilterStep, Heard, Job, TrackingStep, forecast_for
 from alight.records import Event, Motion, Rig, Tracks
 from alight.settings import Settings
@@ -91,7 +91,7 @@ class SideBySide:
         self._tracking, self._filtering = TrackingStep(rig, settings), FilterStep(rig, settings)
         self._jobs = Mailbox[Job](size, (lambda old, new: new.after(old)) if drop else None)
         self._work = Mailbox[tuple[Heard, ...] | Tracks](4)  # two for the exposure in work, two for the next
-        self._forecasts = Mailbox[Forecast | None](4)
+        self._forecasts = Mailbox[MotionPredictor | None](4)
         self._failed: list[BaseException] = []
         self._threads = [Thread(target=self._guarded, args=(f,), daemon=True) for f in (self._track, self._filter)]
         for t in self._threads:
@@ -137,7 +137,7 @@ class SideBySide:
                 box.close()
 
     def _track(self) -> None:
-        forecast: Forecast | None = None
+        forecast: MotionPredictor | None = None
         known, exposure = -1, 0  # number of that forecast, and of the exposure
         while True:
             job = self._jobs.get()

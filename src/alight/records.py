@@ -150,7 +150,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class PoseRing:
+class KeyframePosterior:
     """The last keyframes from one posterior: poses that agree with each other, and how far they may be off together."""
 
     motions: tuple[Motion, ...]  # K, oldest first
@@ -158,7 +158,7 @@ class PoseRing:
 
 
 @dataclass(frozen=True, eq=False)
-class Gauge:
+class Datum:
     """What all heights of a map share: how far its plane may be off, beside the sigma of each cell."""
 
     east: float  # metres, of the centre about which it tilts
@@ -250,7 +250,7 @@ class Heights:
     views: U8  # (R, C) views that saw the cell
     rgb: U8  # (R, C, 3) what the cameras saw
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
-    gauge: Gauge | None = None  # None: not known, as for poses that came without covariance
+    gauge: Datum | None = None  # None: not known, as for poses that came without covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,7 +264,7 @@ class ElevationMap:
     views: U8
     rgb: U8
     residual: F32
-    gauge: Gauge | None = None
+    gauge: Datum | None = None
     fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
 
     @property
@@ -345,7 +345,7 @@ class Sites:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class NextView:
     """A view that would reduce the doubt about the most promising place: a proposal to the executive."""
 
     position_world: F64  # (3,) metres, of the cameras

@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from alight.elevation import Far
-from alight.outputs import Spill, prepare, write_run
+from alight.elevation import TileStore
+from alight.outputs import FileStore, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import InputError, RunResult
 from alight.settings import Settings, with_imu
@@ -44,7 +44,7 @@ def replay(
     settings: Settings,
     poses: str | None = None,
     tell: Tell = lambda stage, share: None,
-    far: Far | None = None,
+    far: TileStore | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -131,6 +131,6 @@ def find(
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
     source = open_source(path, settings)
-    prepare(out, overwrite)
-    with closing(Spill(out)) as far:
+    prepare_folder(out, overwrite)
+    with closing(FileStore(out)) as far:
         return replay(source, settings, poses, tell, far)

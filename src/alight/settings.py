@@ -23,7 +23,7 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
-class Sources(_Model):
+class SourcesSettings(_Model):
     """How the input is read."""
 
     calibration: str | None = Field(
@@ -33,7 +33,7 @@ class Sources(_Model):
     every: int = Field(1, ge=1, description="use each n-th exposure")
 
 
-class Tracks(_Model):
+class TracksSettings(_Model):
     """Feature tracks, stereo and in time."""
 
     count: int = Field(250, ge=8, description="features kept, spread over a grid of as many cells")
@@ -47,7 +47,7 @@ class Tracks(_Model):
     texture: Positive = Field(2e-4, description="least Shi-Tomasi response, grey range 1 (smaller eigenvalue a pixel)")
 
 
-class Filter(_Model):
+class FilterSettings(_Model):
     """The structure-from-motion filter, and its smoother."""
 
     points: int = Field(40, ge=4, description="points held in the state")
@@ -110,7 +110,7 @@ _IMU_KEYS = {  # of imu0/sensor.yaml: of the filter
 }
 
 
-class Bundle(_Model):
+class BundleSettings(_Model):
     """Bundle adjustment of photos far apart."""
 
     features: int = Field(4000, ge=200, description="SIFT features a photo")
@@ -136,15 +136,15 @@ class MotionSettings(_Model):
     method: Literal["auto", "filter", "bundle"] = Field(
         "auto", description="auto: filter for flights, bundle for photos"
     )
-    filter: Filter = Filter()
-    bundle: Bundle = Bundle()
+    filter: FilterSettings = FilterSettings()
+    bundle: BundleSettings = BundleSettings()
     given_position_sigma: NonNegative = Field(
         0.0, description="m, 1-sigma of poses from outside; above 0 the ring refines them with the map"
     )
     given_attitude_sigma: NonNegative = Field(0.0, description="rad, the same of their attitude")
 
 
-class Parallax(_Model):
+class ParallaxSettings(_Model):
     """Planar parallax on the world grid."""
 
     method: Literal["auto", "batch", "ring"] = Field("auto", description="auto: batch for recordings")
@@ -158,7 +158,7 @@ class Parallax(_Model):
     store_mb: int = Field(1500, ge=64, description="memory for the pixels of keyframes")
 
 
-class Elevation(_Model):
+class ElevationSettings(_Model):
     """The map."""
 
     tile: int = Field(128, ge=64, description="cells a side; each chooses its own views")
@@ -230,7 +230,7 @@ class Lander(_Model):
         return self
 
 
-class Hazards(_Model):
+class HazardsSettings(_Model):
     """Judging the ground."""
 
     unknown_share: Fraction = Field(0.02, description="largest share of the footprint that nobody may have seen")
@@ -275,14 +275,14 @@ class RouteSettings(_Model):
 class Settings(_Model):
     """All of them."""
 
-    sources: Sources = Sources()
-    tracks: Tracks = Tracks()
+    sources: SourcesSettings = SourcesSettings()
+    tracks: TracksSettings = TracksSettings()
     motion: MotionSettings = MotionSettings()
-    parallax: Parallax = Parallax()
-    elevation: Elevation = Elevation()
+    parallax: ParallaxSettings = ParallaxSettings()
+    elevation: ElevationSettings = ElevationSettings()
     terrain: TerrainSettings = TerrainSettings()
     lander: Lander = Lander()
-    hazards: Hazards = Hazards()
+    hazards: HazardsSettings = HazardsSettings()
     sites: SitesSettings = SitesSettings()
     route: RouteSettings = RouteSettings()
 
@@ -324,7 +324,7 @@ def with_imu(settings: Settings, noise: Mapping[str, float]) -> Settings:
     return settings.model_copy(update={"motion": settings.motion.model_copy(update={"filter": new})})
 
 
-def load(text: str = "", assignments: Iterable[str] = ()) -> Settings:
+def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
     """Make settings of YAML text and `key=value` assignments, the latter winning.
 
     Raises:

@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from alight import __version__
 from alight.records import AlightError, OutputError, SettingsError, Site
-from alight.settings import Settings, load
+from alight.settings import Settings, load_settings
 
 MENDABLE, INTERRUPTED = 2, 130  # exit codes
 # typer's errors descend from the click it brings along or, older, from click itself; it shows this one leaf of both
@@ -54,7 +54,7 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
             f"{file}: cannot be read ({getattr(e, 'strerror', None) or 'not text'}); name a YAML file"
         ) from e
     try:
-        return load(text, assignments or ())
+        return load_settings(text, assignments or ())
     except ValueError as e:
         raise SettingsError(f"{file}: {e}" if file and not assignments else str(e)) from e
 

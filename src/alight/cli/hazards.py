@@ -27,7 +27,7 @@ from alight.records import RunResult, SettingsError
 from alight.settings import Settings
 
 if TYPE_CHECKING:
-    from alight.sources.raster import Ground
+    from alight.sources.raster import GroundRaster
 
 # heights made elsewhere show what there is, and lie level, unless --set says otherwise
 SURVEYED = ("hazards.smoothed=false", "hazards.tilt_sigma=0.003", "hazards.noise_length=0.4")
@@ -53,11 +53,12 @@ def _lander(file: Path | None) -> list[str]:
     return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
-def _judge(ground: Ground, name: str, settings: Settings) -> tuple[RunResult, bool]:
+def _judge(ground: GroundRaster, name: str, settings: Settings) -> tuple[RunResult, bool]:
     """Sharpen, judge and choose; and whether the image made the heights finer."""
-    from alight import hazards, sites
+    from alight import hazards
     from alight.geometry import LocalFrame
     from alight.hazards.sharpen import sharpen
+    from alight.landing import sites
 
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
@@ -70,7 +71,7 @@ def _judge(ground: Ground, name: str, settings: Settings) -> tuple[RunResult, bo
     clock.append(time.perf_counter())
     verdict = hazards.assess(elevation, None, settings.lander, settings.hazards)
     clock.append(time.perf_counter())
-    chosen = sites.choose(verdict, None, elevation, settings.sites, settings.lander)
+    chosen = sites.choose_sites(verdict, None, elevation, settings.sites, settings.lander)
     result = RunResult(
         source_name=name,
         source_kind="heights",
@@ -120,12 +121,12 @@ def judge(
 ) -> None:
     """Judge any height raster: where this lander may touch down, how surely, and why not elsewhere."""
     chosen = read_settings(settings, [*SURVEYED, *_lander(lander), *(assign or ())])
-    from alight.outputs.folder import prepare
-    from alight.outputs.ground import write_verdict
+    from alight.outputs.folder import prepare_folder
+    from alight.outputs.verdict import write_verdict
     from alight.sources.raster import read_ground
 
     ground = read_ground(dem, sigma, image, chosen.hazards.usual_sigma)
-    prepare(out, force)
+    prepare_folder(out, force)
     with progress_bar() as tell:
         tell("judging", 0.0)
         result, sharpened = _judge(ground, dem.name, chosen)

@@ -101,7 +101,7 @@ def demo(
     from alight.evaluate import evaluate as compare
 
     with progress_bar() as tell:
-        flight, result = show.fly(out, seed, chosen, force, tell)
+        flight, result = show.fly_demo(out, seed, chosen, force, tell)
     _answer(result)
     replay.write_run(result, out, force)
     for line in compare(out, flight).lines():

@@ -15,7 +15,7 @@ from alight.cli.app import VerboseOption, app, progress_bar, say
 from alight.records import InputError, SettingsError
 
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do without
-    from alight.simulate.scene import Scene
+    from alight_sim.scene import Scene
 
 PICTURE = 32, 12  # characters, columns and rows: two pixels a character, one above the other
 SHORTCUTS = {"height": "flight.height", "duration": "flight.duration", "speed": "flight.speed"}
@@ -52,7 +52,7 @@ def simulate(
 
 
 def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
-    from alight import simulate as simulator
+    import alight_sim as simulator
 
     with progress_bar() as tell:
         tell("world", 0.0)
@@ -75,7 +75,7 @@ def read(scene: str, assignments: list[str]) -> Scene:
         InputError: there is no such scene, or it cannot be read.
         SettingsError: an assignment names no key, or its value is out of range.
     """
-    from alight.simulate.scene import built_in, parse_scene, read_scene
+    from alight_sim.scene import built_in, parse_scene, read_scene
 
     path = built_in().get(scene, Path(scene))
     if not path.exists():
@@ -108,13 +108,13 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
 
 
 def _keys() -> None:
-    from alight.simulate.keys import reference
+    from alight_sim.keys import reference
 
     say(reference().rstrip("\n"))
 
 
 def _list() -> None:
-    from alight.simulate.scene import FOLDER, built_in, read_scene
+    from alight_sim.scene import FOLDER, built_in, read_scene
 
     console = Console()
     colour = console.is_terminal and console.color_system is not None

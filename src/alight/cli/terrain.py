@@ -11,7 +11,7 @@ from alight.cli.app import VerboseOption, app, progress_bar, say
 from alight.records import InputError, OutputError
 
 if TYPE_CHECKING:
-    from alight.terrain.confusion import Confusion
+    from alight.training.confusion import Confusion
 
 terrain = typer.Typer(no_args_is_help=True, help="Train and test the model of what ground looks like.")
 app.add_typer(terrain, name="terrain")
@@ -29,9 +29,9 @@ def make(
     verbose: VerboseOption = False,
 ) -> None:
     """Train a model on your own pictures, and test it on each site with that site left out."""
-    from alight.outputs.whole import write_whole
+    from alight.outputs.atomic_write import write_whole
     from alight.sources.library import model_bytes, read_library
-    from alight.terrain.train import train
+    from alight.training.train import train
 
     if out.is_dir() or not out.parent.is_dir():
         raise OutputError(f"{out}: not a file in a folder that exists; name one such as model.npz")
@@ -64,7 +64,7 @@ def tell_how_well(
 ) -> None:
     """Print what a model takes for what, by site. Without FOLDER: what the model knows of itself."""
     from alight.sources.library import read_model
-    from alight.terrain.confusion import lines_of
+    from alight.training.confusion import lines_of
 
     if folder is None:
         say(read_model(model).provenance)
@@ -75,7 +75,7 @@ def tell_how_well(
 
 def _left_out(folder: Path, sampling: float) -> Confusion:
     from alight.sources.library import read_library
-    from alight.terrain.train import elsewhere
+    from alight.training.train import elsewhere
 
     patches = read_library(folder, sampling)
     with progress_bar() as tell:
@@ -87,11 +87,11 @@ def _left_out(folder: Path, sampling: float) -> Confusion:
 
 def _judged(folder: Path, model: Path | None, sampling: float) -> Confusion:
     from alight.sources.library import is_labelled, read_labelled, read_library, read_model
-    from alight.terrain.train import judge, judge_pixels
+    from alight.training.train import judge_patches, judge_pixels
 
     known = read_model(model)
     if folder.is_dir() and is_labelled(folder):
         return judge_pixels(known, read_labelled(folder), sampling)
     patches = read_library(folder, sampling)
     with progress_bar() as tell:
-        return judge(known, patches, lambda share: tell("testing", share))
+        return judge_patches(known, patches, lambda share: tell("testing", share))

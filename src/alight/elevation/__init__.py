@@ -1,6 +1,6 @@
 """The elevation map: heights of many grids and cell sizes fused into one, in tiles that roll with the vehicle."""
 
-from alight.elevation.map import Elevation
-from alight.elevation.tiles import FIELDS, Far, Forgotten, Name
+from alight.elevation.map import TiledElevation
+from alight.elevation.tiles import FIELDS, Name, NullStore, TileStore
 
-__all__ = ["FIELDS", "Elevation", "Far", "Forgotten", "Name"]
+__all__ = ["FIELDS", "Name", "NullStore", "TileStore", "TiledElevation"]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from alight.elevation.level_kernels import halve
 from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
-from alight.kernels.levels import halve
 from alight.records import REFUSED, Flag, is_trusted
 
 WHOLE = 3  # of four cells seen: the coarse one is
 ENOUGH = 2  # of four cells trusted: the coarse one is
 
 
-def halved(fine: Fields) -> Fields:
+def halve_fields(fine: Fields) -> Fields:
     """Means of 2 x 2 cells (eq. 16b); those of the trusted ones where there are two of them or more.
 
     Sigma is not divided: neighbours share their windows, and so their errors.
@@ -25,7 +25,7 @@ def halved(fine: Fields) -> Fields:
     return out
 
 
-def doubled(coarse: Fields, less_sure: np.float32) -> Fields:
+def double_fields(coarse: Fields, less_sure: np.float32) -> Fields:
     """The same at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
 
     Sigma grows by a factor.

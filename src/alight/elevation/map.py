@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.elevation.levels import doubled, halved
-from alight.elevation.tiles import FIELDS, Far, Fields, Key, Layer, is_seen
+from alight.elevation.levels import double_fields, halve_fields
+from alight.elevation.tiles import FIELDS, Fields, Key, TileLayer, TileStore, is_seen
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
 
@@ -32,7 +32,7 @@ def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
     return np.asarray(is_seen(new["flags"]) & (fresh | (new_ok & ~old_ok) | ((new_ok == old_ok) & smaller)))
 
 
-class Elevation:
+class TiledElevation:
     """The map, at every cell size that was asked of it.
 
     Args:
@@ -41,10 +41,10 @@ class Elevation:
         far: where tiles go that the vehicle has left behind; a dict where nothing is given.
     """
 
-    def __init__(self, cell: float, side: int, far: Far | None = None) -> None:
+    def __init__(self, cell: float, side: int, far: TileStore | None = None) -> None:
         self.cell, self.side = cell, side
-        self._far: Far = {} if far is None else far
-        self._layers = {0: Layer(0, cell, side, self._far)}
+        self._far: TileStore = {} if far is None else far
+        self._layers = {0: TileLayer(0, cell, side, self._far)}
 
     # -- rasters
 
@@ -52,10 +52,10 @@ class Elevation:
         """Metres."""
         return math.ldexp(self.cell, level)
 
-    def _layer_of(self, cell: float) -> Layer:
+    def _layer_of(self, cell: float) -> TileLayer:
         return self._layer(round(math.log2(cell / self.cell)))
 
-    def _layer(self, level: int) -> Layer:
+    def _layer(self, level: int) -> TileLayer:
         """The layer; it and those between it and the others are opened where they are not."""
         while level < (finest := min(self._layers)):
             self._open(finest - 1)
@@ -67,7 +67,7 @@ class Elevation:
         return self._layers[level]
 
     def _open(self, level: int) -> None:
-        self._layers[level] = Layer(level, self.cell_at(level), self.side, self._far)
+        self._layers[level] = TileLayer(level, self.cell_at(level), self.side, self._far)
 
     def tile_grid(self, key: Key, margin: int = 0, level: int = 0) -> Grid:
         """The grid of one tile, `margin` cells wider on every side."""
@@ -95,16 +95,16 @@ class Elevation:
                 grid = self._pass_on(layer, grid)
                 layer = self._layers[layer.level + 1]
 
-    def _pass_on(self, layer: Layer, grid: Grid) -> Grid:
+    def _pass_on(self, layer: TileLayer, grid: Grid) -> Grid:
         """Give the next coarser layer the means of a grid; returns the coarse cells that they are of."""
         south, north, west, east = (n // 2 for n in layer.numbers(grid))
-        means = halved(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
+        means = halve_fields(layer.read(layer.cells(2 * south, 2 * north + 1, 2 * west, 2 * east + 1)))
         coarser = self._layers[layer.level + 1]
         above = coarser.cells(south, north, west, east)
         coarser.write(above, means, is_seen(means["flags"]))
         return above
 
-    def _known(self, layer: Layer, grid: Grid, less_sure: float = 1.0) -> Fields:
+    def _known(self, layer: TileLayer, grid: Grid, less_sure: float = 1.0) -> Fields:
         """A layer's own cells, and where it has none the next coarser one's, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
@@ -116,7 +116,11 @@ class Elevation:
         coarse = self._known(coarser, coarser.cells(*around), less_sure)
         if not is_seen(coarse["flags"]).any():
             return out
-        from_coarse, r, c = doubled(coarse, np.float32(less_sure)), 2 * around[1] + 1 - north, west - 2 * around[2]
+        from_coarse, r, c = (
+            double_fields(coarse, np.float32(less_sure)),
+            2 * around[1] + 1 - north,
+            west - 2 * around[2],
+        )
         for k, v in from_coarse.items():
             out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
         return out

@@ -15,7 +15,7 @@ from alight.records import Flag
 
 Key = tuple[int, int]  # (row, column) of a tile; rows count north
 Name = tuple[int, int, int]  # level, row, column
-Far = MutableMapping[Name, bytes]  # packed tiles: a dict, a file, or nothing at all
+TileStore = MutableMapping[Name, bytes]  # packed tiles: a dict, a file, or nothing at all
 Fields = dict[str, NDArray[Any]]  # (R, C) arrays, rgb (R, C, 3), by the names of FIELDS
 Part = tuple[slice, slice]
 
@@ -38,12 +38,12 @@ def nothing(shape: tuple[int, int]) -> Fields:
     return {k: np.full(_shape(k, shape), v, t) for k, (t, v) in FIELDS.items()}
 
 
-def pack(tile: Fields) -> bytes:
+def pack_tile(tile: Fields) -> bytes:
     """The tile as bytes."""
     return zlib.compress(b"".join(tile[k].tobytes() for k in FIELDS), 1)
 
 
-def unpack(packed: bytes, side: int) -> Fields:
+def unpack_tile(packed: bytes, side: int) -> Fields:
     """The way back."""
     raw, at, out = zlib.decompress(packed), 0, {}
     for k, (t, _) in FIELDS.items():
@@ -65,17 +65,17 @@ def _extent(tile: Fields) -> tuple[Part, int]:
     return box_of(seen), int(seen.sum())
 
 
-class Forgotten(dict[Name, bytes]):
+class NullStore(dict[Name, bytes]):
     """Where packed tiles go that nobody wants back: the map ends where the vehicle cannot see."""
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
         """Keep nothing."""
 
 
-class Layer:
+class TileLayer:
     """The map at one cell size. Cell centres lie at (k + 1/2) cells east and north of the origin."""
 
-    def __init__(self, level: int, cell: float, side: int, far: Far) -> None:
+    def __init__(self, level: int, cell: float, side: int, far: TileStore) -> None:
         self.level, self.cell, self.side = level, cell, side
         self._near: dict[Key, Fields] = {}
         self._far = far
@@ -137,7 +137,7 @@ class Layer:
     def _tile(self, key: Key) -> Fields:
         if key not in self._near:
             packed = self._far.pop((self.level, *key)) if self._left.pop(key, None) else None
-            self._near[key] = nothing((self.side, self.side)) if packed is None else unpack(packed, self.side)
+            self._near[key] = nothing((self.side, self.side)) if packed is None else unpack_tile(packed, self.side)
         return self._near[key]
 
     def read(self, grid: Grid) -> Fields:
@@ -146,7 +146,7 @@ class Layer:
         for key, at, here in self._overlaps(grid):
             tile = self._near.get(key)
             if tile is None and key in self._left:
-                tile = unpack(self._far[self.level, *key], self.side)
+                tile = unpack_tile(self._far[self.level, *key], self.side)
             if tile is not None:
                 for k in FIELDS:
                     out[k][here] = tile[k][at]
@@ -166,7 +166,7 @@ class Layer:
 
     def _pack(self, key: Key) -> None:
         tile, name = self._near.pop(key), (self.level, *key)
-        self._far[name] = pack(tile)
+        self._far[name] = pack_tile(tile)
         if name in self._far:
             self._left[key] = _extent(tile)
 

@@ -17,10 +17,10 @@ from alight.geometry import Grid, so3_log
 from alight.outputs import Run
 from alight.records import F64, Flag, InputError, Terrain
 from alight.settings import Lander, Settings
-from alight.simulate import Footprint
-from alight.simulate.truth import safe_mask
 from alight.sources import open_source, read_tum
 from alight.sources.source import Trajectory
+from alight_sim import TrueFootprint
+from alight_sim.truth import safe_mask
 
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
@@ -29,7 +29,7 @@ NEAR = 0.3  # metres: what is declared safe this near to truly safe ground is an
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
+class FlightTruth:
     """The ground as it is."""
 
     dem: NDArray[np.float32]  # (R, C) metres above the WGS84 ellipsoid, NaN = unknown
@@ -38,7 +38,7 @@ class Truth:
 
     def safe(self, lander: Lander) -> NDArray[np.uint8]:
         """Cells on which a touchdown is truly safe, by brute force."""
-        foot = Footprint(lander.radius, lander.max_slope, lander.max_roughness)
+        foot = TrueFootprint(lander.radius, lander.max_slope, lander.max_roughness)
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
@@ -53,7 +53,7 @@ def _raster(path: Path) -> tuple[NDArray[Any], Grid]:
         raise InputError(f"{path}: not a readable raster; copy it again") from e
 
 
-def read_truth(folder: Path) -> Truth:
+def read_flight_truth(folder: Path) -> FlightTruth:
     """The rasters in `truth/`.
 
     Raises:
@@ -62,7 +62,7 @@ def read_truth(folder: Path) -> Truth:
     (dem, grid), (label, same) = _raster(folder / "truth" / "dem.tif"), _raster(folder / "truth" / "class.tif")
     if grid != same:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
-    return Truth(dem.astype(np.float32), label, grid)
+    return FlightTruth(dem.astype(np.float32), label, grid)
 
 
 def at(values: NDArray[Any], grid: Grid, east: F64, north: F64) -> NDArray[Any]:
@@ -73,7 +73,7 @@ def at(values: NDArray[Any], grid: Grid, east: F64, north: F64) -> NDArray[Any]:
     return np.where(inside, values[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)], outside)
 
 
-def heights(run: Run, truth: Truth, out: Evaluation, offset: F64, suffix: str = "") -> None:
+def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, suffix: str = "") -> None:
     """Heights, sigma and acceptance by class; the map first moved back by `offset`, (3,) metres."""
     if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
         out.put(f"heights{suffix}", "the run has no dem.tif")
@@ -116,7 +116,9 @@ def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
     return 100 * float(part.sum() / max(whole.sum(), 1))
 
 
-def decision(run: Run, truth: Truth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = "") -> None:
+def decision(
+    run: Run, truth: FlightTruth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = ""
+) -> None:
     """The sites and the safe cells against the cells of the truth that are `safe`; all first moved back by `offset`."""
     places = sites_of(run) - offset[:2]
     good = [bool(v) for v in at(safe, truth.grid, places[:, 0], places[:, 1])]
@@ -193,16 +195,16 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
         raise InputError(f"{run.folder}: the run has no place on Earth, so nothing can be compared with the truth")
     if np.abs(run.local.to_enu(flight.local.latitude, flight.local.longitude, flight.local.height)).max() > 1e-3:
         raise InputError(f"{folder}: another origin than that of the run; name the flight that was run")
-    truth = read_truth(folder)
+    truth = read_flight_truth(folder)
     safe = truth.safe(lander_of(run))
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
-    heights(run, truth, out, np.zeros(3))
+    compare_heights(run, truth, out, np.zeros(3))
     out.put("sites", float(len(sites_of(run))))
     decision(run, truth, safe, out, np.zeros(3))
     if flight.truth_trajectory is not None:
         d, r = position_errors(run, flight.truth_trajectory)
         if len(d):
             trajectory(d, r, out)
-            heights(run, truth, out, d.mean(0), ", registered")
+            compare_heights(run, truth, out, d.mean(0), ", registered")
             decision(run, truth, safe, out, d.mean(0), ", registered")
     return out

@@ -82,7 +82,7 @@ def nearest_known(values: NDArray[T], known: NDArray[np.bool_]) -> NDArray[T]:
     return np.asarray(values[tuple(at)])
 
 
-def blocks(fine: NDArray[T], factor: int) -> NDArray[T]:
+def cells_as_blocks(fine: NDArray[T], factor: int) -> NDArray[T]:
     """Pixels by the cell that they lie in, (R, factor, C, factor)."""
     rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
     return fine.reshape(rows, factor, cols, factor)

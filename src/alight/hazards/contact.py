@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.hazards import contact_kernels as gear
+from alight.hazards import footprint_kernels as kernels
+from alight.hazards.belly_kernels import BLOCK
 from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, padded_spans, skids_of
-from alight.kernels import contact as gear
-from alight.kernels import hazards as kernels
-from alight.kernels.belly import BLOCK
 from alight.records import F32
 from alight.settings import Lander
 

@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 from scipy.special import logit
 
+from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.contact import Footprint
 from alight.hazards.footprint import disc_mask, disc_spans
 from alight.hazards.probability import mean_near
-from alight.hazards.spots import spots
 from alight.records import F32, ElevationMap, TerrainMap
-from alight.settings import Hazards, Lander
+from alight.settings import HazardsSettings, Lander
 
 INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
 BEYOND = 1.0  # metres past the rim: where tufts begin, there are more
@@ -63,20 +63,20 @@ def coarseness(elevation: ElevationMap, lander: Lander) -> float:
     return math.log(elevation.grid.cell / factor / limit)
 
 
-def unresolved(elevation: ElevationMap, lander: Lander, settings: Hazards) -> float:
+def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> float:
     """P(something too high is too small for the pixels): 0 up to `RESOLVED` of the limit, at most `hidden_hazard`."""
     excess = coarseness(elevation, lander) - math.log(RESOLVED)
     return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 
-def terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
+def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
     """The terms of `weights`, (R, C) each."""
     cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
     inner = radius - min(INNER, radius / 4)
     doubt = doubt_of(terrain, elevation.grid.shape)
     around = np.asarray(cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5)), np.float32)
     sigma = np.nan_to_num(elevation.sigma, nan=1.0)
-    small = spots(elevation)
+    small = blob_contrast(elevation)
     usual = mean_near(small["tint"], radius, cell) + np.float32(USUAL)
     residual = np.nan_to_num(elevation.residual)
     return {

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from alight.hazards.contact import Footprint
 from alight.hazards.footprint import disc_mask, disc_spans, feet_of
 from alight.records import F32
-from alight.settings import Hazards, Lander
+from alight.settings import HazardsSettings, Lander
 
 SURELY = 40.0  # sigmas
 
@@ -37,7 +37,7 @@ def _over(margin: F32, sigma: F32) -> F32:
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
 
-def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: Hazards) -> F32:
+def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: HazardsSettings) -> F32:
     """1-sigma of the footprint's slope, rad: cell noise shared over `noise_length`, and the map's common tilt (G8)."""
     shared = max(1.0, (settings.noise_length / cell) ** 2)
     independent = np.maximum(footprint.count / shared, 3.0)
@@ -47,7 +47,7 @@ def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: Hazards
     return out
 
 
-def gear_lever(lander: Lander, cell: float, settings: Hazards) -> float:
+def gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
     """What 1 m of noise at each contact tilts a lander on feet or skids at its worst heading, 1/m (G8b).
 
     The noise of a foot that stands on the mean of its cells is shared by those that are independent.
@@ -59,14 +59,14 @@ def gear_lever(lander: Lander, cell: float, settings: Hazards) -> float:
     return math.sqrt(worst / _alone(lander, cell, settings))
 
 
-def _alone(lander: Lander, cell: float, settings: Hazards) -> float:
+def _alone(lander: Lander, cell: float, settings: HazardsSettings) -> float:
     """Independent heights that one contact is the mean of."""
     if lander.foot_contact == "highest":
         return 1.0
     return max(1.0, math.pi * lander.foot_radius**2 / max(settings.noise_length, cell) ** 2)
 
 
-def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: Hazards) -> F32:
+def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: HazardsSettings) -> F32:
     """1-sigma of the tilt of feet or skids, rad (G8b)."""
     lever = np.float32(gear_lever(lander, cell, settings))
     out: F32 = np.sqrt((lever * sigma) ** 2 + np.float32(settings.tilt_sigma**2)).astype(np.float32)
@@ -83,7 +83,7 @@ class Margins:
     sigma: F32  # metres, root mean square height sigma in the footprint
 
 
-def margins_over_sigma(m: Margins, lander: Lander, settings: Hazards, cell: float) -> tuple[F32, F32]:
+def margins_over_sigma(m: Margins, lander: Lander, settings: HazardsSettings, cell: float) -> tuple[F32, F32]:
     """How far tilt, and rise or deviation, stay below their limits, in sigmas (G7 to G9)."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
@@ -97,7 +97,7 @@ def margins_over_sigma(m: Margins, lander: Lander, settings: Hazards, cell: floa
     return tilt, _over(lander.max_roughness - m.footprint.roughness, local)
 
 
-def safe_probability(tilt: F32, rise: F32, unknown: F32, settings: Hazards) -> F32:
+def safe_probability(tilt: F32, rise: F32, unknown: F32, settings: HazardsSettings) -> F32:
     """P(a touchdown keeps every limit) of heights that show all there is: tilt, ground below, what was not seen."""
     p: F32 = ndtr(tilt) * ndtr(rise) * (1 - np.float32(settings.hidden_hazard) * unknown)
     return np.asarray(p, np.float32)

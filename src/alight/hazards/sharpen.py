@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid
-from alight.hazards.light import DIFFERENCE, SMOOTHING, Light, find_light, gradients, in_shadow, shadow_level
+from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
 from alight.records import F32, U8, ElevationMap
 
 log = logging.getLogger(__name__)
@@ -105,7 +105,7 @@ class _Scene:
     pixel: float  # metres
 
 
-def _step(scene: _Scene, z: F32, light: Light, lit: Bool, cg: int) -> F32:
+def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, cg: int) -> F32:
     """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
@@ -135,7 +135,7 @@ def _step(scene: _Scene, z: F32, light: Light, lit: Bool, cg: int) -> F32:
     return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), cg)
 
 
-def _solve(scene: _Scene) -> tuple[F32, Bool, Light] | None:
+def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
     """The fine heights, the lit pixels and the light; None where shading does not explain the image."""
     z = np.asarray(cv2.resize(scene.cells, scene.image.shape[::-1], interpolation=cv2.INTER_CUBIC))
     small = np.asarray(cv2.resize(scene.image, scene.cells.shape[::-1], interpolation=cv2.INTER_AREA))

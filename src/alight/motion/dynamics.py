@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.geometry import skew, so3_exp
-from alight.motion.inertial import GRAVITY, Preintegral, right_jacobian
-from alight.motion.state import ACC, ATT, CORE, GYRO, POS, VEL, State
+from alight.motion.ekf.state import ACC, ATT, CORE, GYRO, POS, VEL, FilterState
+from alight.motion.preintegration import GRAVITY, Preintegral, right_jacobian
 from alight.records import F64
-from alight.settings import Filter
+from alight.settings import FilterSettings
 
 LONG = 1.0  # s without IMU after which an angular velocity says nothing more: photos
 ANY, RATE = 2.0, 0.5  # rad, rad/s: attitude and angular velocity are then open
@@ -56,7 +56,7 @@ def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, 
     return F, G @ m.covariance @ G.T
 
 
-def constant_transition(R: F64, rate: F64, dt: float, noise: Filter) -> tuple[F64, F64]:
+def constant_transition(R: F64, rate: F64, dt: float, noise: FilterSettings) -> tuple[F64, F64]:
     """Return the (15, 15) transition and noise of `constant_step`; white accelerations drive it."""
     F = np.eye(15)
     F[POS, VEL] = np.eye(3) * dt
@@ -78,7 +78,7 @@ def _white(Q: F64, value: slice, rate: slice, turn: F64, density: float, dt: flo
     Q[rate, value] = Q[value, rate].T
 
 
-def spread(state: State, F: F64, Q: F64, decay: F64, drift: F64) -> None:
+def propagate_covariance(state: FilterState, F: F64, Q: F64, decay: F64, drift: F64) -> None:
     """Carry the covariance on: `F`, `Q` (15, 15) for the motion, `decay`, `drift` (9,) for the GPS/INS errors (M10)."""
     full = np.eye(CORE)
     full[:15, :15] = F
@@ -89,14 +89,14 @@ def spread(state: State, F: F64, Q: F64, decay: F64, drift: F64) -> None:
     state.P[range(15, 24), range(15, 24)] += drift
 
 
-def nav_decay(dt: float, sigma: F64, noise: Filter) -> tuple[F64, F64]:
+def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:
     """Return (9,) decay and (9,) variance added to the Gauss-Markov errors of GPS/INS over `dt` (M10)."""
     tau = np.repeat([noise.nav_position_tau, noise.nav_attitude_tau, noise.nav_velocity_tau], 3)
     a = np.exp(-dt / tau)
     return a, (1.0 - a**2) * sigma**2
 
 
-def bias_walk(dt: float, noise: Filter) -> F64:
+def bias_walk(dt: float, noise: FilterSettings) -> F64:
     """Return the (15,) variance that the biases gain over `dt`."""
     out = np.zeros(15)
     out[GYRO], out[ACC] = noise.gyro_walk**2 * dt, noise.accelerometer_walk**2 * dt

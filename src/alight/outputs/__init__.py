@@ -1,18 +1,18 @@
 """What a run leaves behind, and how it is read back."""
 
-from alight.outputs.folder import FILES, prepare, timing_summary, write_run
+from alight.outputs.file_store import FileStore
+from alight.outputs.folder import FILES, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height, world_up
 from alight.outputs.reading import Run, read_run
-from alight.outputs.spill import Spill
 from alight.records import RunResult
 
 __all__ = [
     "FILES",
+    "FileStore",
     "Run",
     "RunResult",
-    "Spill",
     "ellipsoidal_height",
-    "prepare",
+    "prepare_folder",
     "read_run",
     "timing_summary",
     "world_up",

@@ -14,7 +14,7 @@ import numpy as np
 from alight import __version__, report
 from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
-from alight.outputs.whole import output_error, part_of, write_whole
+from alight.outputs.atomic_write import output_error, partial_path, write_whole
 from alight.records import OutputError, RunResult
 
 log = logging.getLogger(__name__)
@@ -42,19 +42,19 @@ Contents = dict[str, Callable[[], bytes] | str]
 def _rasters(r: RunResult) -> Contents:
     crs = rasters.raster_crs(r.local, r.georeferenced)
 
-    def tif(raster: rasters.Raster, grid: Grid) -> bytes:
+    def tif(raster: rasters.RasterFile, grid: Grid) -> bytes:
         return rasters.encode(raster, grid, crs)
 
     files: Contents = dict.fromkeys(("dem.tif", "flags.tif", "ortho.tif"), "no heights were found")
     files |= {"terrain.tif": "the kind of ground was not judged", "safe.tif": "the ground was not judged"}
     if (e := r.elevation) is not None:
-        files["dem.tif"] = lambda: tif(rasters.dem(e, r.local), e.grid)
-        files["flags.tif"] = lambda: tif(rasters.flags(e), e.grid)
-        files["ortho.tif"] = lambda: tif(rasters.ortho(e), e.grid)
+        files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local), e.grid)
+        files["flags.tif"] = lambda: tif(rasters.flags_raster(e), e.grid)
+        files["ortho.tif"] = lambda: tif(rasters.ortho_raster(e), e.grid)
     if (t := r.terrain) is not None:
-        files["terrain.tif"] = lambda: tif(rasters.terrain(t), t.grid)
+        files["terrain.tif"] = lambda: tif(rasters.terrain_raster(t), t.grid)
     if (h := r.hazards) is not None:
-        files["safe.tif"] = lambda: tif(rasters.safe(h), h.grid)
+        files["safe.tif"] = lambda: tif(rasters.safe_raster(h), h.grid)
     return files
 
 
@@ -144,11 +144,11 @@ def is_run(folder: Path) -> bool:
 def _is_ours(folder: Path) -> bool:
     """A finished run, or what an interrupted one left: nothing but files of these names."""
     known = {RUN_JSON, *FILES, "recording.rrd"}
-    known |= {part_of(Path(name)).name for name in known}
+    known |= {partial_path(Path(name)).name for name in known}
     return is_run(folder) or all(p.name in known and p.is_file() for p in folder.iterdir())
 
 
-def prepare(out: Path, overwrite: bool = False) -> None:
+def prepare_folder(out: Path, overwrite: bool = False) -> None:
     """Make the folder and see that it may be written, before any work is done for it.
 
     An earlier run of ours is replaced; anything else in the folder is somebody's, and refused.
@@ -222,7 +222,7 @@ def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Pat
     Raises:
         OutputError: see `prepare`; or the disk is full, with the names of the files that are missing.
     """
-    prepare(out, overwrite)
+    prepare_folder(out, overwrite)
     _remove(out / RUN_JSON)
     writer, missing = _Writer(out), dict[str, str]()
     for name, made in contents(result).items():

@@ -23,7 +23,7 @@ LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AX
 
 
 @dataclass(frozen=True, eq=False)
-class Raster:
+class RasterFile:
     """What one GeoTIFF holds."""
 
     bands: NDArray[Any]  # (B, R, C)
@@ -59,7 +59,7 @@ def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -
     return (height.astype(np.float64) - local.height - fall).astype(np.float32)
 
 
-def dem(elevation: ElevationMap, local: LocalFrame) -> Raster:
+def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
     """Height and sigma, NaN where no height may be given out."""
     height = ellipsoidal_height(elevation, local)
     sigma = np.where(elevation.trusted, elevation.sigma, np.nan).astype(np.float32)
@@ -67,33 +67,35 @@ def dem(elevation: ElevationMap, local: LocalFrame) -> Raster:
         "height_reference": "WGS84 ellipsoid",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
-    return Raster(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags)
+    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags)
 
 
-def flags(elevation: ElevationMap) -> Raster:
+def flags_raster(elevation: ElevationMap) -> RasterFile:
     """The bits that say why a height is missing or doubtful."""
     tags = {f"bit_{f.value.bit_length() - 1}": f"{(f.name or '').lower()}: {why}" for f, why in FLAGS.items()}
-    return Raster(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
+    return RasterFile(elevation.flags[None], ("flags",), tags=tags, resampling="NEAREST")
 
 
-def terrain(terrain_map: TerrainMap) -> Raster:
+def terrain_raster(terrain_map: TerrainMap) -> RasterFile:
     """Class codes with their names and colours."""
     tags = {f"class_{t.value}": t.name.lower() for t in Terrain}
     colours = {t.value: (*rgb(colour), 255) for t, colour in TERRAIN_COLOURS.items()} | {0: (0, 0, 0, 0)}
-    return Raster(terrain_map.label[None], ("terrain class",), nodata=0, tags=tags, colours=colours, resampling="MODE")
+    return RasterFile(
+        terrain_map.label[None], ("terrain class",), nodata=0, tags=tags, colours=colours, resampling="MODE"
+    )
 
 
-def safe(hazards: HazardMap) -> Raster:
+def safe_raster(hazards: HazardMap) -> RasterFile:
     """Probability of a safe touchdown over the worst heading."""
-    return Raster(hazards.p_safe[None].astype(np.float32), ("probability of a safe touchdown",), nodata=np.nan)
+    return RasterFile(hazards.p_safe[None].astype(np.float32), ("probability of a safe touchdown",), nodata=np.nan)
 
 
-def ortho(elevation: ElevationMap) -> Raster:
+def ortho_raster(elevation: ElevationMap) -> RasterFile:
     """What the cameras saw, transparent where they saw nothing."""
-    return Raster(np.moveaxis(elevation.rgb, 2, 0), ("red", "green", "blue"), mask=elevation.views > 0)
+    return RasterFile(np.moveaxis(elevation.rgb, 2, 0), ("red", "green", "blue"), mask=elevation.views > 0)
 
 
-def _fill(raster: Raster, dataset: Any) -> None:
+def _fill(raster: RasterFile, dataset: Any) -> None:
     dataset.write(raster.bands)
     dataset.descriptions = tuple(raster.names)
     dataset.units = (raster.unit,) * len(raster.names)
@@ -105,7 +107,7 @@ def _fill(raster: Raster, dataset: Any) -> None:
         dataset.write_mask(raster.mask)
 
 
-def encode(raster: Raster, grid: Grid, crs: CRS) -> bytes:
+def encode(raster: RasterFile, grid: Grid, crs: CRS) -> bytes:
     """The bytes of one cloud-optimised GeoTIFF: tiled, deflated, with overviews."""
     count, rows, cols = raster.bands.shape
     profile: dict[str, Any] = {

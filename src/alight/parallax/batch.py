@@ -14,11 +14,13 @@ import cv2
 import numpy as np
 
 from alight.geometry import Grid
-from alight.parallax import refine, trust, witness
-from alight.parallax.sweep import Swept, look, sweep
-from alight.parallax.views import Prepared, choose, maps, prepare, rgb_of, stack
+from alight.parallax import gauss_newton as refine
+from alight.parallax import temporal_consistency as witness
+from alight.parallax import uncertainty as trust
+from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
+from alight.parallax.views import Prepared, choose_views, maps, prepare_view, rgb_of, stack
 from alight.records import F32, U8, U16, Heights, View
-from alight.settings import Parallax
+from alight.settings import ParallaxSettings
 
 REFERENCES = 2  # views along whose rays all is swept
 SWEPT = 10  # views of these sweeps: with all 16, 1.4 times the CPU time and a sixth more wrong heights on the photos
@@ -28,7 +30,7 @@ LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see wh
 WITNESSES = 6  # pairs of views of one instant that are asked what moves
 
 
-def agreed(looks: Sequence[Swept]) -> Swept:
+def fuse_sweeps(looks: Sequence[Swept]) -> Swept:
     """Of what several views saw in a cell the median, the lower of two, with its ratio."""
     heights = np.stack([h for h, _ in looks])
     order = np.argsort(heights, axis=0)  # NaN last
@@ -51,14 +53,14 @@ class Images:
     def get(self, index: int) -> Prepared:
         """View `index` at the cell of the grid."""
         if index not in self._ready:
-            self._ready[index] = prepare(self.views[index], self.cell, self.height)
+            self._ready[index] = prepare_view(self.views[index], self.cell, self.height)
             if len(self._ready) > self._keep:
                 self._ready.popitem(last=False)
         self._ready.move_to_end(index)
         return self._ready[index]
 
 
-def match(images: Images, grid: Grid, low: float, high: float, settings: Parallax) -> Heights | None:
+def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> Heights | None:
     """Estimate the heights of one grid from the views that see it (docs/method.md, section 3).
 
     Args:
@@ -69,24 +71,26 @@ def match(images: Images, grid: Grid, low: float, high: float, settings: Paralla
     Returns:
         The heights, or None where fewer than two views see the grid.
     """
-    chosen = choose(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
+    chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
     if len(chosen) < 2:
         return None
     fine = [images.get(i) for i in chosen]
     ground = min(max(images.height, low), high)
     views = [images.views[i] for i in chosen]
-    few, of = (choose(views, grid, 0.5 * (low + high), n, MAX_TANGENT) for n in (SWEPT, REFERENCES))
+    few, of = (choose_views(views, grid, 0.5 * (low + high), n, MAX_TANGENT) for n in (SWEPT, REFERENCES))
     swept = [fine[k] for k in few]
-    start, ratio = agreed([sweep(swept, grid, (low, high), ground, few.index(k)) for k in of])
-    rest, its_ratio = look(fine, grid, (low, high), ground, np.isnan(start))
+    start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k)) for k in of])
+    rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start))
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None
-    per_px = refine.enlarged(refine.sight(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
+    per_px = refine.enlarged(refine.view_geometry(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
     visible = refine.visible_from(fine, grid, start, per_px)
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, ITERATIONS)
     rgb = colour(views, fine, grid, fit.height, visible)
-    heights = judged(fine, grid, fit, trust.halved(np.where(np.isnan(ratio), np.float32(1), ratio)), (low, high), rgb)
+    heights = judged(
+        fine, grid, fit, trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio)), (low, high), rgb
+    )
     return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid))
 
 
@@ -105,7 +109,7 @@ def judged(
     fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
 ) -> Heights:
     """Put sigma and flags to a fit; the views `fine` are asked for the brightness."""
-    sigma, flags, residual = trust.judge(fit, grid, ratio, fine, searched)
+    sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
 
 

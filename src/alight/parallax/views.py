@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Camera, Grid, ground_projection
-from alight.kernels.projection import project
-from alight.kernels.sight import normalise
+from alight.parallax.projection_kernels import project_grid
+from alight.parallax.view_kernels import normalise
 from alight.records import F32, F64, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
@@ -72,7 +72,7 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
     return cv2.GaussianBlur(grey, (0, 0), sigma), camera, ratio
 
 
-def prepare(view: View, cell: float, height: float) -> Prepared:
+def prepare_view(view: View, cell: float, height: float) -> Prepared:
     """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
     H, b = ground_projection(camera, view.world_from_cam)
@@ -129,7 +129,7 @@ def project_cells(
 ) -> None:
     """Fill `out` with the pixel coordinates of cells at height `h`; -1 outside of the picture."""
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
-    project(
+    project_grid(
         H, b, lens, camera.coefficients, camera.code, r2_max,
         float(camera.width), float(camera.height), xs, ys, h, *out,
     )  # fmt: skip
@@ -151,7 +151,7 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
     return out
 
 
-def choose(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
+def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
     """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
 
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that

@@ -10,9 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from alight import route, sites, terrain
-from alight.elevation import Far
+from alight import terrain
+from alight.elevation import TileStore
 from alight.geometry import Grid
+from alight.landing import route, sites
 from alight.pipeline.judging import Judge, Verdict, without_water
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
@@ -22,9 +23,9 @@ from alight.records import (
     Event,
     Frame,
     HazardMap,
+    KeyframePosterior,
     Motion,
     MotionState,
-    PoseRing,
     Rig,
     Route,
     Sites,
@@ -68,7 +69,7 @@ class Pipeline:
         kind: `flight` (continuous, filter) or `photos` (far apart, bundle adjustment); the settings may say otherwise.
         poses: body poses that replace the estimated ones, for evaluation.
         clock: seconds, for the time of the stages; the core has none of its own.
-        far: where the map puts what the vehicle has left behind: a file's mapping, `Forgotten`, or by default memory.
+        far: where the map puts what the vehicle has left behind: a file's mapping, `NullStore`, or by default memory.
         history: keep what `finish` needs of a recording. Without it a flight may last for ever: the motions are
             those that were given out in flight, and none older than the keyframes that are held.
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
@@ -81,7 +82,7 @@ class Pipeline:
         settings: Settings,
         poses: TimedPoses | None = None,
         clock: Callable[[], float] = lambda: 0.0,
-        far: Far | None = None,
+        far: TileStore | None = None,
         history: bool = True,
         appearance: terrain.Model | None = None,
     ) -> None:
@@ -151,7 +152,7 @@ class Pipeline:
             start = self._clock()
             motion, poses = self._motions[frame.t_ns], self._navigation.posterior()
             if poses is not None and frame.t_ns not in {m.t_ns for m in poses.motions}:
-                poses = PoseRing((motion,), motion.covariance)  # held before the ground was found
+                poses = KeyframePosterior((motion,), motion.covariance)  # held before the ground was found
             stepped = self._terrain.step(views_of([frame], self._motions, self._navigation.rig), motion.map, poses)
             self._timed("heights", start)
             if stepped:
@@ -254,7 +255,7 @@ class Pipeline:
         found = self._judging.judge(elevation, looking_down(self._views()), last, above, start)
         tell("judging", 0.9)
         best = found.sites.sites[:1]
-        way = route.plan(best[0], elevation, last, self._settings.route) if best else None
+        way = route.plan_route(best[0], elevation, last, self._settings.route) if best else None
         notes |= self._judging.notes(found)
         tell("judging", 1.0)
         return Decision(found.sites, motions, found.elevation, found.cover, found.danger, way, above, warnings, notes)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight import hazards, sites, terrain
-from alight.parallax import ortho
-from alight.records import F64, ElevationMap, Flag, HazardMap, Look, Sites, TerrainMap, View
+from alight import hazards, terrain
+from alight.landing import sites
+from alight.parallax import orthophoto
+from alight.records import F64, ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap, View
 from alight.settings import Settings
 
 Timed = Callable[[str, float], float]  # stage, when it began: now
@@ -25,7 +26,7 @@ class Verdict:
     cover: TerrainMap | None
     danger: HazardMap
     sites: Sites
-    look: Look | None  # a view that would help, where there is no site
+    look: NextView | None  # a view that would help, where there is no site
 
 
 class Judge:
@@ -60,14 +61,14 @@ class Judge:
         s = self._settings
         cover = None
         if s.terrain.enabled:
-            elevation = replace(elevation, fine=ortho(views, elevation))
+            elevation = replace(elevation, fine=orthophoto(views, elevation))
             start = self._timed("finer pixels", start)
             cover = terrain.classify(elevation, s.terrain, self._appearance)
         start = self._timed("terrain", start)
         danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         start = self._timed("hazards", start)
-        chosen = sites.choose(danger, cover, elevation, s.sites, s.lander, vehicle)
-        look = None if chosen.sites else sites.next_look(danger, elevation, s.lander, above)
+        chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, vehicle)
+        look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
         self._remember(chosen, danger)
         self._timed("sites", start)
         return Verdict(without_water(elevation, cover), cover, danger, chosen, look)
@@ -91,7 +92,7 @@ class Judge:
         return out
 
 
-def in_words(look: Look) -> str:
+def in_words(look: NextView) -> str:
     """The proposal as a sentence."""
     east, north, up = np.asarray(look.position_world)
     return f"east {east:.1f} north {north:.1f} up {up:.1f} m, where P(safe) is {look.p_safe:.2f}"

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Pose
-from alight.motion import LateFilter
-from alight.motion.bundle import adjust
-from alight.motion.bundle_match import colmap
-from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, PoseRing, Rig
+from alight.motion import RollbackFilter
+from alight.motion.bundle.adjust import adjust
+from alight.motion.bundle.matching import colmap
+from alight.records import Event, Frame, ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Rig
 from alight.settings import MotionSettings, Settings
 from alight.tracks import Tracker
 
@@ -35,7 +35,7 @@ class Lane(Protocol):
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion as soon as it can be known."""
 
-    def posterior(self) -> PoseRing | None:
+    def posterior(self) -> KeyframePosterior | None:
         """What is known of the last keyframes' poses, for a refinement with the map; None: take them as given out."""
 
     def finish(self, progress: Progress) -> list[Motion]:
@@ -54,7 +54,7 @@ class FilterLane:
         self._settings = settings.motion.filter
         if not history:
             self._settings = self._settings.model_copy(update={"smooth": False})
-        self._filter = LateFilter(rig, self._settings)
+        self._filter = RollbackFilter(rig, self._settings)
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._stamps: deque[int] = deque(maxlen=_STAMPS)
         self._repeated = self._given = self._lost = 0  # exposures
@@ -99,7 +99,7 @@ class FilterLane:
         self.notes["motion"] = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
         return motions
 
-    def posterior(self) -> PoseRing:
+    def posterior(self) -> KeyframePosterior:
         """The ring with the joint covariance of its poses: what a refinement with the map starts from."""
         return self._filter.posterior()
 
@@ -137,9 +137,9 @@ class GivenLane:
         self._motions.append(Motion(event.t_ns, pose, cams, self._covariance))
         return self._motions[-1]
 
-    def posterior(self) -> PoseRing | None:
+    def posterior(self) -> KeyframePosterior | None:
         """The last pose by itself."""
-        return None if self._exact or not self._motions else PoseRing((self._motions[-1],), self._covariance)
+        return None if self._exact or not self._motions else KeyframePosterior((self._motions[-1],), self._covariance)
 
     def finish(self, progress: Progress) -> list[Motion]:
         """The motions given out before."""
@@ -169,7 +169,7 @@ class BundleLane:
             self._nav.append(self._last if self._last is not None and self._last.t_ns == event.t_ns else None)
         return None
 
-    def posterior(self) -> PoseRing | None:
+    def posterior(self) -> KeyframePosterior | None:
         """None: all poses come at the end."""
         return None
 

@@ -11,8 +11,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from alight.motion import LateFilter
-from alight.motion.forecast import Forecast
+from alight.motion import RollbackFilter
+from alight.motion.ekf.prediction import MotionPredictor
 from alight.records import Event, Frame, ImuSample, Motion, NavSample, Rig, Tracks
 from alight.settings import Settings
 from alight.tracks import Tracker
@@ -77,7 +77,7 @@ class TrackingStep:
         while self._imu and self._imu[0].t_ns < self._imu[-1].t_ns - _IMU_NS:
             self._imu.popleft()
 
-    def run(self, frame: Frame, forecast: Forecast | None) -> Tracks:
+    def run(self, frame: Frame, forecast: MotionPredictor | None) -> Tracks:
         """Follow the features into one exposure."""
         expected = forecast.cameras(frame.t_ns, self._tracker.last_ns, self._imu) if forecast else None
         return self._tracker.feed(frame, expected)
@@ -87,9 +87,9 @@ class FilterStep:
     """The filter, and what it lets expect. It never smooths: that would keep the whole flight."""
 
     def __init__(self, rig: Rig, settings: Settings) -> None:
-        self.filter = LateFilter(rig, settings.motion.filter.model_copy(update={"smooth": False}))
+        self.filter = RollbackFilter(rig, settings.motion.filter.model_copy(update={"smooth": False}))
 
-    def hear(self, events: Sequence[Heard]) -> Forecast | None:
+    def hear(self, events: Sequence[Heard]) -> MotionPredictor | None:
         """Take what came before an exposure."""
         for e in events:
             if isinstance(e, NavSample):
@@ -98,6 +98,6 @@ class FilterStep:
                 self.filter.feed_imu(e)
         return self.filter.forecast()
 
-    def see(self, tracks: Tracks) -> tuple[Motion | None, Forecast | None]:
+    def see(self, tracks: Tracks) -> tuple[Motion | None, MotionPredictor | None]:
         """Take the features of an exposure."""
         return self.filter.feed_tracks(tracks), self.filter.forecast()

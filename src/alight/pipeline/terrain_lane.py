@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.elevation import FIELDS, Elevation, Far
+from alight.elevation import FIELDS, TiledElevation, TileStore
 from alight.geometry import Grid
-from alight.parallax import Images, Ring, find_points, ground_sampling, height_range, match
-from alight.records import F64, ElevationMap, Flag, Gauge, Heights, PoseRing, View, is_trusted
+from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
+from alight.records import F64, Datum, ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import Settings
 
 MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
@@ -81,14 +81,14 @@ class TerrainLane:
     """Matches every tile that at least two views see, or steps the map with every keyframe."""
 
     settings: Settings
-    far: Far | None = None  # where tiles go that the vehicle has left behind; None: memory
-    elevation: Elevation | None = None
+    far: TileStore | None = None  # where tiles go that the vehicle has left behind; None: memory
+    elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general
     below: float | None = None  # the same under the newest keyframe
     beyond: bool = False  # most of the newest step's heights lie at an end of the searched range
     reason: str = ""  # why there is no map
-    gauge: Gauge | None = None  # what all heights under the newest keyframe share
-    _ring: Ring | None = None
+    gauge: Datum | None = None  # what all heights under the newest keyframe share
+    _ring: RecursiveParallax | None = None
     _level: int = 0  # of the newest keyframe's cells
     _map: int | None = None  # the number of the poses that the ring holds
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
@@ -119,7 +119,7 @@ class TerrainLane:
         if self.elevation is None:
             sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
             cell = self.settings.parallax.cell or nice_cell(sampling)
-            self.elevation = Elevation(cell, self.settings.elevation.tile, self.far)
+            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far)
         return True
 
     def learn_anew(self, views: Sequence[View], least: float) -> None:
@@ -180,7 +180,7 @@ class TerrainLane:
         for n, key in enumerate(keys):
             grid = self.elevation.tile_grid(key, MARGIN, level)
             if only(grid):
-                heights = match(images, grid, *self._range(grid, camera), self.settings.parallax)
+                heights = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
                 if heights is not None:
                     self.elevation.add(core(self._without_doubtful(heights, camera), MARGIN))
                     self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
@@ -188,7 +188,7 @@ class TerrainLane:
             progress((n + 1) / len(keys))
         return done
 
-    def step(self, views: Sequence[View], of_map: int = 0, poses: PoseRing | None = None) -> bool:
+    def step(self, views: Sequence[View], of_map: int = 0, poses: KeyframePosterior | None = None) -> bool:
         """Recursive parallax: take a keyframe into the ring and improve the map; False without a baseline yet.
 
         `of_map` is the number of the motion's map: poses of another one do not belong with those that the ring holds.
@@ -203,7 +203,7 @@ class TerrainLane:
             self._level = level_for(ground_sampling(newest, self.below), self.elevation.cell, self._level)
         cell = self.elevation.cell_at(self._level)
         if self._ring is None:
-            self._ring = Ring(self.settings.parallax, cell, self.below)
+            self._ring = RecursiveParallax(self.settings.parallax, cell, self.below)
         if self._map is not None and of_map != self._map:
             self._ring.restart()
         self._map = of_map

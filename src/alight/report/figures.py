@@ -135,7 +135,7 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     return Figure(
         title="The ground from above",
         alt=f"Orthophoto, north up, with {n} numbered landing site{'s' * (n != 1)}",
-        uri=c.uri(paint.ortho(elevation)),
+        uri=c.uri(paint.paint_ortho(elevation)),
         height=round(c.height, 1),
         marks=marks(result, c),
         bar=scale_bar(c),
@@ -162,11 +162,11 @@ def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
         "classes": ("near",),
     }
     return [
-        Figure("Site 1, the photo", "Orthophoto of the best site", c.uri(paint.ortho(elevation)), **common),
+        Figure("Site 1, the photo", "Orthophoto of the best site", c.uri(paint.paint_ortho(elevation)), **common),
         Figure(
             "Site 1, the relief",
             "Shaded heights of the best site",
-            c.uri(paint.heights(elevation, low, high)),
+            c.uri(paint.paint_heights(elevation, low, high)),
             caption=f"colours span {words.metres(high - low)} of height",
             **common,
         ),

@@ -19,7 +19,7 @@ def _shares(index: NDArray[Any], seen: NDArray[np.bool_], count: int) -> list[fl
     return [float(n) / max(int(seen.sum()), 1) for n in found]
 
 
-def reasons(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
+def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
     """Why not here: one colour a reason."""
     order = list(paint.HAZARD_COLOURS)
     index = paint.first_reason(hazards.reasons, [int(h) for h in order])
@@ -39,19 +39,19 @@ def reasons(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
     )
 
 
-def p_safe(hazards: HazardMap, c: Canvas) -> Figure:
+def p_safe_figure(hazards: HazardMap, c: Canvas) -> Figure:
     """Probability of a safe touchdown."""
     return Figure(
         title="Probability of a safe touchdown",
         alt="Map of the probability that a touchdown is safe",
-        uri=c.uri(paint.safe(hazards)),
+        uri=c.uri(paint.paint_safe(hazards)),
         height=round(c.height, 1),
         scale=Scale(paint.SAFE_RAMP, "0 %", "50 %", "100 %"),
         caption="Over the worst heading; empty where it cannot be judged.",
     )
 
 
-def heights(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
+def heights_figure(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     """Hillshaded heights."""
     low, high = paint.span(elevation.height[elevation.trusted], 1, 96)  # what stands on the ground may saturate
     up = result.local.height if result.georeferenced else 0.0
@@ -60,27 +60,27 @@ def heights(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     return Figure(
         title="Heights",
         alt=f"Shaded relief, {low_t} to {high_t}",
-        uri=c.uri(paint.heights(elevation, low, high)),
+        uri=c.uri(paint.paint_heights(elevation, low, high)),
         height=round(c.height, 1),
         scale=Scale(paint.HEIGHT_RAMP, low_t, mid_t, f"≥ {high_t}"),
         caption=f"Metres {reference}, lit from the north-west; empty where no height can be trusted.",
     )
 
 
-def sigma(elevation: ElevationMap, c: Canvas) -> Figure:
+def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
     """1-sigma of the heights."""
     high = paint.span(elevation.sigma[elevation.trusted], 0, 98)[1]
     return Figure(
         title="How sure the heights are",
         alt=f"Map of the heights' standard deviation, 0 to {words.metres(high)}",
-        uri=c.uri(paint.sigma(elevation, high)),
+        uri=c.uri(paint.paint_sigma(elevation, high)),
         height=round(c.height, 1),
         scale=Scale(paint.SIGMA_RAMP, "0", words.metres(high / 2), words.metres(high)),
         caption="1-sigma relative to the map: how well a surface fits, not whether it is the right one.",
     )
 
 
-def kinds(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
+def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
     """What covers the ground."""
     order = list(paint.TERRAIN_COLOURS)
     index = np.full(256, -1, np.int8)
@@ -102,7 +102,7 @@ def kinds(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
     )
 
 
-def missing(elevation: ElevationMap, c: Canvas) -> Figure:
+def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
     """Why heights are missing."""
     order = list(paint.FLAG_COLOURS)
     index = paint.first_reason(elevation.flags, [int(f) for f in order])
@@ -126,10 +126,10 @@ def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figu
     """Every map below the answer, in the order in which a person asks."""
     figures = []
     if result.hazards is not None:
-        figures += [reasons(result.hazards, elevation, c), p_safe(result.hazards, c)]
-    figures += [heights(result, elevation, c), sigma(elevation, c)]
+        figures += [reasons_figure(result.hazards, elevation, c), p_safe_figure(result.hazards, c)]
+    figures += [heights_figure(result, elevation, c), sigma_figure(elevation, c)]
     if result.terrain is not None:
-        figures.append(kinds(result.terrain, elevation, c))
-    figures.append(missing(elevation, c))
+        figures.append(classes_figure(result.terrain, elevation, c))
+    figures.append(missing_figure(elevation, c))
     drawn, bar = marks(result, c), scale_bar(c)
     return [replace(f, marks=drawn, bar=bar, classes=("plain", "small")) for f in figures]

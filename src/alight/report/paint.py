@@ -60,7 +60,7 @@ def rgb(colour: str) -> Colour:
     return r, g, b
 
 
-def ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) -> NDArray[np.float32]:
+def colour_ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) -> NDArray[np.float32]:
     """Colours (..., 3) of values between low and high; NaN takes the lowest."""
     anchors = np.array([rgb(c) for c in colours], dtype=np.float32)
     t = np.nan_to_num((values - low) / max(high - low, 1e-9)).clip(0, 1) * (len(anchors) - 1)
@@ -100,24 +100,24 @@ def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.
     return np.where(edge, 1.0, 0.45 + 0.55 * np.clip(light, 0, 1.3)).astype(np.float32)
 
 
-def heights(elevation: ElevationMap, low: float, high: float) -> U8:
+def paint_heights(elevation: ElevationMap, low: float, high: float) -> U8:
     """Heights by colour and light."""
     known = elevation.trusted
     shade = hillshade(elevation.height, known, elevation.grid.cell)
-    return rgba(ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
+    return rgba(colour_ramp(elevation.height, low, high, HEIGHT_RAMP) * shade[..., None], known)
 
 
-def sigma(elevation: ElevationMap, high: float) -> U8:
+def paint_sigma(elevation: ElevationMap, high: float) -> U8:
     """1-sigma of the heights that are given out."""
-    return rgba(ramp(elevation.sigma, 0.0, high, SIGMA_RAMP), elevation.trusted)
+    return rgba(colour_ramp(elevation.sigma, 0.0, high, SIGMA_RAMP), elevation.trusted)
 
 
-def safe(hazards: HazardMap) -> U8:
+def paint_safe(hazards: HazardMap) -> U8:
     """Probability of a safe touchdown."""
-    return rgba(ramp(hazards.p_safe, 0.0, 1.0, SAFE_RAMP), np.isfinite(hazards.p_safe))
+    return rgba(colour_ramp(hazards.p_safe, 0.0, 1.0, SAFE_RAMP), np.isfinite(hazards.p_safe))
 
 
-def ortho(elevation: ElevationMap) -> U8:
+def paint_ortho(elevation: ElevationMap) -> U8:
     """What the cameras saw."""
     return rgba(elevation.rgb, elevation.views > 0)
 

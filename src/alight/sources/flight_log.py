@@ -16,8 +16,8 @@ from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
-from alight.sources.source import Findings, Recording
-from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_truth
+from alight.sources.source import Findings, RecordedSource
+from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_trajectory
 from alight.sources.tables import read_names
 
 IMU_NOISE = (
@@ -28,7 +28,7 @@ IMU_NOISE = (
 )
 
 
-class FlightLog(Recording):
+class FlightLog(RecordedSource):
     """One flight on disk.
 
     Raises:
@@ -53,7 +53,7 @@ class FlightLog(Recording):
         if not self._exposures:
             raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
         self.length = len(self._exposures)
-        self.truth_trajectory = read_truth(self._root, self._findings)
+        self.truth_trajectory = read_trajectory(self._root, self._findings)
         self._note()
 
     def events(self) -> Iterator[Event]:

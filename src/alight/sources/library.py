@@ -16,7 +16,7 @@ from alight.records import U8, InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.terrain.features import LEVELS, names
 from alight.terrain.model import Head, Model
-from alight.terrain.patches import Patch
+from alight.training.patches import LabelledPatch
 
 DEFAULT_MODEL = Path(__file__).parents[1] / "terrain" / "models" / "default.npz"
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
@@ -102,7 +102,7 @@ def _pictures(folder: Path) -> list[Path]:
     return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and p.is_file())
 
 
-def read_library(folder: Path, usual: float = SAMPLING) -> list[Patch]:
+def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:
     """Patches of a folder that has one folder a class.
 
     A picture's site is what index.csv says, else the folder between it and its class's folder, else one for all.
@@ -130,7 +130,7 @@ def read_library(folder: Path, usual: float = SAMPLING) -> list[Patch]:
             between = path.parent.relative_to(sub).parts
             site = row.get("site") or (between[0] if between else "all")
             sampling = _sampling(row, usual, path)
-            patches += [Patch(t, sampling, int(kind), site, name) for t in _tiles(read_picture(path), sampling)]
+            patches += [LabelledPatch(t, sampling, int(kind), site, name) for t in _tiles(read_picture(path), sampling)]
     if not patches:
         known = ", ".join(k.name.lower() for k in KINDS)
         raise InputError(f"{folder}: no folder in it is named for a class; name them {known}")

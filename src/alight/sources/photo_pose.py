@@ -24,7 +24,7 @@ FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
 GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
 
 
-def attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
+def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     """`world_from_body` (3, 3) of the gimbal, and which tags it came from ("" without any).
 
     DJI: gimbal angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw, Pitch, Roll`
@@ -85,7 +85,7 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
 def nav_sample(tags: PhotoTags, t_ns: int, local: LocalFrame) -> NavSample:
     """One photo's place and attitude; what it does not say is None."""
     place = tags.position
-    world_from_body, source = attitude(tags)
+    world_from_body, source = photo_attitude(tags)
     sigma = FLIGHT_SIGMA if source == "flight" else GIMBAL_SIGMA
     return NavSample(
         t_ns,

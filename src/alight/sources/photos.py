@@ -15,9 +15,9 @@ from alight.settings import Settings
 from alight.sources.images import UNREADABLE, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import photo_camera
-from alight.sources.photo_pose import BODY_FROM_CAM, attitude, local_frame, nav_sample, position_sigma, rtk_flag
+from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
-from alight.sources.source import Findings, Recording, Trajectory
+from alight.sources.source import Findings, RecordedSource, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
@@ -31,7 +31,7 @@ def find_photos(folder: Path) -> list[Path]:
     return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file())
 
 
-class Photos(Recording):
+class Photos(RecordedSource):
     """The photos of one camera in one folder.
 
     Raises:
@@ -142,7 +142,7 @@ class Photos(Recording):
 
     def _note(self) -> None:
         photos = [p for _, p in self._photos]
-        kinds = Counter(attitude(p)[1] or "none" for p in photos)
+        kinds = Counter(photo_attitude(p)[1] or "none" for p in photos)
         flags = Counter(RTK_NAMES.get(rtk_flag(p) or 0, "GPS") for p in photos if p.position)
         self.notes |= {
             "camera": _title(photos[0].camera),

@@ -22,7 +22,7 @@ SEEN_BY = 9  # views that a height made elsewhere counts as: more than doubt ask
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GroundRaster:
     """What was read. East and north of the grid are the raster's own coordinates."""
 
     elevation: ElevationMap
@@ -123,7 +123,7 @@ def _image(path: Path, grid: Grid) -> U8:
     return pixels if len(bands) == 3 else pixels[..., 0]
 
 
-def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: float) -> Ground:
+def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: float) -> GroundRaster:
     """Read a height raster as a map that can be judged.
 
     Args:
@@ -148,7 +148,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
     doubts += [doubt] if doubt else []
     pixels = None if image is None else _image(image, grid)
-    return Ground(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts))
+    return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts))
 
 
 def _as_map(grid: Grid, height: F32, sigma: F32, known: NDArray[np.bool_], image: U8 | None) -> ElevationMap:

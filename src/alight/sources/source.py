@@ -98,7 +98,7 @@ class Findings:
         return [*(self._loss(g) for g in self._lost), *self._sentences]
 
 
-class Recording:
+class RecordedSource:
     """What both kinds of source tell of themselves, from the notebook `_findings`."""
 
     _findings: Findings

@@ -70,7 +70,7 @@ def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | Non
     return Table(table.t_ns, np.concatenate([table.values[:, :3] @ R.T, table.values[:, 3:] @ R.T], axis=1))
 
 
-def read_truth(root: Path, findings: Findings) -> Trajectory | None:
+def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
     """True body poses in the world; None when the log has none."""
     stream = "state_groundtruth_estimate0"
     if (found := _read(root, stream, TRUTH_COLUMNS, findings)) is None:

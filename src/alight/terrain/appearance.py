@@ -24,7 +24,7 @@ class Appearance:
     coloured: bool  # False: grey images, colour says nothing
 
 
-def smooth(values: F32, weight: F32, sigma_cells: float) -> F32:
+def masked_gaussian(values: F32, weight: F32, sigma_cells: float) -> F32:
     """Gaussian mean of the cells with weight; NaN where there is none near. Wide ones are taken on fewer cells."""
     if sigma_cells > 2 * COARSE:
         n = int(sigma_cells / COARSE)
@@ -63,11 +63,11 @@ def appearance(elevation: ElevationMap, scale: float = 0.1) -> Appearance:
     weight = known.astype(np.float32)
     per_m = 1 / elevation.grid.cell
     fine = max(0.5, scale * per_m)
-    r, g, b = (smooth(elevation.rgb[..., k].astype(np.float32), weight, fine) + 1 for k in range(3))
+    r, g, b = (masked_gaussian(elevation.rgb[..., k].astype(np.float32), weight, fine) + 1 for k in range(3))
     total = r + g + b
     light = np.log(total / 3)
-    detail = light - smooth(np.nan_to_num(light), weight, 0.5 * per_m)
-    power = smooth(np.nan_to_num(detail) ** 2, weight, 0.25 * per_m)
+    detail = light - masked_gaussian(np.nan_to_num(light), weight, 0.5 * per_m)
+    power = masked_gaussian(np.nan_to_num(detail) ** 2, weight, 0.25 * per_m)
     spread = np.abs(elevation.rgb[..., 0].astype(np.int16) - elevation.rgb[..., 2])[known]
     nan = np.float32(np.nan)
     return Appearance(

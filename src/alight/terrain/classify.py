@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
-from alight.terrain.evidence import terms, weighed
+from alight.terrain.evidence import cover_terms, weighed
 from alight.terrain.features import level_of
-from alight.terrain.model import Model, evidence, log_softmax
-from alight.terrain.patchwork import closed, without_pits, without_specks
+from alight.terrain.masks import close_mask, without_pits, without_specks
+from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
@@ -51,7 +51,7 @@ def appearance_odds(model: Model | None, elevation: ElevationMap, look: Appearan
     """
     if model is None or not look.coloured:
         return None
-    said = evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
+    said = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
     if said is None:
         return None
     lift = np.nan_to_num(said + np.float32(np.log(len(model.classes)))).astype(np.float32)
@@ -81,7 +81,7 @@ def _settled(odds: F32, water: Bool, cell: float) -> F32:
     wet = Terrain.WATER - 1
     out[..., wet] = np.where(water, best + SURE, odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
-    tufts = closed(without_specks(plants, cell), cell) & ~water
+    tufts = close_mask(without_specks(plants, cell), cell) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
         tufts, np.maximum(best, best + 1), out[..., Terrain.TALL_VEGETATION - 1]
     )
@@ -107,7 +107,7 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     wet = wetness(elevation, look)
     shape = relief(elevation, wet, settings)
     water = ponds(elevation, look, shape, wet, settings)
-    plain = _settled(weighed(terms(elevation, look, shape)), water, cell)
+    plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell)
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
     landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)

@@ -12,7 +12,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from alight.geometry import blocks, nearest_known
+from alight.geometry import cells_as_blocks, nearest_known
 from alight.records import F32, U8, ElevationMap, Flag
 
 Found = Iterator[tuple[str, F32]]
@@ -40,11 +40,11 @@ def mean_about(values: F32, sigma: float) -> F32:
 
 
 def _mean(fine: F32, factor: int) -> F32:
-    return np.asarray(blocks(fine, factor).mean(axis=(1, 3)), np.float32)
+    return np.asarray(cells_as_blocks(fine, factor).mean(axis=(1, 3)), np.float32)
 
 
 def _most(fine: F32, factor: int) -> F32:
-    return np.asarray(blocks(fine, factor).max(axis=(1, 3)), np.float32)
+    return np.asarray(cells_as_blocks(fine, factor).max(axis=(1, 3)), np.float32)
 
 
 def _strength(power: F32, sigma: float) -> F32:
@@ -105,7 +105,7 @@ def bumps(height: F32, cell: float) -> Found:
     yield "steep", np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
 
 
-def spots(light: F32, factor: int, cell: float) -> Found:
+def spot_bands(light: F32, factor: int, cell: float) -> Found:
     """The darkest and the brightest place near: a stone and its shadow."""
     spot = mean_about(light, WIDTHS[0]) - mean_about(light, 0.8 * factor / cell)
     yield "darkest near", _most_near(_most(-spot, factor), cell)
@@ -120,14 +120,14 @@ def doubts(elevation: ElevationMap) -> Found:
         yield name, mean_about(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
 
 
-def detail(elevation: ElevationMap) -> Found:
+def detail_terms(elevation: ElevationMap) -> Found:
     """All of it, (R, C) each, one after the other: together they would be several times the map."""
     rgb, factor = elevation.finest
     cell = elevation.grid.cell
     for name, values in channels(rgb).items():
         yield from bands(name, values, factor, cell)
         if name == "light":
-            yield from spots(values, factor, cell)
+            yield from spot_bands(values, factor, cell)
     height = nearest_known(elevation.height, np.isfinite(elevation.height))
     yield from bumps(np.nan_to_num(height - np.float32(np.median(height))), cell)
     yield from doubts(elevation)

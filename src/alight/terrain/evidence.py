@@ -11,10 +11,10 @@ from itertools import islice
 
 import numpy as np
 
-from alight.net import standard, unpack
+from alight.learned.layers import standard, unpack_layer
 from alight.records import F32, REFUSED, ElevationMap, Flag
-from alight.terrain.appearance import Appearance, seen, smooth
-from alight.terrain.detail import detail
+from alight.terrain.appearance import Appearance, masked_gaussian, seen
+from alight.terrain.detail import detail_terms
 from alight.terrain.relief import Relief
 from alight.terrain.weights import LAYERS, TERMS
 
@@ -44,11 +44,11 @@ def plants(look: Appearance, shape: Relief, restless: F32) -> F32:
     return np.asarray(3.5 * busy + 3.0 * high + 2.0 * tone + 2.0 * restless - 5.0, np.float32)
 
 
-def terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
+def cover_terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
     """The evidence of every cell, (R, C) each, one after the other, as the names of `weights` (T1)."""
     looked = seen(elevation).astype(np.float32)
     yield from surface(elevation, look, shape).items()
-    for name, values in detail(elevation):
+    for name, values in detail_terms(elevation):
         yield name, values
         if name.endswith((" near", " wide")):
             yield f"{name} against the frame", _against(values, looked)
@@ -61,12 +61,12 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
     height = np.nan_to_num(elevation.height)
 
     def near(values: F32, metres: float) -> F32:
-        mean = smooth(np.nan_to_num(values).astype(np.float32), looked, metres / cell)
+        mean = masked_gaussian(np.nan_to_num(values).astype(np.float32), looked, metres / cell)
         return np.asarray(np.nan_to_num(mean), np.float32)
 
     def rough(metres: float) -> F32:
-        off: F32 = height - np.nan_to_num(smooth(height, measured, metres / cell))
-        return _log(np.sqrt(np.nan_to_num(smooth(off * off, measured, metres / cell))), 0.01)
+        off: F32 = height - np.nan_to_num(masked_gaussian(height, measured, metres / cell))
+        return _log(np.sqrt(np.nan_to_num(masked_gaussian(off * off, measured, metres / cell))), 0.01)
 
     def flagged(flags: int) -> F32:
         return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
@@ -98,7 +98,7 @@ def weighed(found: Iterable[tuple[str, F32]]) -> F32:
 
     Terms are taken a few at a time: all together they would be several times the map.
     """
-    terms_of, (weights, bias) = iter(found), unpack(LAYERS[0])
+    terms_of, (weights, bias) = iter(found), unpack_layer(LAYERS[0])
     row_of, total, shape = {name: i for i, name in enumerate(TERMS)}, None, (0, 0)
     while some := list(islice(terms_of, AT_A_TIME)):
         shape = some[0][1].shape
@@ -107,6 +107,6 @@ def weighed(found: Iterable[tuple[str, F32]]) -> F32:
         total = part + bias if total is None else total + part
     assert total is not None
     for layer in LAYERS[1:]:
-        weights, bias = unpack(layer)
+        weights, bias = unpack_layer(layer)
         total = np.maximum(total, 0, out=total) @ weights + bias
     return np.asarray(total, np.float32).reshape(*shape, -1)

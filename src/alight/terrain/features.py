@@ -27,7 +27,7 @@ TINT = np.float32(1e-6)  # the same of the ratio of two colours
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class AppearanceFeatures:
     """The numbers of every block of a picture."""
 
     level: int
@@ -118,7 +118,7 @@ def _octaves(colour: F32, level: int, mean: _Means) -> dict[str, F32]:
     return found
 
 
-def look(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> Look | None:
+def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> AppearanceFeatures | None:
     """Measure a picture.
 
     Args:
@@ -140,7 +140,7 @@ def look(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> Loo
     parts = [found[k.removesuffix(" against the frame")] for k in names(level)]
     values = np.stack(parts, axis=-1).astype(np.float32)
     values[mean.share < 0.5] = np.nan
-    return Look(level, values, (values.shape[0] / rgb.shape[0], values.shape[1] / rgb.shape[1]))
+    return AppearanceFeatures(level, values, (values.shape[0] / rgb.shape[0], values.shape[1] / rgb.shape[1]))
 
 
 def frame_of(values: F32, level: int) -> F32:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.records import F32, U8
-from alight.terrain.features import against, frame_of, look
+from alight.terrain.features import against, appearance_features, frame_of
 
 Real = TypeVar("Real", np.float32, np.float64)
 
@@ -74,12 +74,12 @@ def log_probability(head: Head, features: F32) -> F32:
     return log_softmax(scores(head, features) / np.float32(head.temperature))
 
 
-def evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
+def appearance_evidence(model: Model, rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> F32 | None:
     """Log probability of each class a block of a picture, (r, c, K), all classes equally likely before.
 
     The picture is its own frame (T3). NaN where too little was seen; None where the pixels are too coarse.
     """
-    found = look(rgb, sampling, seen)
+    found = appearance_features(rgb, sampling, seen)
     head = model.heads[found.level] if found else None
     if found is None or head is None:
         return None

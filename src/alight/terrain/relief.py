@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import nearest_known
-from alight.kernels.terrain import fill_basins
 from alight.records import F32, ElevationMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import smooth
+from alight.terrain.appearance import masked_gaussian
+from alight.terrain.basin_kernels import fill_basins
 
 Bool = NDArray[np.bool_]
 
@@ -28,7 +28,7 @@ class Relief:
     ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
 
-def blocks(values: F32, size: int, share: float) -> F32:
+def block_quantile(values: F32, size: int, share: float) -> F32:
     """Shrink by an odd or even factor: the quantile `share` of the known cells of each block, NaN where none is."""
     rows, cols = (-(-n // size) for n in values.shape)
     padded = np.full((rows * size, cols * size), np.nan, dtype=np.float32)
@@ -39,7 +39,7 @@ def blocks(values: F32, size: int, share: float) -> F32:
     return np.take_along_axis(cells, pick[..., None], axis=2)[..., 0]
 
 
-def spread_out(coarse: F32, size: int, shape: tuple[int, int]) -> F32:
+def upsample_blocks(coarse: F32, size: int, shape: tuple[int, int]) -> F32:
     """Undo `blocks`: every cell of a block gets its value."""
     return np.repeat(np.repeat(coarse, size, axis=0), size, axis=1)[: shape[0], : shape[1]]
 
@@ -62,7 +62,7 @@ def above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, ce
     above = np.full(height.shape, -np.inf, dtype=np.float32)
     for window in (settings.ground_window / 4, settings.ground_window / 2, settings.ground_window):
         ground = ground_under(low, window / (size * cell))
-        flat = smooth(np.nan_to_num(ground), np.isfinite(ground).astype(np.float32), 1.0)
+        flat = masked_gaussian(np.nan_to_num(ground), np.isfinite(ground).astype(np.float32), 1.0)
         under = cv2.resize(flat, (flat.shape[1] * size, flat.shape[0] * size), interpolation=cv2.INTER_LINEAR)
         above = np.fmax(
             above, height - under[: height.shape[0], : height.shape[1]] - np.float32(settings.bulge * window)
@@ -106,15 +106,15 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     known = elevation.trusted
     height = np.where(known, elevation.height, np.float32(np.nan))
     size = max(1, round(settings.block / cell))
-    bed = ground_under(blocks(height, size, 0.5), settings.ground_window / (2 * size * cell))
-    depth, level = standing_water(bed, blocks(wet, size, 0.5) > 0.5)
+    bed = ground_under(block_quantile(height, size, 0.5), settings.ground_window / (2 * size * cell))
+    depth, level = standing_water(bed, block_quantile(wet, size, 0.5) > 0.5)
     weight = known.astype(np.float32)
-    detail = np.nan_to_num(height) - np.nan_to_num(smooth(np.nan_to_num(height), weight, 0.5 / cell))
-    power = smooth(detail**2, weight, 0.35 / cell)
+    detail = np.nan_to_num(height) - np.nan_to_num(masked_gaussian(np.nan_to_num(height), weight, 0.5 / cell))
+    power = masked_gaussian(detail**2, weight, 0.35 / cell)
     return Relief(
-        above=above_ground(height, blocks(height, size, 0.1), size, settings, cell),
+        above=above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
-        depth=spread_out(depth, size, shape),
-        level=spread_out(level, size, shape),
-        ground=spread_out(nearest_known(bed, ~np.isnan(bed)), size, shape),
+        depth=upsample_blocks(depth, size, shape),
+        level=upsample_blocks(level, size, shape),
+        ground=upsample_blocks(nearest_known(bed, ~np.isnan(bed)), size, shape),
     )

@@ -9,8 +9,8 @@ from scipy.ndimage import median
 
 from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import Appearance, seen, smooth
-from alight.terrain.patchwork import without_specks
+from alight.terrain.appearance import Appearance, masked_gaussian, seen
+from alight.terrain.masks import without_specks
 from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
@@ -28,7 +28,7 @@ def _moving(elevation: ElevationMap) -> F32:
     """Share of the cells about each that do not hold still: the parallax flags of water and swaying plants."""
     looked = seen(elevation).astype(np.float32)
     restless = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
-    share: F32 = np.nan_to_num(smooth(restless.astype(np.float32), looked, 0.5 / elevation.grid.cell))
+    share: F32 = np.nan_to_num(masked_gaussian(restless.astype(np.float32), looked, 0.5 / elevation.grid.cell))
     return share
 
 
@@ -43,7 +43,7 @@ def wet_look(look: Appearance) -> F32:
 def wetness(elevation: ElevationMap, look: Appearance) -> F32:
     """How much the surroundings of a cell look like water, 0 to 1."""
     weight = seen(elevation).astype(np.float32)
-    out: F32 = np.nan_to_num(smooth(np.nan_to_num(wet_look(look)), weight, 0.5 / elevation.grid.cell))
+    out: F32 = np.nan_to_num(masked_gaussian(np.nan_to_num(wet_look(look)), weight, 0.5 / elevation.grid.cell))
     return out
 
 
@@ -97,7 +97,7 @@ def ponds(elevation: ElevationMap, look: Appearance, shape: Relief, wet: F32, se
     """(R, C): what is water by its basin, its look and its restlessness, and what hangs together with it."""
     cell = elevation.grid.cell
     odds = water_odds(look, shape, _moving(elevation), settings)
-    near = smooth(odds, seen(elevation).astype(np.float32), 0.2 / cell)
+    near = masked_gaussian(odds, seen(elevation).astype(np.float32), 0.2 / cell)
     return flooded(near, wet, shape.level - shape.depth, cell)
 
 

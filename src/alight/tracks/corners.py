@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.kernels.features import strongest, textures
 from alight.records import F32, F64, U8
+from alight.tracks.corner_kernels import strongest, textures
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -24,7 +24,7 @@ def strength(image: U8, pixels: F32, window_px: int) -> F64:
     return out
 
 
-def spread(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
+def spread_corners(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
     """Keep the `_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from alight.geometry import Camera
-from alight.kernels.features import look_up
 from alight.records import F64
+from alight.tracks.corner_kernels import look_up_rays
 
 
 class Lens:
@@ -19,5 +19,5 @@ class Lens:
     def normalise(self, pixels: F64) -> F64:
         """Take (N, 2) pixels to x/z, y/z with the lens taken out; NaN stays NaN, outside is taken at the edge."""
         out = np.empty((len(pixels), 2))
-        look_up(self._table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
+        look_up_rays(self._table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
         return out

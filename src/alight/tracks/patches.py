@@ -11,9 +11,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from alight.geometry import Pose
-from alight.kernels.patches import settle
 from alight.records import F64, U8
 from alight.tracks.lens import Lens
+from alight.tracks.patch_kernels import settle
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -29,20 +29,20 @@ _ARMS = _ARM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 _SHALLOW = 0.2  # of the way down: rays that come in flatter are taken across the view
 
 
-def smooth(image: U8) -> U8:
+def smooth_image(image: U8) -> U8:
     """Return the picture as patches are cut from it and looked for in it."""
     return np.asarray(cv2.GaussianBlur(image, (3, 3), _BLUR))
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class GroundPlane:
     """The plane under the features as a camera sees it: level, through their median depth."""
 
     up: F64  # (3,) in the camera
     depth: float  # m along the optical axis
 
     @classmethod
-    def below(cls, pose: Pose | None, depth: F64) -> Ground:
+    def below(cls, pose: Pose | None, depth: F64) -> GroundPlane:
         """Under a camera at `pose` (world_from_cam; None: across the view); depths of features, NaN: unknown."""
         known = depth[np.isfinite(depth)]
         up = pose.rotation[2] if pose is not None else np.array([0.0, 0.0, -1.0])
@@ -65,7 +65,7 @@ def _slopes(values: F64) -> F64:
     return np.asarray((values[:, ::2] - values[:, 1::2]).transpose(0, 2, 1))
 
 
-def turns(pixels: F64, lens: Lens, views: Sequence[Pose], ground: Ground, there: F64, other: Lens) -> F64:
+def view_warps(pixels: F64, lens: Lens, views: Sequence[Pose], ground: GroundPlane, there: F64, other: Lens) -> F64:
     """(N, 2, 2) px in other views by px here, for the ground about features.
 
     Args:
@@ -81,7 +81,7 @@ def turns(pixels: F64, lens: Lens, views: Sequence[Pose], ground: Ground, there:
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class FeaturePatches:
     """What N features looked like."""
 
     ids: Ids  # (N,) growing
@@ -91,7 +91,7 @@ class Patches:
     picture: Ids  # (N,) which that was
 
     @classmethod
-    def cut(cls, image: U8, ids: Ids, pixels: F64, window: int, picture: int = 0) -> Patches:
+    def cut(cls, image: U8, ids: Ids, pixels: F64, window: int, picture: int = 0) -> FeaturePatches:
         """Cut patches out of a smooth picture; features too near its edge get none."""
         side = window + 2 * _MARGIN
         corner = np.rint(pixels).astype(np.int64) - side // 2
@@ -102,15 +102,15 @@ class Patches:
         cuts = np.ascontiguousarray(grey[corner[:, 1], corner[:, 0]])
         return cls(ids[inside], cuts, pixels - corner, pixels, np.full(len(corner), picture))
 
-    def rows(self, which: Mask) -> Patches:
+    def rows(self, which: Mask) -> FeaturePatches:
         """Those of some features."""
-        return Patches(*(getattr(self, f.name)[which] for f in fields(self)))
+        return FeaturePatches(*(getattr(self, f.name)[which] for f in fields(self)))
 
-    def and_of(self, other: Patches) -> Patches:
+    def and_of(self, other: FeaturePatches) -> FeaturePatches:
         """Both, in the order of ids."""
         order = np.argsort(np.concatenate([self.ids, other.ids]))
         both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
-        return Patches(*(x[order] for x in both))
+        return FeaturePatches(*(x[order] for x in both))
 
     def found(self, image: U8, guess: F64, turn: F64, window: int) -> tuple[F64, Mask]:
         """Where they are in a smooth picture, from (N, 2) guesses on, and which of them truly are."""
@@ -130,8 +130,8 @@ class Anchors:
         self._poses: dict[int, Pose] = {}
         self._patches = self._none()
 
-    def _none(self) -> Patches:
-        return Patches.cut(np.zeros((1, 1), np.uint8), np.empty(0, np.int64), np.empty((0, 2)), self._window)
+    def _none(self) -> FeaturePatches:
+        return FeaturePatches.cut(np.zeros((1, 1), np.uint8), np.empty(0, np.int64), np.empty((0, 2)), self._window)
 
     def hold(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None, depth: F64) -> F64:
         """Take features where the last picture led to, to where they look as they did; (N, 2) pixels.
@@ -150,7 +150,7 @@ class Anchors:
             return pixels
         then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
         views = [then_from_now[k] for k in held.picture.tolist()]
-        turn = turns(pixels[at], self._lens, views, Ground.below(pose, depth), held.pixels, self._lens)
+        turn = view_warps(pixels[at], self._lens, views, GroundPlane.below(pose, depth), held.pixels, self._lens)
         there, good = held.found(image, pixels[at], turn, self._window)
         good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
         out = pixels.copy()
@@ -163,5 +163,5 @@ class Anchors:
         if pose is None:
             return
         new, picture = ~np.isin(ids, self._patches.ids), max(self._poses, default=-1) + 1
-        self._patches = self._patches.and_of(Patches.cut(image, ids[new], pixels[new], self._window, picture))
+        self._patches = self._patches.and_of(FeaturePatches.cut(image, ids[new], pixels[new], self._window, picture))
         self._poses = {k: p for k, p in self._poses.items() if (self._patches.picture == k).any()} | {picture: pose}

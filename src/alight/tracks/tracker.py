@@ -16,13 +16,22 @@ from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose
 from alight.records import F32, F64, U8, Frame, Prediction, Rig, Tracks
-from alight.settings import Tracks as TracksSettings
-from alight.tracks.bounds import scatter, within
-from alight.tracks.corners import BORDER, corners, spread, strength
+from alight.settings import TracksSettings
+from alight.tracks.corners import BORDER, corners, spread_corners, strength
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
+from alight.tracks.global_alignment import (
+    TURNS,
+    agreement,
+    common_shift,
+    factor_of,
+    found_again,
+    lit_as,
+    shrunken,
+    warp_whole,
+)
 from alight.tracks.lens import Lens
-from alight.tracks.patches import Anchors, Ground, Patches, smooth, turns
-from alight.tracks.whole import TURNS, agreement, common_shift, factor_of, found_again, lit_as, shrunken, turned
+from alight.tracks.patches import Anchors, FeaturePatches, GroundPlane, smooth_image, view_warps
+from alight.tracks.search_region import scatter, within
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -67,7 +76,7 @@ class Guess:
 
 
 class Tracker:
-    """Follows features through the exposures of a rig; `feed` gives one `Tracks` an exposure."""
+    """Follows features through the exposures of a rig; `feed` gives one `TracksSettings` an exposure."""
 
     def __init__(self, rig: Rig, settings: TracksSettings) -> None:
         self._settings = settings
@@ -101,7 +110,7 @@ class Tracker:
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
         poses = prediction.world_from_cams if prediction else None
-        pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth(image)
+        pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth_image(image)
         pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
         ids, pixels, depth = self._take_up(image, ids, pixels, depth)
         self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
@@ -125,7 +134,7 @@ class Tracker:
         if good.mean() < _FEW:  # the prediction may be wrong as a whole
             other = self._matched(m, image, Guess(found_again(m.image, image, m.pixels, TURNS)))
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
-        good &= spread(m.ids, pixels, good, self._cell)
+        good &= spread_corners(m.ids, pixels, good, self._cell)
         depth = self._carried(m, pixels, now_from_then) if now_from_then is not None else m.depth
         return m.ids[good], pixels[good], depth[good]
 
@@ -140,7 +149,7 @@ class Tracker:
 
     def _matched(self, m: _Memory, image: U8, guess: Guess, expected: bool = False) -> tuple[F32, Mask]:
         held = expected and self._off[0] < _CLOSE
-        then, start = (m.image, m.pixels) if held else turned(m.image, m.pixels, guess.pixels)
+        then, start = (m.image, m.pixels) if held else warp_whole(m.image, m.pixels, guess.pixels)
         return self._match(then, image, start, guess, 0, expected)
 
     def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
@@ -233,7 +242,9 @@ class Tracker:
 
     def _across(self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None) -> tuple[F64, F64]:
         """Match the features of the left camera in every other camera; pixels (N, cameras, 2) and depth (N,)."""
-        patches = Patches.cut(soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1)
+        patches = FeaturePatches.cut(
+            soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1
+        )
         seen = np.full((len(pixels), len(self._cameras), 2), np.nan)
         seen[:, 0] = pixels
         for i in range(1, len(self._cameras)):
@@ -245,13 +256,13 @@ class Tracker:
         return seen, depth
 
     def _stereo(
-        self, i: int, left: U8, right: U8, pixels: F32, depth: F64, soft: tuple[Patches, Pose | None]
+        self, i: int, left: U8, right: U8, pixels: F32, depth: F64, soft: tuple[FeaturePatches, Pose | None]
     ) -> tuple[F64, F64]:
         """Match along the epipolar line from the expected disparity on; pixels (N, 2) and depth (N,), NaN = none."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
         guess = self._transfer(pixels, depth, pose, camera)
         there, good = self._match(left, right, pixels, guess, i, bool(np.isfinite(depth).any()))
-        there = self._settled(i, smooth(right), *soft, there, good, depth)
+        there = self._settled(i, smooth_image(right), *soft, there, good, depth)
         found = np.where(good[:, None], there.astype(np.float64), np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -263,14 +274,14 @@ class Tracker:
         return found, z
 
     def _settled(
-        self, i: int, right: U8, patches: Patches, pose: Pose | None, there: F32, good: Mask, depth: F64
+        self, i: int, right: U8, patches: FeaturePatches, pose: Pose | None, there: F32, good: Mask, depth: F64
     ) -> F32:
         """Matches in another camera made better by their patches; those that are not found so are no longer good."""
         held = patches.rows(good[patches.ids])
         to_first, at = self._cam_from_first[i].inverse, held.ids
-        ground = Ground.below(pose @ to_first if pose is not None else None, depth)
+        ground = GroundPlane.below(pose @ to_first if pose is not None else None, depth)
         guess = there[at].astype(np.float64)
-        turn = turns(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
+        turn = view_warps(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
         there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
         return there
 

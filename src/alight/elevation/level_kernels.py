@@ -1,0 +1,53 @@
+"""From one cell size to the next coarser: means of 2 x 2 cells (docs/method.md, eq. 16b)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel
+
+F32 = NDArray[np.float32]
+U16 = NDArray[np.uint16]
+U8 = NDArray[np.uint8]
+
+
+@kernel
+def halve(
+    height: F32, sigma: F32, flags: U16, views: U8, rgb: U8, residual: F32, unseen: int, refused: int, whole: int,
+    enough: int, height2: F32, sigma2: F32, flags2: U16, views2: U8, rgb2: U8, residual2: F32,
+) -> None:  # fmt: skip
+    """Fill (R / 2, C / 2) arrays, which say `unseen` before, with means over 2 x 2 cells of (R, C) ones.
+
+    Cells whose flags hold `unseen` do not count, and those with a bit of `refused` only where fewer than `enough` have
+    none. Fewer than `whole` seen cells leave the coarse one unseen. Variances are averaged, not divided.
+    """
+    for r in range(height2.shape[0]):
+        for c in range(height2.shape[1]):
+            seen, good = 0, 0
+            for k in range(4):
+                f = flags[2 * r + k // 2, 2 * c + k % 2]
+                seen += (f & unseen) == 0
+                good += (f & refused) == 0
+            if seen < whole:
+                continue
+            without = refused if good >= enough else unseen
+            n, bits, most = 0, np.uint16(0), np.uint8(0)
+            h, v, e, red, green, blue = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for k in range(4):
+                i, j = 2 * r + k // 2, 2 * c + k % 2
+                if (flags[i, j] & without) == 0:
+                    n += 1
+                    h += height[i, j]
+                    v += sigma[i, j] * sigma[i, j]
+                    e += residual[i, j]
+                    red += rgb[i, j, 0]
+                    green += rgb[i, j, 1]
+                    blue += rgb[i, j, 2]
+                    bits |= flags[i, j]
+                    most = max(most, views[i, j])
+            height2[r, c], sigma2[r, c], residual2[r, c] = h / n, np.sqrt(v / n), e / n
+            rgb2[r, c, 0] = np.uint8(red / n + 0.5)
+            rgb2[r, c, 1] = np.uint8(green / n + 0.5)
+            rgb2[r, c, 2] = np.uint8(blue / n + 0.5)
+            flags2[r, c], views2[r, c] = bits, most

@@ -1,0 +1,1 @@
+"""From hazards to a landing: sites, next view, reserve and route."""

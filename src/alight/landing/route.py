@@ -1,0 +1,129 @@
+"""From a site to way-points: over the site, clear of everything mapped, then straight down."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F64, ElevationMap, Route, Site, Waypoint
+from alight.settings import RouteSettings
+
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class _Corridor:
+    """What stands on the way: the mapped cells within `clearance` of the ground track."""
+
+    share: F64  # (n,) how far along the way each cell is, 0 to 1
+    top: F64  # (n,) metres, its height and two sigma
+    unknown: bool  # part of the way is not mapped
+    ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
+
+
+def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
+    east, north = elevation.grid.xy()
+    x, y = np.meshgrid(east - start[0], north - start[1])
+    ex, ey = site.east - start[0], site.north - start[1]
+    share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
+    near = np.hypot(x - share * ex, y - share * ey) <= width + elevation.grid.cell / 2
+    known = elevation.trusted
+    top = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
+    here = near & known
+    unknown = _track_unknown(start, site, elevation, known)
+    return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
+
+
+def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Bool) -> bool:
+    """Whether any cell of the ground track itself lies off the map or is not known."""
+    grid = elevation.grid
+    steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
+    row, col = grid.index(np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps))
+    r, c = np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)
+    inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
+    return not bool(inside.all() and known[r[inside], c[inside]].all())
+
+
+def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings) -> tuple[float, float]:
+    """Heights (metres, world up) at which the transit begins and ends (G17).
+
+    A straight line down to the approach point if it is clear all the way; else level flight, high enough.
+    """
+    end = site.up + settings.approach_height
+    begin = max(float(start[2]), end)
+    if way.unknown:  # what is not mapped may be as high as the highest thing that is
+        level = max(way.ceiling + settings.clearance, begin)
+        return level, level
+    line = begin + way.share * (end - begin)
+    if (line - way.top >= settings.clearance).all():
+        return begin, end
+    level = max(float(way.top.max()) + settings.clearance, begin)
+    return level, level
+
+
+def _bearing(a: F64, b: F64, otherwise: float) -> float:
+    d = b - a
+    return otherwise if math.hypot(d[0], d[1]) < 0.5 else math.atan2(d[0], d[1]) % (2 * math.pi)
+
+
+def _stops(
+    start: F64, site: Site, heights: tuple[float, float], settings: RouteSettings
+) -> list[tuple[str, F64, bool]]:
+    """Name, position and whether to look, of every way-point after the start."""
+    begin, end = heights
+    over = [site.east, site.north]
+    approach = site.up + settings.approach_height
+    stops = [
+        ("climb", np.array([start[0], start[1], begin]), False),
+        ("transit", np.array([*over, end]), True),
+        ("approach", np.array([*over, approach]), True),
+        ("inspect", np.array([*over, site.up + settings.look_share * settings.approach_height]), True),
+        ("touchdown", np.array([*over, site.up]), False),
+    ]
+    out: list[tuple[str, F64, bool]] = []
+    for stop, following in zip(stops, [*stops[1:], None], strict=True):
+        merged = following is not None and np.linalg.norm(following[1] - stop[1]) < 0.05  # the later name says more
+        if not merged and np.linalg.norm(stop[1] - (out[-1][1] if out else start)) > 0.05:
+            out.append(stop)
+    return out
+
+
+def _timed(start: F64, site: Site, stops: list[tuple[str, F64, bool]], settings: RouteSettings) -> tuple[Waypoint, ...]:
+    t, at, heading = 0.0, start, site.heading
+    out = [Waypoint("start", start, _bearing(start, stops[0][1], heading) if stops else heading, 0.0, 0.0)]
+    for name, position, look in stops:
+        d = position - at
+        vertical = math.hypot(d[0], d[1]) < 0.5
+        speed = settings.descent_speed if vertical and d[2] < 0 else settings.cruise_speed
+        t += float(np.linalg.norm(d)) / speed
+        heading = _bearing(at, position, site.heading)
+        out.append(Waypoint(name, position, heading, speed, t, look))
+        at = position
+    return tuple(out)
+
+
+def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, settings: RouteSettings) -> Route:
+    """Lead the vehicle over the site and down on it, clear of everything mapped until it is over the site.
+
+    Args:
+        site: where to land.
+        elevation: heights; two sigma are added to each.
+        vehicle_position: (3,) metres in the world.
+        settings: heights, speeds, clearance above and beside the way.
+
+    Returns:
+        The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
+        Warnings say where the line climbs, or crosses ground that is not mapped.
+    """
+    start = np.asarray(vehicle_position, dtype=np.float64)
+    way = _corridor(start, site, elevation, settings.clearance)
+    heights = _heights(start, site, way, settings)
+    warnings = []
+    if way.unknown:
+        warnings.append("the way to the site crosses ground that is not mapped: flown above the highest thing known")
+    if heights[0] > start[2] + 0.05:
+        warnings.append(f"the vehicle climbs {heights[0] - start[2]:.1f} m before it leaves")
+    return Route(_timed(start, site, _stops(start, site, heights, settings), settings), tuple(warnings))

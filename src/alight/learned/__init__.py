@@ -1,0 +1,1 @@
+"""Fitted tables and the nets that read them."""

@@ -1,0 +1,1 @@
+"""Bundle adjustment of photos far apart."""

@@ -1,0 +1,247 @@
+"""Photos to tracks: SIFT features, pairs of neighbours, matches that pass two-view geometry, tracks through all photos.
+
+Features and two-view geometry are pycolmap's. Everything stays in memory; random seeds are fixed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from types import ModuleType
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from alight.geometry import Camera
+from alight.records import F32, F64, U8, MissingExtraError
+from alight.settings import BundleSettings
+
+Index = NDArray[np.int64]
+_DESCRIPTOR = 128  # numbers in a SIFT descriptor
+_RATIO = 0.8  # best over second-best descriptor distance
+_TWO_VIEW_PX = 4.0  # inlier threshold: the maker's distortion is wrong by as much in the corners
+_BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
+_THREADS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoFeatures:
+    """The features of one photo."""
+
+    pixels: F64  # (K, 2) in the photo's own pixels
+    descriptors: F32  # (K, 128) unit length
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two photos that see the same ground."""
+
+    i: int
+    j: int
+    matches: Index  # (M, 2) feature numbers in i and j
+    j_from_i: F64  # (3, 3) rotation between the two optical frames
+    direction: F64  # (3,) unit, from the centre of i to that of j, in the optical frame of i
+
+
+@dataclass(frozen=True, eq=False)
+class BundleObservations:
+    """What the photos saw of the points, sorted by point."""
+
+    photo: Index  # (N,)
+    point: Index  # (N,) 0 .. points - 1, every number occurs
+    pixels: F64  # (N, 2)
+
+    @property
+    def starts(self) -> Index:
+        """The first row of each point: what `np.add.reduceat` takes."""
+        return np.flatnonzero(np.diff(self.point, prepend=-1))
+
+    @property
+    def points(self) -> int:
+        """How many points there are."""
+        return int(self.point[-1]) + 1 if len(self.point) else 0
+
+    def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, Index]:
+        """Return the rows that are kept, without points of fewer than `least`; old numbers of those left."""
+        count = np.bincount(self.point[rows], minlength=self.points)
+        rows = rows & (count[self.point] >= least)
+        old, point = np.unique(self.point[rows], return_inverse=True)
+        return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows]), old
+
+
+def colmap() -> ModuleType:
+    """Return pycolmap, silenced.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import pycolmap
+    except ImportError as e:
+        raise MissingExtraError("pycolmap", "photos") from e
+    pycolmap.logging.logtostderr = False
+    pycolmap.logging.alsologtostderr = False
+    pycolmap.logging.minloglevel = 3
+    pycolmap.logging.stderrthreshold = 3
+    module: ModuleType = pycolmap
+    return module
+
+
+def colmap_camera(camera: Camera) -> object:
+    """Give our camera to pycolmap, whose pixel (0, 0) is the corner and not the centre of the first pixel."""
+    k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
+    d = list(camera.distortion)
+    model, params = {
+        "none": ("PINHOLE", k),
+        "radial-tangential": ("FULL_OPENCV", k + d + [0.0] * (8 - len(d))),
+        "equidistant": ("OPENCV_FISHEYE", k + d),
+    }[camera.model]
+    out = colmap().Camera(model=model, width=camera.width, height=camera.height, params=params)
+    out.has_prior_focal_length = True
+    return out
+
+
+def _shrunk(image: U8, longest: int) -> tuple[U8, float]:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    factor = min(1.0, longest / max(grey.shape))
+    if factor < 1.0:
+        size = (round(grey.shape[1] * factor), round(grey.shape[0] * factor))
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return np.ascontiguousarray(grey, dtype=np.uint8), factor
+
+
+def extract(image: U8, settings: BundleSettings) -> PhotoFeatures:
+    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest."""
+    pc = colmap()
+    options = pc.FeatureExtractionOptions()
+    options.num_threads = 1
+    options.sift.max_num_features = settings.features
+    options.sift.first_octave = 0  # doubling the photo first costs five times the time for no better poses
+    grey, factor = _shrunk(image, settings.image_px)
+    keypoints, descriptors = pc.FeatureExtractor.create(options).extract_from_uint8_array(grey)
+    place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
+    largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
+    corner = place[largest, :2]
+    table = np.asarray(descriptors.data, dtype=np.float32).reshape(-1, _DESCRIPTOR)[largest]
+    return PhotoFeatures(corner / factor - 0.5, table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9))
+
+
+def extract_all(images: Sequence[U8 | None], settings: BundleSettings) -> Iterator[PhotoFeatures | None]:
+    """Find the features of every photo, in order; None where there is no photo."""
+    colmap()
+    with ThreadPoolExecutor(_THREADS) as pool:
+        yield from pool.map(lambda image: None if image is None else extract(image, settings), images)
+
+
+def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
+    """Choose the pairs to match: each photo's nearest, the nearest in each of eight directions, the next in time.
+
+    `positions` is (n, 3) metres, NaN where unknown: those are paired with `count` before and after in time.
+    The eight directions link neighbouring strips, which the nearest alone may miss.
+    """
+    n = len(positions)
+    pairs: set[tuple[int, int]] = set()
+    for i in range(n):
+        offset = positions[:, :2] - positions[i, :2]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        distance[i] = np.nan
+        order = np.argsort(distance)[: np.isfinite(distance).sum()]
+        near = [int(j) for j in order[:count]]
+        octant = np.floor(np.arctan2(offset[:, 1], offset[:, 0]) / (np.pi / 4))
+        near += [int(order[octant[order] == k][0]) for k in np.unique(octant[order])]
+        unknown = not np.isfinite(distance).any()
+        reach = count if unknown else 1
+        near += [j for j in range(i - reach, i + reach + 1) if 0 <= j < n and j != i]
+        pairs |= {(min(i, j), max(i, j)) for j in near}
+    return sorted(pairs)
+
+
+def match_descriptors(a: F32, b: F32) -> Index:
+    """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
+    if len(a) < 2 or len(b) < 2:
+        return np.empty((0, 2), dtype=np.int64)
+    best = np.empty(len(a), dtype=np.int64)
+    first, second = np.empty(len(a), dtype=np.float32), np.empty(len(a), dtype=np.float32)
+    back = np.full(len(b), -2.0, dtype=np.float32)
+    for start in range(0, len(a), _BLOCK):
+        score = a[start : start + _BLOCK] @ b.T
+        rows = slice(start, start + len(score))
+        at = np.arange(len(score))
+        np.maximum(back, score.max(axis=0), out=back)
+        best[rows] = score.argmax(axis=1)
+        first[rows] = score[at, best[rows]]
+        score[at, best[rows]] = -2.0
+        second[rows] = score.max(axis=1)
+    mutual = first == back[best]
+    clear = 1.0 - first < _RATIO**2 * (1.0 - second)
+    i = np.flatnonzero(mutual & clear)
+    return np.stack([i, best[i]], axis=1)
+
+
+def verify(
+    camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: Index, least: int
+) -> tuple[Index, F64, F64] | None:
+    """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
+    if len(matches) < least:
+        return None
+    pc, lens = colmap(), colmap_camera(camera)
+    options = pc.TwoViewGeometryOptions()
+    options.compute_relative_pose = True
+    options.min_num_inliers = least
+    options.ransac.random_seed = 1
+    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, camera.width / 1600)
+    g = pc.estimate_two_view_geometry(lens, a.pixels + 0.5, lens, b.pixels + 0.5, matches.astype(np.uint32), options)
+    if g.cam2_from_cam1 is None or len(g.inlier_matches) < least:
+        return None
+    R = np.asarray(g.cam2_from_cam1.rotation.matrix())
+    t = np.asarray(g.cam2_from_cam1.translation)
+    length = float(np.linalg.norm(t))
+    direction = -R.T @ t / length if length > 1e-12 else np.zeros(3)
+    return np.asarray(g.inlier_matches, dtype=np.int64), R, direction
+
+
+def match_pairs(
+    camera: Camera,
+    features: Sequence[PhotoFeatures | None],
+    wanted: Sequence[tuple[int, int]],
+    settings: BundleSettings,
+    tick: Callable[[], None],
+) -> list[Pair]:
+    """Match and verify the wanted pairs; `tick` is called after each."""
+
+    def one(ij: tuple[int, int]) -> Pair | None:
+        a, b = features[ij[0]], features[ij[1]]
+        if a is None or b is None:
+            return None
+        found = verify(camera, a, b, match_descriptors(a.descriptors, b.descriptors), settings.matches)
+        return None if found is None else Pair(ij[0], ij[1], *found)
+
+    pairs = []
+    for pair in map(one, wanted):  # one after the other: the matrix product in `match` takes all cores by itself
+        pairs += [pair] if pair is not None else []
+        tick()
+    return pairs
+
+
+def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> BundleObservations:
+    """Join matches that share a feature into tracks; a track that meets a photo twice holds a wrong match and goes."""
+    offset = np.concatenate([[0], np.cumsum([0 if f is None else len(f.pixels) for f in features])])
+    total = int(offset[-1])
+    if not pairs:
+        return BundleObservations(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))
+    edges = np.concatenate([p.matches + np.array([offset[p.i], offset[p.j]]) for p in pairs])
+    graph = sparse.coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
+    label = connected_components(graph, directed=False)[1].astype(np.int64)
+    node = np.unique(edges)
+    photo = np.searchsorted(offset, node, side="right") - 1
+    pixels = np.concatenate([f.pixels for f in features if f is not None])[node]
+    order = np.lexsort((photo, label[node]))
+    point = np.unique(label[node][order], return_inverse=True)[1]
+    sorted_photo = photo[order]
+    twice = (np.diff(point, prepend=-1) == 0) & (np.diff(sorted_photo, prepend=-1) == 0)
+    clean = ~np.isin(point, point[twice])
+    return BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order]).keep(clean)[0]

@@ -1,0 +1,83 @@
+"""What GPS, gimbal and maker say before the pictures are looked at, and what of it is not believed afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from alight.geometry import Camera
+from alight.motion.bundle.matching import Index
+from alight.motion.bundle.orientation import HALF_TURN
+from alight.motion.bundle.solver import Priors
+from alight.records import F64, NavSample, Rig
+from alight.settings import BundleSettings
+
+# 1-sigma of scale aspect cu cv and distortion; the focal length apart, see docs/method-bundle.md
+_SIGMA_LENS = {
+    "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
+    "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
+}
+_SIGMA_FOCAL = 0.02  # relative, where it is free
+_LENS_PHOTOS = 12  # fewer hold the radial distortion
+
+
+def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings) -> Priors:
+    """Collect what GPS, gimbal and maker say; sigmas of the settings where the photo does not say."""
+    n = len(nav)
+    centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
+    rotation, sigma_rotation = np.full((n, 3, 3), np.nan), np.full((n, 3), settings.attitude_sigma)
+    sigma_rotation[:, 2] = settings.heading_sigma
+    body_from_cam = rig.cameras[0].body_from_cam
+    for i, sample in enumerate(nav):
+        if sample is None:
+            continue
+        if sample.world_from_body is not None:
+            rotation[i] = sample.world_from_body
+            if sample.sigma_attitude is not None and np.isfinite(sample.sigma_attitude).all():
+                roll, pitch, yaw = sample.sigma_attitude
+                sigma_rotation[i] = max(roll, pitch, 1e-3), max(roll, pitch, 1e-3), max(yaw, 1e-3)
+        if sample.position_world is not None:
+            arm = body_from_cam.translation
+            centres[i] = sample.position_world + (
+                rotation[i] @ arm if arm.any() and np.isfinite(rotation[i]).all() else 0.0
+            )
+            if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
+                sigma[i] = np.maximum(sample.sigma_position, 0.01)
+    camera, sigma_lens = _lens(rig.cameras[0].camera, settings)
+    return Priors(
+        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, camera, sigma_lens
+    )
+
+
+def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
+    """Return the camera to start from and the sigmas of its numbers; one without distortion gets some to be found."""
+    if settings.lens == "free" and camera.model == "none":
+        camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
+    sigma = np.zeros(4 + len(camera.distortion))
+    if settings.lens == "free":
+        sigma[:] = _SIGMA_LENS[camera.model][: len(sigma)]
+    sigma[0] = _SIGMA_FOCAL if settings.focal == "free" else 0.0
+    return camera, sigma
+
+
+def mended(priors: Priors, turned: Index, contradicted: Index) -> Priors:
+    """Turn back the gimbal tags that are half a turn off; drop those that the pictures contradict."""
+    attitude = priors.world_from_body.copy()
+    B = priors.body_from_cam
+    attitude[turned] = attitude[turned] @ (B @ HALF_TURN @ B.T)
+    attitude[contradicted] = np.nan
+    return replace(priors, world_from_body=attitude)
+
+
+def safe_lens(priors: Priors, photos: int) -> Priors:
+    """Hold the radial distortion where photos are few: it trades off with the height (docs/method-bundle.md)."""
+    if photos >= _LENS_PHOTOS:
+        return priors
+    sigma = priors.sigma_lens.copy()
+    decentring = sigma[6:8].copy()
+    sigma[4:] = 0.0
+    if priors.camera.model == "radial-tangential":
+        sigma[6:8] = decentring
+    return replace(priors, sigma_lens=sigma)

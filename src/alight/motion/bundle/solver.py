@@ -1,0 +1,311 @@
+"""The adjustment itself: Levenberg-Marquardt over poses, lens, mounting and points, points eliminated (Schur).
+
+Own code and not pycolmap's adjuster, whose priors know positions only: a straight strip would be free to roll about
+its line of flight. Equation numbers: docs/method-bundle.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from alight.geometry import Camera, so3_exp, so3_log
+from alight.motion.bundle.matching import BundleObservations
+from alight.records import F64
+
+_PRIOR_LOSS = (
+    3.0  # Huber scale of GPS and gimbal residuals, in sigmas; Cauchy let one GPS jump stretch the whole survey
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Priors:
+    """What GPS, gimbal and maker say. NaN = does not say."""
+
+    centres: F64  # (n, 3) metres
+    sigma_centres: F64  # (n, 3) metres
+    world_from_body: F64  # (n, 3, 3)
+    sigma_rotation: F64  # (n, 3) rad, about the world's axes
+    body_from_cam: F64  # (3, 3)
+    sigma_mounting: float  # rad; 0 holds it
+    camera: Camera
+    sigma_lens: F64  # (k,) of scale, aspect, cu, cv, distortion...; 0 holds one
+
+
+@dataclass(frozen=True, eq=False)
+class BundleState:
+    """Everything that is estimated."""
+
+    centres: F64  # (n, 3) metres
+    rotations: F64  # (n, 3, 3) world_from_cam
+    points: F64  # (m, 3) metres
+    lens: F64  # (k,) offsets from the prior camera: scale and aspect relative, px, coefficients
+    mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
+
+
+def lens_camera(prior: Camera, lens: F64) -> Camera:
+    """Return the prior camera moved by lens offsets (k,) (eq. 3)."""
+    s, a, du, dv = lens[:4]
+    d = tuple(float(x) for x in np.add(prior.distortion, lens[4:])) if prior.distortion else ()
+    fv = prior.fv * (1 + s)
+    return replace(prior, fu=prior.fu * (1 + s) * (1 + a), fv=fv, cu=prior.cu + du, cv=prior.cv + dv, distortion=d)
+
+
+def project_points(state: BundleState, obs: BundleObservations, camera: Camera) -> tuple[F64, F64]:
+    """Return (N, 2) predicted pixels and (N, 3) points in the cameras' frames (eq. 1)."""
+    offset = state.points[obs.point] - state.centres[obs.photo]
+    p = np.einsum("nji,nj->ni", state.rotations[obs.photo], offset)
+    return camera.project(p), p
+
+
+def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
+    """Return (N, 2) pixels, predicted less seen; behind the camera counts as far off."""
+    r = project_points(state, obs, lens_camera(priors.camera, state.lens))[0] - obs.pixels
+    return np.nan_to_num(np.clip(r, -1e4, 1e4), nan=1e4)
+
+
+def _cauchy(r2: F64, scale: float) -> tuple[F64, float]:
+    q = r2 / scale**2
+    return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
+
+
+def _huber(r2: F64, scale: float) -> tuple[F64, float]:
+    n = np.sqrt(r2)
+    return scale / np.maximum(n, scale), float(np.where(n <= scale, r2, 2 * scale * n - scale**2).sum())
+
+
+def _attitude(state: BundleState, priors: Priors) -> tuple[NDArray[np.int64], F64, F64]:
+    """Return who has an attitude prior, (k, 3) world residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
+    who = np.flatnonzero(
+        np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
+    )
+    body = priors.world_from_body[who]
+    expected = body @ (so3_exp(state.mounting) @ priors.body_from_cam)
+    r = np.array([so3_log(R @ E.T) for R, E in zip(state.rotations[who], expected, strict=True)]).reshape(-1, 3)
+    return who, r, -body
+
+
+def prior_cost(state: BundleState, priors: Priors) -> float:
+    """Return the cost of GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
+    g = np.nan_to_num((state.centres - priors.centres) / priors.sigma_centres)
+    who, a, _ = _attitude(state, priors)
+    cost = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[1]
+    cost += _huber(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
+    free = priors.sigma_lens > 0
+    cost += float(((state.lens[free] / priors.sigma_lens[free]) ** 2).sum())
+    return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
+
+
+def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixel_sigma: float, loss: float) -> float:
+    """Return the whole robust cost; `loss` is the Cauchy scale of the pictures in sigmas."""
+    r = residuals(state, obs, priors) / pixel_sigma
+    return _cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
+
+
+def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> tuple[F64, F64, F64, F64]:
+    """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2)."""
+    camera = lens_camera(priors.camera, state.lens)
+    offset = state.points[obs.point] - state.centres[obs.photo]
+    cam_from_world = np.swapaxes(state.rotations, 1, 2)[obs.photo]
+    p = np.einsum("nij,nj->ni", cam_from_world, offset)
+    z = np.maximum(p[:, 2:], 1e-3)
+    xy = p[:, :2] / z
+    f = np.array([camera.fu, camera.fv])
+    h = 1e-6
+    by_xy = np.stack(
+        [(camera.distort(xy + e) - camera.distort(xy - e)) / (2 * h) for e in ([h, 0.0], [0.0, h])], axis=2
+    )
+    by_xy = by_xy * f[:, None] / z[:, :, None]
+    by_p = np.concatenate([by_xy, -np.einsum("nij,nj->ni", by_xy, xy)[:, :, None]], axis=2)
+    by_point = by_p @ cam_from_world
+    by_rotation = -np.cross(offset[:, None, :], by_point)  # d(offset)/d(theta) = [offset]x, see eq. 2
+    pose = np.concatenate([-by_point, by_rotation], axis=2)
+    return residuals(state, obs, priors), pose, by_point, _by_lens(state, xy, priors)
+
+
+def _by_lens(state: BundleState, xy: F64, priors: Priors) -> F64:
+    columns = []
+    for k in np.flatnonzero(priors.sigma_lens > 0):
+        step = np.zeros(len(state.lens))
+        step[k] = 1e-5
+        a, b = (lens_camera(priors.camera, state.lens + s * step) for s in (1, -1))
+        at = [c.distort(xy) * [c.fu, c.fv] + [c.cu, c.cv] for c in (a, b)]
+        columns.append((at[0] - at[1]) / 2e-5)
+    return np.stack(columns, axis=2) if columns else np.zeros((len(xy), 2, 0))
+
+
+class Adjustment:
+    """One Gauss-Newton system over fixed observations: build it, step, accept or damp."""
+
+    def __init__(self, obs: BundleObservations, priors: Priors, pixel_sigma: float, loss: float) -> None:
+        self.obs, self.priors, self.pixel_sigma, self.loss = obs, priors, pixel_sigma, loss
+        self.photos = len(priors.centres)
+        self.free = np.flatnonzero(priors.sigma_lens > 0)
+        self.mounted = priors.sigma_mounting > 0
+        self.size = 6 * self.photos + len(self.free) + 3 * self.mounted
+
+    def cost(self, state: BundleState) -> float:
+        """Return the whole robust cost."""
+        return total_cost(state, self.obs, self.priors, self.pixel_sigma, self.loss)
+
+    def linearise(self, state: BundleState) -> None:
+        """Build the blocks of the normal equations (eq. 7)."""
+        obs, n6 = self.obs, 6 * self.photos
+        r, A, B, L = _jacobians(state, obs, self.priors)
+        w = np.sqrt(_cauchy((r**2).sum(axis=1) / self.pixel_sigma**2, self.loss)[0]) / self.pixel_sigma
+        r, A, B, L = r * w[:, None], A * w[:, None, None], B * w[:, None, None], L * w[:, None, None]
+        U, b = self._prior_blocks(state)
+        AT = np.swapaxes(A, 1, 2)
+        pose = _sum_by(obs.photo, AT @ A, self.photos)
+        for i in range(self.photos):
+            U[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += pose[i]
+        b[:n6] -= _sum_by(obs.photo, np.einsum("nki,nk->ni", A, r), self.photos).ravel()
+        lens = slice(n6, n6 + len(self.free))
+        cross = _sum_by(obs.photo, AT @ L, self.photos).reshape(n6, -1)
+        U[:n6, lens] += cross
+        U[lens, :n6] += cross.T
+        U[lens, lens] += np.einsum("nki,nkj->ij", L, L)
+        b[lens] -= np.einsum("nki,nk->i", L, r)
+        self.U, self.b = U, b
+        self.V = np.add.reduceat(np.swapaxes(B, 1, 2) @ B, obs.starts)
+        self.c = -np.add.reduceat(np.einsum("nki,nk->ni", B, r), obs.starts)
+        self.W = AT @ B  # (N, 6, 3)
+        self.WL = np.add.reduceat(np.swapaxes(L, 1, 2) @ B, obs.starts)  # (m, k, 3)
+
+    def _prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
+        pr, n = self.priors, self.photos
+        U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
+        g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
+        w = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
+        at = 6 * np.arange(n)[:, None] + np.arange(3)
+        U[at, at] += w
+        b[at] -= w * np.nan_to_num(state.centres - pr.centres)
+        who, r, by_mounting = _attitude(state, pr)
+        s2 = pr.sigma_rotation[who] ** 2
+        w = _huber((r**2 / s2).sum(axis=1), _PRIOR_LOSS)[0][:, None] / s2
+        rows = at[who] + 3
+        U[rows, rows] += w
+        b[rows] -= w * r
+        k = np.arange(len(self.free)) + 6 * n
+        U[k, k] += 1.0 / pr.sigma_lens[self.free] ** 2
+        b[k] -= state.lens[self.free] / pr.sigma_lens[self.free] ** 2
+        if self.mounted:
+            m = slice(self.size - 3, self.size)
+            cross = w[:, :, None] * by_mounting
+            U[rows, m] += cross
+            U[m, rows.ravel()] += cross.reshape(-1, 3).T
+            U[m, m] += np.einsum("nki,nkj->ij", by_mounting, cross) + np.eye(3) / pr.sigma_mounting**2
+            b[m] -= np.einsum("nki,nk->i", cross, r) + state.mounting / pr.sigma_mounting**2
+        return U, b
+
+    def reduce(self, damping: float) -> tuple[F64, F64, F64]:
+        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,), inverse point blocks (m, 3, 3)."""
+        V = self.V + damping * np.einsum("mij,ij->mij", self.V, np.eye(3)) + 1e-12 * np.eye(3)
+        inverse = np.linalg.inv(V)
+        half = np.linalg.cholesky(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
+        n6, k, m = 6 * self.photos, len(self.free), len(V)
+        pose = np.swapaxes(self.W @ half[self.obs.point], 1, 2)
+        indptr = np.append(self.obs.starts, len(self.obs.point))
+        GT = sparse.bsr_array((np.ascontiguousarray(pose), self.obs.photo, indptr), shape=(3 * m, n6))
+        lens = np.swapaxes(self.WL @ half, 1, 2).reshape(3 * m, k)
+        S, rhs = self.U.copy(), self.b.copy()
+        S[:n6, :n6] -= (GT.T @ GT).toarray()
+        cross = np.asarray(GT.T @ lens)
+        L = slice(n6, n6 + k)
+        S[:n6, L] -= cross
+        S[L, :n6] -= cross.T
+        S[L, L] -= lens.T @ lens
+        y = np.einsum("mji,mj->mi", half, self.c).ravel()
+        rhs[:n6] -= GT.T @ y
+        rhs[L] -= lens.T @ y
+        return S + damping * np.diag(np.diag(self.U)), rhs, inverse
+
+    def step(self, state: BundleState, damping: float) -> BundleState:
+        """Return the state after one damped step."""
+        S, rhs, inverse = self.reduce(damping)
+        x = np.linalg.solve(
+            S + 1e-12 * np.eye(len(S)), rhs
+        )  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
+        n6, k = 6 * self.photos, len(self.free)
+        pose, lens, mount = x[:n6].reshape(-1, 6), x[n6 : n6 + k], x[n6 + k :]
+        back = np.add.reduceat(np.einsum("nij,ni->nj", self.W, pose[self.obs.photo]), self.obs.starts)
+        back += np.einsum("mij,i->mj", self.WL, lens)
+        offsets = state.lens.copy()
+        offsets[self.free] += lens
+        return BundleState(
+            state.centres + pose[:, :3],
+            np.array([so3_exp(d) @ R for d, R in zip(pose[:, 3:], state.rotations, strict=True)]),
+            state.points + np.einsum("mij,mj->mi", inverse, self.c - back),
+            offsets,
+            state.mounting + mount if self.mounted else state.mounting,
+        )
+
+    def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
+        """Iterate (Levenberg-Marquardt) until the cost falls by less than a share; a step that costs more is damped."""
+        damping, cost = 1e-5, self.cost(state)
+        self.linearise(state)
+        for _ in range(iterations):
+            try:
+                trial = self.step(state, damping)
+                new = self.cost(trial)
+            except (np.linalg.LinAlgError, ValueError):
+                new = np.inf
+            if new > cost:
+                damping *= 10.0
+                if damping > 1e6:
+                    break
+                continue
+            done = cost - new < tolerance * cost
+            state, cost, damping = trial, new, max(damping / 10.0, 1e-12)
+            if done:
+                break
+            self.linearise(state)
+        return state
+
+    def covariance(self, state: BundleState) -> F64:
+        """Return (n, 6, 6) of position and rotation, lens, mounting and points marginalised (eq. 9)."""
+        self.linearise(state)
+        S = self.reduce(0.0)[0]
+        C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
+        return np.array([C[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(self.photos)])
+
+
+def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:
+    """Sum rows of (N, ...) values into (count, ...) by group."""
+    flat = values.reshape(len(values), -1)
+    chosen = sparse.csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
+    return np.asarray(chosen @ flat).reshape(count, *values.shape[1:])
+
+
+def triangulate_bundle(
+    centres: F64, rotations: F64, camera: Camera, obs: BundleObservations, rounds: int = 4, scale_px: float = 3.0
+) -> F64:
+    """Return (m, 3) points nearest to their rays, rays that disagree weighted down (midpoint method, Cauchy)."""
+    ray = camera.rays(obs.pixels)
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    d = np.einsum("nij,nj->ni", rotations[obs.photo], ray)
+    C = centres[obs.photo]
+    P = np.eye(3) - d[:, :, None] * d[:, None, :]
+    Pc = np.einsum("nij,nj->ni", P, C)
+    weight = np.ones(len(d))
+    for _ in range(rounds):
+        A = np.add.reduceat(weight[:, None, None] * P, obs.starts) + 1e-9 * np.eye(3)
+        X = np.linalg.solve(A, np.add.reduceat(weight[:, None] * Pc, obs.starts)[:, :, None])[:, :, 0]
+        off = X[obs.point] - C
+        distance = np.maximum(np.linalg.norm(off, axis=1), 1e-6)
+        miss = np.linalg.norm(np.einsum("nij,nj->ni", P, off), axis=1)
+        weight = 1.0 / (distance**2 * (1.0 + (miss / distance * camera.fu / scale_px) ** 2))
+        weight /= weight.max()
+    return np.asarray(X)
+
+
+def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:
+    """Return (m,) the angle in rad between the first ray of each point and the one farthest from it."""
+    d = points[obs.point] - centres[obs.photo]
+    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-9)
+    first = d[obs.starts][obs.point]
+    sine = np.linalg.norm(np.cross(first, d), axis=1)
+    return np.asarray(np.maximum.reduceat(np.arcsin(np.minimum(sine, 1.0)), obs.starts))

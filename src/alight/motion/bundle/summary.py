@@ -1,0 +1,134 @@
+"""What an adjustment found, in the words and numbers of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.motion.bundle.matching import BundleObservations, Index, PhotoFeatures
+from alight.motion.bundle.solver import BundleState, Priors, lens_camera, residuals
+from alight.records import F64, Frame, Motion
+from alight.settings import BundleSettings
+
+LEAST_SEEN = 20  # observations that a registered photo keeps
+_GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPoses:
+    """First poses of all photos, and what of the tags the pictures contradict."""
+
+    centres: F64  # (n, 3) metres
+    rotations: F64  # (n, 3, 3) world_from_cam
+    photos: Index  # those that have a pose
+    turned: Index  # attitude half a turn off
+    contradicted: Index  # attitude wrong
+    jumped: Index  # GPS wrong
+    warnings: list[str]
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """The adjusted state of all photos; only those in `registered` mean anything."""
+
+    state: BundleState
+    registered: Index
+    observations: BundleObservations  # of `state.points`, outliers removed
+    covariance: F64  # (n, 6, 6)
+    pixel_sigma: float
+    first: FirstPoses
+    placed: Index  # photos whose GPS was ignored and which were placed by resection
+    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...
+
+
+def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> str:
+    if np.isfinite(priors.centres).all(axis=1).sum() < 2:
+        return "no photo could be registered: fewer than two photos have a GPS position"
+    most = max((len(f.pixels) for f in features if f is not None), default=0)
+    why = (
+        "the photos have no texture"
+        if most < LEAST_SEEN
+        else "the photos do not overlap, or show nothing that stands still"
+    )
+    return f"no photo could be registered: {why}"
+
+
+def warn(
+    frames: Sequence[Frame],
+    features: Sequence[PhotoFeatures | None],
+    motions: Sequence[Motion | None],
+    priors: Priors,
+    solved: Solved,
+) -> list[str]:
+    """Say which photos were left out and why, and whose tags the pictures contradict."""
+    out = []
+    for frame, f, motion in zip(frames, features, motions, strict=True):
+        if motion is None:
+            out.append(f"{frame.name or frame.t_ns}: photo left out, {_why_out(f)}")
+    turned = np.intersect1d(solved.first.turned, solved.registered)
+    if len(turned):
+        out.append(f"{_names(frames, turned)}: attitude tag is half a turn off and was turned back")
+    wrong = np.intersect1d(solved.first.contradicted, solved.registered)
+    if len(wrong):
+        out.append(f"{_names(frames, wrong)}: attitude tag contradicts the pictures and was ignored")
+    jumped = np.intersect1d(solved.placed, solved.registered)
+    jumped = jumped[np.isfinite(priors.centres[jumped]).all(axis=1)]
+    if len(jumped):
+        out.append(f"{_names(frames, jumped)}: GPS position contradicts the pictures and was ignored")
+    off = np.abs(solved.state.centres - priors.centres) / priors.sigma_centres
+    far = [i for i in np.setdiff1d(solved.registered, jumped) if np.nan_to_num(off[i]).max() > _GPS_FAR]
+    if far:
+        out.append(
+            f"{_names(frames, far)}: GPS position is off by more than {_GPS_FAR:g} of its sigmas and was weighted down"
+        )
+    return out
+
+
+def _why_out(features: PhotoFeatures | None) -> str:
+    if features is None:
+        return "no image"
+    return "no texture" if len(features.pixels) < LEAST_SEEN else "too few matches with other photos"
+
+
+def _names(frames: Sequence[Frame], which: Sequence[int] | Index) -> str:
+    shown = [frames[i].name or str(frames[i].t_ns) for i in which[:3]]
+    return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
+
+
+def notes_of(
+    state: BundleState, obs: BundleObservations, priors: Priors, solved: Solved, settings: BundleSettings
+) -> dict[str, object]:
+    """Return the numbers of the report; lengths in metres, angles in rad, `_px` in pixels."""
+    camera = lens_camera(priors.camera, state.lens)
+    r = residuals(state, obs, priors)
+    gps = (state.centres - priors.centres)[solved.registered]
+    gps = gps[np.isfinite(gps).all(axis=1)]
+    sigma = np.sqrt([np.diag(solved.covariance[i]) for i in solved.registered])
+    return {
+        "registered": len(solved.registered),
+        "points": obs.points,
+        "observations": len(obs.photo),
+        "reprojection_rms_px": float(np.sqrt((r**2).sum(axis=1).mean())),
+        "reprojection_median_px": float(np.median(np.linalg.norm(r, axis=1))),
+        "focal": settings.focal,
+        "focal_px": [float(camera.fu), float(camera.fv)],
+        "lens": settings.lens,
+        "lens_free": _free_names(solved.free),
+        "principal_point_px": [float(camera.cu), float(camera.cv)],
+        "distortion": [float(d) for d in camera.distortion],
+        "mounting": [float(m) for m in state.mounting],
+        "gps_rms": [float(g) for g in np.sqrt((gps**2).mean(axis=0))],
+        "sigma_position": [float(s) for s in np.median(sigma[:, :3], axis=0)],
+        "sigma_rotation": [float(s) for s in np.median(sigma[:, 3:], axis=0)],
+        "attitude_turned": len(solved.first.turned),
+        "gps_ignored": len(solved.placed),
+        "attitude_ignored": len(solved.first.contradicted),
+    }
+
+
+def _free_names(free: NDArray[np.bool_]) -> list[str]:
+    names = ("focal", "aspect", "cu", "cv", *(f"distortion {k + 1}" for k in range(len(free) - 4)))
+    return [name for name, is_free in zip(names, free, strict=True) if is_free]

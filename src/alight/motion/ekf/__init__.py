@@ -1,0 +1,1 @@
+"""The structure-from-motion extended Kalman filter."""

@@ -1,0 +1,49 @@
+"""What a camera measures of a point, and its Jacobians (docs/method-motion.md, M11)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.geometry import Camera, Pose
+from alight.motion.rotations import skews
+from alight.records import F64, Tracks
+from alight.settings import FilterSettings
+
+
+def project(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
+    """Return the normalised coordinates (..., 2) of world points (..., 3) in one camera (M11)."""
+    q = ((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation
+    return np.asarray(q[..., :2] / q[..., 2:3])
+
+
+def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
+    """Return the Jacobians of `project` by the rig's (rotation, position), (..., 2, 6), and by the point (..., 2, 3).
+
+    With d = x - p and C = cam_from_world: d(q) = C (dx - dp + [d]x theta), theta the rotation error in the world.
+    """
+    cam_from_world = rig_from_cam.rotation.T @ R.T
+    d = x - p
+    q = (d @ R - rig_from_cam.translation) @ rig_from_cam.rotation
+    w = 1.0 / q[..., 2]
+    J = np.zeros((*x.shape[:-1], 2, 3))
+    J[..., 0, 0] = J[..., 1, 1] = w
+    J[..., 0, 2], J[..., 1, 2] = -q[..., 0] * w**2, -q[..., 1] * w**2
+    by_point = J @ cam_from_world
+    by_pose = np.concatenate([by_point @ skews(d), -by_point], axis=-1)
+    return by_pose, by_point
+
+
+def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
+    """Return the (N,) 1-sigma of normalised coordinates (M13): the SSD minimum is as sharp as the texture is strong.
+
+    On the sample flight's rendered pond the tracks are off by 0.47 px RMS, on short grass by 0.12, on tall grass by
+    0.07; 1 / sqrt(texture) predicts 0.50, 0.22, 0.10.
+    """
+    texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
+    relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))
+    return np.asarray(np.clip(relative, 0.5, 4.0) * (noise.pixel_sigma / camera.fu))
+
+
+def depths(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> F64:
+    """Return the (...) distances of (..., 3) points along the optical axis, metres."""
+    return np.asarray((((x - p) @ R - rig_from_cam.translation) @ rig_from_cam.rotation)[..., 2])

@@ -1,0 +1,1 @@
+"""The batch smoother of a recorded flight."""

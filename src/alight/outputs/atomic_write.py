@@ -1,0 +1,55 @@
+"""Files written whole or not at all: beside, to the disk, then renamed."""
+
+from __future__ import annotations
+
+import errno
+import os
+from pathlib import Path
+
+from alight.records import OutputError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """Say what the operating system said as a line that a user can act on."""
+    if error.errno in _FULL:
+        return OutputError(f"{path}: the disk is full; free some space or choose another folder with --out")
+    if isinstance(error, PermissionError) or error.errno == errno.EROFS:
+        return OutputError(f"{path}: no permission to write; choose another folder with --out")
+    return OutputError(f"{path}: cannot be written ({error.strerror or error}); choose another folder with --out")
+
+
+def partial_path(path: Path) -> Path:
+    """The name under which a file is written before it is whole."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def _sync(folder: Path) -> None:
+    fd = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Put `data` at `path` so that no reader, crash or Ctrl-C ever meets a half of it.
+
+    Raises:
+        OutputError: the disk is full or the place may not be written; the old file, if any, is untouched.
+    """
+    part = partial_path(path)
+    try:
+        with part.open("wb") as f:
+            f.write(data)
+            f.flush()
+            os.fsync(f.fileno())
+        os.replace(part, path)
+        _sync(path.parent)
+    except OSError as e:
+        part.unlink(missing_ok=True)
+        raise output_error(path, e) from e
+    except BaseException:  # Ctrl-C
+        part.unlink(missing_ok=True)
+        raise

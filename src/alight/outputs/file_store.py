@@ -1,0 +1,60 @@
+"""Tiles of the map that the vehicle has left behind, on the disk instead of in memory."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator, MutableMapping
+from pathlib import Path
+
+from alight.elevation import Name
+from alight.outputs.atomic_write import output_error
+
+
+class FileStore(MutableMapping[Name, bytes]):
+    """Packed tiles in one nameless file beside the run's own, which the system removes however the run ends.
+
+    A tile that is put again takes its old place where it fits, and a new one at the end of the file where not.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._size: dict[Name, int] = {}
+        self._room: dict[Name, tuple[int, int]] = {}  # where a tile is or was, and how many bytes go there
+        try:
+            self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  (lives as long as the run)
+        except OSError as e:
+            raise output_error(folder, e) from e
+
+    def __setitem__(self, name: Name, packed: bytes) -> None:
+        """Write a tile.
+
+        Raises:
+            OutputError: the disk is full.
+        """
+        where, room = self._room.get(name, (0, 0))
+        try:
+            if len(packed) > room:
+                where, room = self._file.seek(0, 2), len(packed)
+            self._file.seek(where)
+            self._file.write(packed)
+        except OSError as e:
+            raise output_error(self._folder, e) from e
+        self._size[name], self._room[name] = len(packed), (where, room)
+
+    def __getitem__(self, name: Name) -> bytes:
+        size = self._size[name]
+        self._file.seek(self._room[name][0])
+        return self._file.read(size)
+
+    def __delitem__(self, name: Name) -> None:
+        del self._size[name]
+
+    def __iter__(self) -> Iterator[Name]:
+        return iter(self._size)
+
+    def __len__(self) -> int:
+        return len(self._size)
+
+    def close(self) -> None:
+        """Give the room on the disk back."""
+        self._file.close()

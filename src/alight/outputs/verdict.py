@@ -1,0 +1,120 @@
+"""What `alight hazards` leaves behind: the verdict on a height raster, on that raster's own grid and coordinates."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rasterio.crs import CRS
+from rasterio.errors import RasterioError
+from rasterio.warp import transform
+
+from alight import __version__, report
+from alight.outputs import rasters, vectors
+from alight.outputs.atomic_write import write_whole
+from alight.outputs.folder import RUN_JSON, prepare_folder
+from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites
+
+log = logging.getLogger(__name__)
+
+
+def _findings(h: HazardMap) -> rasters.RasterFile:
+    names = ("slope", "roughness", "step", "clearance", "quality")
+    return rasters.RasterFile(
+        np.stack([getattr(h, n) for n in names]), names, nodata=np.nan, tags={"unit": "slope in rad"}
+    )
+
+
+def _reasons(h: HazardMap) -> rasters.RasterFile:
+    tags = {f"bit_{r.value.bit_length() - 1}": (r.name or "").lower() for r in Hazard}
+    return rasters.RasterFile(h.reasons[None], ("reasons",), tags=tags, resampling="NEAREST")
+
+
+def _heights(e: ElevationMap) -> rasters.RasterFile:
+    known = e.trusted
+    bands = np.stack([np.where(known, a, np.float32(np.nan)) for a in (e.height, e.sigma)])
+    return rasters.RasterFile(bands, ("height", "sigma"), "m", np.nan)
+
+
+def _places(sites: Sites, crs: CRS | None) -> list[list[float]] | None:
+    """Longitude, latitude and height of every site; None where the raster says nothing about its place on Earth."""
+    if crs is None:
+        return None
+    try:
+        lon, lat = transform(crs, "EPSG:4326", [s.east for s in sites.sites], [s.north for s in sites.sites])
+    except RasterioError as e:
+        log.info("no place on Earth: %s", e)
+        return None
+    return [[round(x, 9), round(y, 9), round(s.up, 3)] for x, y, s in zip(lon, lat, sites.sites, strict=True)]
+
+
+def verdict_geojson(sites: Sites, crs: CRS | None) -> dict[str, Any] | None:
+    """The sites in order of rank, as GeoJSON; None where their place on Earth is unknown."""
+    places = _places(sites, crs)
+    if places is None and sites.sites:
+        return None
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Point", "coordinates": at},
+            "properties": vectors.site_properties(s),
+        }
+        for at, s in zip(places or [], sites.sites, strict=True)
+    ]
+    none = {} if features else {"reason": sites.reason or "no site was found"}
+    return {"type": "FeatureCollection", "features": features, **none}
+
+
+def _summary(result: RunResult, crs: CRS | None) -> dict[str, Any]:
+    hazards = result.hazards
+    assert hazards is not None
+    judged = np.isfinite(hazards.p_safe)
+    shares = {(r.name or "").lower(): round(float(((hazards.reasons & np.uint8(r)) != 0).mean()), 6) for r in Hazard}
+    sites = [vectors.site_properties(s) | {"up_m": vectors.number(s.up, 3)} for s in result.sites.sites]
+    return {
+        "alight": __version__,
+        "input": {"name": result.source_name, "kind": result.source_kind},
+        "crs": crs.to_string() if crs else None,
+        "answer": {"sites": sites, "reason": result.sites.reason},
+        "share_safe": round(float((hazards.reasons == 0).mean()), 6),
+        "share_judged": round(float(judged.mean()), 6),
+        "share_refused": shares,
+        "notes": vectors.plain(result.notes),
+        "warnings": list(result.warnings),
+        "settings": result.settings.model_dump(mode="json"),
+    }
+
+
+def write_verdict(result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool) -> list[Path]:
+    """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
+
+    `heights.tif` is added where an image made the heights finer.
+
+    Raises:
+        OutputError: the folder holds other things, or cannot be written.
+    """
+    hazards, elevation = result.hazards, result.elevation
+    assert hazards is not None
+    assert elevation is not None
+    place = crs or CRS.from_wkt(rasters.LOCAL_WKT)
+    grid = hazards.grid
+    files: dict[str, Callable[[], bytes]] = {
+        "safe.tif": lambda: rasters.encode(rasters.safe_raster(hazards), grid, place),
+        "reasons.tif": lambda: rasters.encode(_reasons(hazards), grid, place),
+        "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
+    }
+    if sharpened:
+        files["heights.tif"] = lambda: rasters.encode(_heights(elevation), grid, place)
+    if (sites := verdict_geojson(result.sites, crs)) is not None:
+        files["sites.geojson"] = lambda: vectors.json_bytes(sites)
+    files["report.html"] = lambda: report.render(result).encode()
+    files[RUN_JSON] = lambda: vectors.json_bytes(_summary(result, crs))
+    prepare_folder(out, overwrite)
+    for stale in (RUN_JSON, "heights.tif", "sites.geojson"):
+        (out / stale).unlink(missing_ok=True)
+    for name, made in files.items():
+        write_whole(out / name, made())
+    return [out / name for name in files]

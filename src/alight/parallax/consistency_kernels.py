@@ -1,0 +1,57 @@
+"""Loop over views of one instant: what they see alike and the others do not (docs/method.md, eq. 15a)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, parallel_kernel, prange
+
+F32 = NDArray[np.float32]
+I64 = NDArray[np.int64]
+
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+
+
+@kernel
+def _pair_row(a: F32, b: F32, m: F32, cut: np.float32, both: F32, own: F32, count: F32) -> None:
+    for c in range(m.size):
+        ea, eb = a[c] - m[c], b[c] - m[c]
+        good = (abs(ea) < cut) & (abs(eb) < cut)  # False for NaN
+        ea, eb = (ea if good else ZERO), (eb if good else ZERO)
+        both[c] += ea * eb
+        own[c] += HALF * (ea * ea + eb * eb)
+        count[c] += ONE if good else ZERO
+
+
+@kernel
+def _texture_row(m: F32, square: F32, count: F32) -> None:
+    for c in range(m.size):
+        known = m[c] == m[c]
+        v = m[c] if known else ZERO
+        square[c] += v * v
+        count[c] += ONE if known else ZERO
+
+
+@kernel
+def _fold_row(sums: F32, block: int, out: F32) -> None:
+    for c in range(sums.size):
+        out[c // block] += sums[c]
+
+
+@parallel_kernel
+def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32) -> None:
+    """Fill `out` (5, R / block, C / block), rounded up, with sums over blocks of cells.
+
+    Of the deviations e from the template `mean`, over `pairs` (K, 2) of the `samples` (N, R, C): e_i e_j, the mean of
+    their squares, and the number of cells where both are known and below `cut`; then the template's squares and number.
+    """
+    rows, cols = mean.shape
+    for k in prange(out.shape[1]):
+        sums = np.zeros((5, cols), np.float32)
+        for r in range(k * block, min((k + 1) * block, rows)):
+            for p in range(pairs.shape[0]):
+                a, b = samples[pairs[p, 0], r], samples[pairs[p, 1], r]
+                _pair_row(a, b, mean[r], np.float32(cut), sums[0], sums[1], sums[2])
+            _texture_row(mean[r], sums[3], sums[4])
+        for s in range(5):
+            out[s, k] = ZERO
+            _fold_row(sums[s], block, out[s, k])

@@ -1,0 +1,150 @@
+"""Gauss-Newton on the world grid: sub-pixel heights from the fused template's gradient (docs/method.md, eqs. 8-12)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid
+from alight.parallax import gauss_newton_kernels as kernels
+from alight.parallax import uncertainty_kernels as trust
+from alight.parallax import view_kernels as looks
+from alight.parallax import visibility_kernels as surface
+from alight.parallax.sorting_kernels import network
+from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
+from alight.records import F32, F64
+
+TAU = np.float32(0.35)  # normalised grey: from four times this on a view counts nothing
+SEEN_BLOCK = 4  # cells
+BLOCK = 8  # cells of half resolution
+LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
+HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
+STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
+# of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they are not:
+# neighbours share pixels, so 100 left three times the noise on a concrete slab
+PRIOR = 4500.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Heights and what the last step knew about them; all (R, C)."""
+
+    height: F32
+    precision: F32  # Lambda of the window, normalised grey^2 / m^2
+    noise: F32  # s2 of the window, normalised grey^2
+    mean: F32  # template m
+    used: NDArray[np.uint8]  # views that agreed
+    seen: NDArray[np.uint8]  # views that saw the cell
+    metres_per_px: F32  # height that moves the outermost of them apart by one cell
+
+
+def median_height(height: F32) -> float:
+    """About the median of the known heights, metres; 0 where none is known. The exact one costs a step's time."""
+    for every in (8, 1):
+        some = height[::every, ::every]
+        some = some[np.isfinite(some)]
+        if some.size:
+            return float(np.median(some))
+    return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ViewGeometry:
+    """How the views see each block of `SEEN_BLOCK` x `SEEN_BLOCK` cells."""
+
+    baseline: F32  # metres between the outermost views that see it
+    count: NDArray[np.uint8]  # of these views
+    metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
+
+
+def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
+    """Look at the ground about `height` (R, C) from all views, block by block; the middle where it is unknown."""
+    wide = grid.coarser(SEEN_BLOCK)
+    k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
+    known = height[k::SEEN_BLOCK, k::SEEN_BLOCK]
+    level = np.full(wide.shape, median_height(height), np.float32)
+    inner = level[: known.shape[0], : known.shape[1]]
+    np.copyto(inner, known, where=np.isfinite(known))
+    seen = np.array([maps(p, wide, level)[0] for p in prepared])
+    seen[seen < 0] = np.nan
+    centres = centres_of(prepared)
+    baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
+    looks.baseline(seen, centres, baseline, count)
+    drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
+    return ViewGeometry(baseline, count, np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop))
+
+
+def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
+    """The values of blocks of `factor` x `factor` cells on the cells of the grid."""
+    size = (values.shape[1] * factor, values.shape[0] * factor)
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
+
+
+def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:
+    """(N, R / 2, C / 2): 0 where the map stands between a cell and the camera (eq. 13); single spikes hide nothing."""
+    wide = grid.coarser(2)
+    height = np.ascontiguousarray(height[::2, ::2])
+    centres = centres_of(prepared)
+    out = np.empty((len(prepared), *wide.shape), np.uint8)
+    solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
+    tops = _tops(solid, wide, centres)
+    solid[solid <= LOWEST] = np.nan
+    margin = np.float32(HIDE_PX) * metres_per_px[::2, ::2]
+    surface.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
+    return out
+
+
+def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
+    """For each block of cells the highest height within reach of its rays to the cameras."""
+    tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
+    surface.block_tops(solid, BLOCK, LOWEST, tops)
+    high = float(tops.max())
+    if high <= LOWEST:
+        return tops
+    low = float(solid.min(where=solid > LOWEST, initial=high))
+    xs, ys = grid.xy()
+    corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
+    flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)
+    reach = math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1
+    return np.asarray(cv2.dilate(tops, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
+
+
+def gauss_newton(
+    prepared: list[Prepared],
+    grid: Grid,
+    height: F32,
+    metres_per_px: F32,
+    visible: NDArray[np.uint8] | None,
+    iterations: int,
+    buffers: Buffers | None = None,
+    prior: float = PRIOR,
+) -> Fit:
+    """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
+
+    `visible` (N, R / 2, C / 2) leaves views out where the map stands in their way, unless it leaves one only: then the
+    map is wrong. What the fit knows beside the heights is of where the last iteration began. With `buffers`, the fit
+    holds until they are used again.
+    """
+    held = buffers or Buffers()
+    shape, xs_ys = grid.shape, grid.xy()
+    names = ("height", "precision", "noise", "mean", "lambda", "eta", "s2", "step")
+    h, precision, noise, mean, lam, eta, s2, step = (held.get(name, shape) for name in names)
+    used, seen = held.get("used", shape, np.uint8), held.get("seen", shape, np.uint8)
+    np.copyto(h, height)
+    centres = centres_of(prepared)
+    for _ in range(iterations):
+        samples = stack(prepared, grid, h, held)
+        if visible is not None:
+            trust.veil(visible, samples)
+        kernels.normal_equations(
+            samples, network(len(samples)), TAU, centres, *xs_ys, h, grid.cell, mean, used, seen, lam, eta, s2
+        )  # fmt: skip
+        kernels.solve_window(lam, eta, s2, h, metres_per_px, STEP_PX, step, precision, noise)
+        moved = np.add(h, step, out=step)
+        surface.plane_prior(moved, precision, noise, metres_per_px, prior, h)
+    return Fit(h, precision, noise, mean, used, seen, metres_per_px)

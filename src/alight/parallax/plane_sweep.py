@@ -1,0 +1,205 @@
+"""Heights from nothing: a plane sweep along the rays of one view with semi-global aggregation (cold start, recordings).
+
+The cells of the sweep are those of the world grid where its ground is, but a hypothesis about what stands higher moves
+along the ray to the reference view, not up: each ray then meets one surface. A cell of the world grid can be explained
+at the height of the ground by whatever stands before it, and things seen from the side went missing.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, box_of
+from alight.parallax import sweep_kernels as kernels
+from alight.parallax.sorting_kernels import network
+from alight.parallax.views import Prepared, centres_of, maps, sample
+from alight.records import F32, F64
+
+KEEP = 0.7  # share of the views that has to agree
+TRUNCATION = np.float32(1.5)  # normalised grey
+P1, P2 = np.float32(0.1), np.float32(1.0)  # for one plane and for more between neighbours
+EDGE = np.float32(0.5)  # how much less of P2 where the reference has an edge
+MOST_PLANES = 192
+GAP = 2  # cells
+MOST_REFERENCES = 4  # views whose rays are swept: what one does not see another does
+LEAST_WANTED = 0.25  # of a block
+LEAST_BLOCKS = 4  # of a region
+SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
+
+Mask = NDArray[np.bool_]
+Span = tuple[float, float]  # lowest and highest height, metres
+Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
+
+
+def parallax_per_metre(centres: F64, height: float) -> float:
+    """Metres of slide over the ground between the two outermost of the `centres` (N, 3), a metre of height."""
+    v = centres[:, :2] / np.maximum(centres[:, 2:] - height, 1e-3)
+    return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
+
+
+def planes(centres: F64, low: float, high: float, cell: float) -> F32:
+    """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `MOST_PLANES`."""
+    slide = max(parallax_per_metre(centres, 0.5 * (low + high)), 1e-3)
+    count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, MOST_PLANES))
+    return np.linspace(low, high, count).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """Views registered on the plane at `ground`: there a hypothesis of another height is a shift and a scale."""
+
+    grid: Grid
+    ground: float  # metres
+    pictures: F32  # (N, R, C) normalised grey, NaN outside; only views that see some of it
+    centres: F64  # (N, 3) metres
+    guide: F32  # (R, C) the picture of the reference
+
+    def at(self, cells: Grid, height: float, about: F64) -> tuple[F64, F64]:
+        """Scale (N,) and shift (N, 2) from row and column of `cells` that go to `height` along the rays to `about`."""
+        s = (about[2] - height) / (about[2] - self.ground)
+        t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - height)
+        first = np.array([cells.east, cells.north])
+        place = self.centres[:, :2] + t[:, None] * (about[:2] + s * (first - about[:2]) - self.centres[:, :2])
+        row, col = self.grid.index(place[:, 0], place[:, 1])
+        return s * t * (cells.cell / self.grid.cell), np.column_stack([row, col])
+
+
+def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
+    """Register views on the plane at `ground` about `grid`, so far beyond it as the heights `searched` need."""
+    centres = centres_of(prepared)
+    slide = np.abs(centres[:, None, :2] - centres[None, :, :2]).max()
+    share = max(abs((centres[:, 2].min() - ground) / (centres[:, 2].min() - z) - 1) for z in searched)
+    pad = math.ceil(slide * share / grid.cell) + 3
+    wide = grid.window(-pad, -pad, grid.rows + 2 * pad, grid.cols + 2 * pad)
+    level = np.full(wide.shape, ground, np.float32)
+    pictures = np.empty((len(prepared), *wide.shape), np.float32)
+    for i, p in enumerate(prepared):
+        sample(p.norm, *maps(p, wide, level), out=pictures[i], how=cv2.INTER_CUBIC)
+    sees = np.isfinite(pictures[:, ::SEEN_BLOCK, ::SEEN_BLOCK]).any(axis=(1, 2))
+    inner = pictures[reference, pad : pad + grid.rows, pad : pad + grid.cols]
+    return Registered(wide, ground, pictures[sees], centres[sees], np.ascontiguousarray(inner))
+
+
+def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) -> Grid:
+    """The cells at `ground` whose rays to the reference cross `grid` where `searched`, where it has a picture."""
+    about = reference.centre
+    x, y = (v[[0, -1]] for v in grid.xy())
+    share = np.array([(about[2] - ground) / (about[2] - z) for z in searched])
+    east = (about[0] + np.multiply.outer(share, x - about[0])).ravel()
+    north = (about[1] + np.multiply.outer(share, y - about[1])).ravel()
+    (top, bottom), (left, right) = ((math.floor(i.min()), math.ceil(i.max()) + 1) for i in grid.index(east, north))
+    wide = grid.window(top, left, bottom - top, right - left)
+    seen = np.full(wide.coarser(SEEN_BLOCK).shape, ground, np.float32)
+    rows, cols = box_of(maps(reference, wide.coarser(SEEN_BLOCK), seen)[0] >= 0)
+    top, left = max(rows.start - 1, 0) * SEEN_BLOCK, max(cols.start - 1, 0) * SEEN_BLOCK
+    bottom, right = min((rows.stop + 1) * SEEN_BLOCK, wide.rows), min((cols.stop + 1) * SEEN_BLOCK, wide.cols)
+    return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
+
+
+def sweep_unseen(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, wanted: Mask) -> Swept:
+    """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
+
+    What that one does not see, behind a step or beyond its border, is swept along the rays of others.
+    """
+    height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+    left = wanted.copy()
+    for _ in range(MOST_REFERENCES):
+        for where in regions(left):
+            rows, cols = where
+            part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
+            reference = best_reference(prepared, part, ground, left[where])
+            if reference is None:
+                continue
+            found, of = sweep(prepared, part, searched, ground, reference)
+            take = left[where] & np.isfinite(found)
+            np.copyto(height[where], found, where=take)
+            np.copyto(ratio[where], of, where=take)
+            left[where] &= ~take if take.any() else False  # another try would ask the same view again
+    return height, ratio
+
+
+def regions(wanted: Mask) -> list[tuple[slice, slice]]:
+    """The rectangles about blocks with wanted cells; a few of them in a block are not worth a sweep."""
+    shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
+    whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
+    whole[: wanted.shape[0], : wanted.shape[1]] = wanted
+    share = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
+    count, labels = cv2.connectedComponents((share > LEAST_WANTED).astype(np.uint8), connectivity=4)
+    boxes = [box_of(labels == k) for k in range(1, count)]
+    return [
+        (slice(r.start * SEEN_BLOCK, min(r.stop * SEEN_BLOCK, wanted.shape[0])),
+         slice(c.start * SEEN_BLOCK, min(c.stop * SEEN_BLOCK, wanted.shape[1])))
+        for r, c in boxes if (r.stop - r.start) * (c.stop - c.start) >= LEAST_BLOCKS
+    ]  # fmt: skip
+
+
+def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int | None:
+    """The view that sees most of the `wanted` cells were they at `ground`, the steeper the better; None: none sees."""
+    wide = grid.coarser(SEEN_BLOCK)
+    share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
+    level = np.full(wide.shape, ground, np.float32)
+    x, y = np.meshgrid(*wide.xy())
+    worth = []
+    for p in prepared:
+        tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
+        worth.append(float((share * (maps(p, wide, level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()))
+    return int(np.argmax(worth)) if max(worth) > 0 else None
+
+
+def sweep(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int) -> Swept:
+    """Find the height of every cell that view `reference` sees (docs/method.md, eqs. 6 and 7).
+
+    `searched`: lowest and highest height, metres; `ground`: metres, about where most of it lies. As many planes are
+    tried as the views that see any of it can tell apart.
+
+    Returns:
+        heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
+        second one fits.
+    """
+    about = prepared[reference].centre
+    rays = ray_lattice(grid, ground, searched, prepared[reference])
+    views = register(prepared, rays, ground, searched, reference)
+    levels = planes(views.centres, *searched, grid.cell)
+    cost = np.empty((*rays.shape, len(levels)), np.float32)
+    plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
+    pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
+    seen = np.zeros(rays.shape, np.int32)
+    for k, z in enumerate(levels):
+        scale, shift = views.at(rays, float(z), about)
+        kernels.sweep_cost(views.pictures, scale, shift, pairs, KEEP, TRUNCATION, plane, count)
+        cost[:, :, k] = cv2.blur(plane, (3, 3))
+        if k == usual:  # beyond the border only a wrong height brings a second view in
+            seen = count.copy()
+    seen[np.isnan(views.guide)] = 0
+    halves = np.empty((2, *cost.shape), np.float32)
+    kernels.aggregate(cost, np.nan_to_num(views.guide), P1, P2, EDGE, halves)
+    total = np.add(halves[0], halves[1], out=halves[0])
+    index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
+    kernels.winner(total, cost, seen, index, ratio)
+    spacing = levels[1] - levels[0]
+    found = cv2.medianBlur((levels[0] + spacing * index).astype(np.float32), 3)  # single spikes
+    return upright(found, ratio, rays, ground, about, grid)
+
+
+def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid) -> Swept:
+    """Put what was found along the rays to `about` on the world grid: of several in one cell, the highest."""
+    height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+    to = np.array(
+        [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
+    )
+    kernels.splat(found, ratio, ground, rays.cell, to, height, which)
+    return close_gaps(height), which
+
+
+def close_gaps(height: F32) -> F32:
+    """Fill gaps of a few cells with the lowest height beside them: what a step hides lies at its foot."""
+    known = np.isfinite(height)
+    near = np.ones((2 * GAP + 1,) * 2, np.uint8)
+    gap = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known
+    lowest = cv2.erode(np.where(known, height, np.float32(np.inf)), near)
+    return np.where(gap, lowest, height)

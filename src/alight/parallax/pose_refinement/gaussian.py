@@ -1,0 +1,121 @@
+"""What is believed of the exposures' poses and of the map's plane together: one normal distribution.
+
+The navigation lane tells it of the poses, the pictures correct it (docs/method.md, eqs. 22 to 25).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Pose, so3_exp, so3_log
+from alight.records import F64, KeyframePosterior
+
+PLANE = 3  # offset up [m], rise per metre towards east and towards north [rad]
+POSE = 6  # position [m], rotation vector [rad], world axes
+
+
+def moved(pose: Pose, error: F64) -> Pose:
+    """The pose with an error (6,) taken out."""
+    return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
+
+
+def between(a: Pose, b: Pose) -> F64:
+    """The error (6,) that takes `a` to `b`."""
+    return np.concatenate([b.translation - a.translation, so3_log(b.rotation @ a.rotation.T)])
+
+
+@dataclass(frozen=True, eq=False)
+class PoseGaussian:
+    """Means and joint covariance; errors are what must be added to the map's plane and to the poses."""
+
+    times: tuple[int, ...]  # t_ns of the exposures
+    poses: tuple[Pose, ...]  # world_from_body
+    covariance: F64  # (3 + 6E, 3 + 6E)
+    plane: F64  # (3,) mean of the map's error
+    start: F64  # (3 + 6E,) error from which to look for the best one: where the last step ended
+
+    @classmethod
+    def none(cls, plane_sigma: F64) -> PoseGaussian:
+        """No exposure, and a plane of which only this much is known."""
+        return cls((), (), np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
+
+    def rows(self, times: Collection[int]) -> NDArray[np.int64]:
+        """Where the exposures of these times are."""
+        each = [np.arange(PLANE + POSE * k, PLANE + POSE * (k + 1)) for k, t in enumerate(self.times) if t in times]
+        return np.concatenate([*each, np.empty(0, np.int64)]).astype(np.int64)
+
+    def told(self, ring: KeyframePosterior) -> PoseGaussian:
+        """Take over what the navigation lane says of its keyframes (eq. 23).
+
+        Of those that it holds, what was believed is replaced; what was believed of the others and of the plane given
+        these stays, so that they follow. A lane that tells of each exposure once leaves the correction to the pictures.
+        """
+        at = {m.t_ns: k for k, m in enumerate(ring.motions)}
+        shared = [t for t in self.times if t in at]
+        new = [t for t in at if t not in self.times]
+        mine, rest = self.rows(shared), np.setdiff1d(np.arange(len(self.covariance)), self.rows(shared))
+        theirs, theirs_new = (_rows_of([at[t] for t in ts]) for ts in (shared, new))
+        P, Q = self.covariance, ring.covariance
+        gain = regress_on(P[np.ix_(mine, mine)], P[np.ix_(mine, rest)])
+        out = np.zeros((len(P) + len(theirs_new),) * 2)
+        fresh = np.arange(len(P), len(out))
+        S = Q[np.ix_(theirs, theirs)]
+        out[np.ix_(mine, mine)] = S
+        out[np.ix_(rest, rest)] = P[np.ix_(rest, rest)] + gain @ (S - P[np.ix_(mine, mine)]) @ gain.T
+        out[np.ix_(mine, rest)] = S @ gain.T
+        out[np.ix_(fresh, fresh)] = Q[np.ix_(theirs_new, theirs_new)]
+        out[np.ix_(fresh, mine)] = Q[np.ix_(theirs_new, theirs)]
+        out[np.ix_(fresh, rest)] = Q[np.ix_(theirs_new, theirs)] @ gain.T
+        out[np.ix_(rest, mine)] = out[np.ix_(mine, rest)].T
+        out[: len(P), len(P) :] = out[len(P) :, : len(P)].T
+        poses = dict(zip(self.times, self.poses, strict=True))
+        shift = np.zeros(len(P))
+        for t in shared:
+            shift[self.rows([t])] = between(poses[t], ring.motions[at[t]].world_from_body)
+        shift[rest] = gain @ shift[mine]
+        means = [moved(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
+        means += [ring.motions[at[t]].world_from_body for t in new]
+        lead = regress_on(S, Q[np.ix_(theirs, theirs_new)]) @ (self.start - shift)[mine]
+        return PoseGaussian(
+            (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
+            np.concatenate([self.start - shift, lead]),
+        )  # fmt: skip
+
+    def kept(self, times: Collection[int]) -> PoseGaussian:
+        """Forget all other exposures."""
+        keep = np.concatenate([np.arange(PLANE), self.rows(times)])
+        pairs = [(t, p) for t, p in zip(self.times, self.poses, strict=True) if t in times]
+        return replace(
+            self, times=tuple(t for t, _ in pairs), poses=tuple(p for _, p in pairs),
+            covariance=self.covariance[np.ix_(keep, keep)], start=self.start[keep],
+        )  # fmt: skip
+
+    def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
+        """Where the error is this: it is taken out, of the map as well."""
+        poses = tuple(moved(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
+        return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
+
+    def with_plane(self, sigma: F64) -> PoseGaussian:
+        """Of the plane only this much is known."""
+        P = self.covariance.copy()
+        P[:PLANE], P[:, :PLANE] = 0.0, 0.0
+        P[:PLANE, :PLANE] = np.diag(sigma**2)
+        return replace(self, covariance=P)
+
+
+def regress_on(P: F64, across: F64) -> F64:
+    """What is expected of others (m,) of those with covariance `P` (n, n): (m, n), their covariance `across` (n, m).
+
+    Errors that all have in common make `P` singular; a share of 1e-9 of its variances leaves the answer what it is.
+    """
+    if not len(P):
+        return np.zeros((across.shape[1], 0))
+    return np.asarray(np.linalg.solve(P + np.diag(1e-9 * np.diag(P) + 1e-18), across).T)
+
+
+def _rows_of(at: list[int]) -> NDArray[np.int64]:
+    return (POSE * np.array(at, np.int64)[:, None] + np.arange(POSE)).ravel()

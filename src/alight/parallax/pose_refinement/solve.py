@@ -1,0 +1,175 @@
+"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method.md, section 8).
+
+The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
+there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, Pose, ground_projection, plane_on
+from alight.parallax.gauss_newton import TAU
+from alight.parallax.gauss_newton_kernels import template
+from alight.parallax.pose_refinement import kernels
+from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, moved
+from alight.parallax.sorting_kernels import network
+from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
+from alight.records import F32, F64
+
+log = logging.getLogger(__name__)
+
+CELLS = 1500  # that take part
+TAKEN = 0.5  # share of the heights that a step takes from its own pictures (eq. 16)
+LEAST = 40  # cells that a view must share with others
+CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
+UNLIKELY = 6.0  # squared error over its covariance, a degree of freedom, at which nothing is believed
+APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cells it has
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementView:
+    """One view, as it takes part."""
+
+    prepared: Prepared
+    body_from_cam: Pose
+    exposure: int  # t_ns
+
+    def at(self, world_from_body: Pose) -> Prepared:
+        """The same picture seen from elsewhere."""
+        return posed(self.prepared, world_from_body @ self.body_from_cam)
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementCells:
+    """The cells that take part."""
+
+    xs: F64  # (C,) metres east
+    ys: F64  # (R,) metres north
+    height: F32  # (R, C) metres, NaN: takes no part
+    kappa: F32  # (R, C) one over the variance of a height about the map's plane
+    about: F64  # (2,) metres, where the plane's offset is meant
+    arm: float  # metres, of the template's gradient
+
+    def coarser(self) -> RefinementCells:
+        """Half of the cells, for pictures of half the resolution."""
+        half = slice(None, None, 2)
+        return replace(self, ys=self.ys[half], height=self.height[half], kappa=self.kappa[half], arm=2 * self.arm)
+
+    def tilted(self, plane: F64) -> F32:
+        """The heights with an error of the plane taken out."""
+        return self.height + plane_on(self.xs, self.ys, plane, self.about)
+
+
+ViewPair = tuple[list[RefinementView], RefinementCells]  # pictures and cells of one linearisation
+
+
+def posed(prepared: Prepared, world_from_cam: Pose) -> Prepared:
+    """The same picture seen from elsewhere."""
+    H, b = ground_projection(prepared.camera, world_from_cam)
+    return replace(prepared, H=H, b=b, centre=np.array(world_from_cam.translation))
+
+
+def thinning(grid: Grid, count: int) -> tuple[slice, slice]:
+    """Every k-th row and column, so that about `count` cells are left."""
+    k = max(1, round((grid.rows * grid.cols / count) ** 0.5))
+    return slice(k // 2, None, k), slice(k // 2, None, k)
+
+
+def refine_poses(
+    belief: PoseGaussian, looks: Sequence[ViewPair], pixel: float, drop: float, ring: int
+) -> tuple[PoseGaussian, F64]:
+    """The belief with what the pictures say, and the plane (3,) by which the map was off (eqs. 17 to 24).
+
+    Args:
+        belief: prior.
+        looks: one a linearisation, of exposures that the belief knows.
+        pixel: rad.
+        drop: metres from the cameras to the ground.
+        ring: steps that a picture takes part in; its information is shared among them.
+    """
+    times = [t for t in belief.times if any(s.exposure == t for s in looks[0][0])]
+    rows = np.concatenate([np.arange(PLANE), belief.rows(times)])
+    pairs = [(t, p) for t, p in zip(belief.times, belief.poses, strict=True) if t in times]
+    P, held, one = belief.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
+    x = belief.start[rows]
+    x[:PLANE] = -belief.plane
+    F = np.concatenate([np.zeros(PLANE), np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * APPARENT_PX]) ** 2
+    A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
+    for sights, ground in looks:
+        poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
+        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
+        known = np.linalg.inv(one + seen * F)
+        A, b = known @ seen, known @ b
+        whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
+        x = P @ whitened
+    if not whitened @ x <= UNLIKELY * len(x):  # so that NaN is refused
+        log.info("the pictures contradict what is believed of the poses, which stay as they were")
+        return belief, np.zeros(PLANE)
+    across, shared = belief.covariance[:, rows], A / ring
+    known = np.linalg.solve(one + shared @ P, shared)
+    after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
+    follow = _following(seen, rows, len(after), TAKEN)
+    return belief.corrected(across @ whitened, follow @ after @ follow.T), belief.plane + x[:PLANE]
+
+
+def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
+    """What becomes of errors when the step that comes takes a share of the heights from these poses (eq. 24)."""
+    out = np.eye(size)
+    out[:PLANE, :PLANE] *= 1 - share
+    out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
+    return out
+
+
+def _information(
+    sights: list[RefinementView],
+    times: list[int],
+    poses: list[Pose],
+    ground: RefinementCells,
+    height: F32,
+    held: Buffers,
+) -> tuple[F64, F64]:
+    """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
+    owner = np.array([times.index(s.exposure) for s in sights], np.int64)
+    views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
+    s = _crosses(views, ground, height, held)
+    n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
+    weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
+    template(s.reshape(n, 5 * rows, cols), network(n), TAU, weights, mean)
+    w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
+    samples = np.ascontiguousarray(s[:, 0])
+    A, b = np.empty((rows, M, M)), np.empty((rows, M))
+    kernels.joint_normal_equations(
+        samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
+        _precision(samples, w, m[0]), ground.xs, ground.ys, height, ground.about, ground.arm,
+        np.ascontiguousarray(ground.kappa), A, b,
+    )  # fmt: skip
+    upper = A.sum(axis=0)
+    return upper + np.triu(upper, 1).T, b.sum(axis=0)
+
+
+def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: Buffers) -> F32:
+    """Samples (N, 5, R, C) at the cells and `arm` metres east, west, north and south of them."""
+    n, (rows, cols), a = len(views), height.shape, ground.arm
+    out = held.get("crosses", (n, 5, rows, cols))
+    xs, ys, level = ground.xs, ground.ys, np.tile(height, (3, 1))
+    for i, view in enumerate(views):  # cells, north and south at once: to start many small loops is dear
+        straight = sample(view.norm, *maps_at(view, xs, np.concatenate([ys, ys + a, ys - a]), level, held))
+        out[i, [0, 3, 4]] = straight.reshape(3, rows, cols)
+        for k, east in ((1, a), (2, -a)):
+            sample(view.norm, *maps_at(view, xs + east, ys, height, held), out=out[i, k])
+    return out
+
+
+def _precision(samples: F32, weights: F32, mean: F32) -> F64:
+    """One over the variance of each view's samples; 0 for a view that shares too little."""
+    e = np.where(weights > 0, samples - mean, np.float32(0))
+    total = weights.sum(axis=(1, 2), dtype=np.float64)
+    enough = (weights > 0).sum(axis=(1, 2)) >= LEAST
+    variance = (weights * e * e).sum(axis=(1, 2), dtype=np.float64) / np.maximum(total, 1e-9)
+    return np.asarray(np.where(enough, 1.0 / (CORRELATED * np.maximum(variance, 1e-4)), 0.0))

@@ -1,0 +1,251 @@
+"""Recursive parallax: a ring of keyframes, one step for each new one, heights carried from step to step.
+
+The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
+sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. A cell
+enters the map by a sweep of its own, as soon as the views that see it span `FIRST_LOOK` of the height; from then on it
+starts from the map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, box_of
+from alight.parallax import gauss_newton as refine
+from alight.parallax import temporal_consistency as witness
+from alight.parallax import uncertainty as trust
+from alight.parallax import uncertainty_kernels as kernels
+from alight.parallax.batch import judged, picture_at
+from alight.parallax.plane_sweep import sweep_unseen
+from alight.parallax.pose_refinement.alignment import Alignment, Kept
+from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
+from alight.records import F32, F64, U8, ElevationMap, Heights, KeyframePosterior, View
+from alight.settings import ParallaxSettings
+
+FIRST_LOOK = 0.12  # baseline over height that a cell needs to be swept; 0.04 left four times the wrong heights
+LEAST_VIEWS = 3  # of that sweep
+SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
+STEPS = 1  # Gauss-Newton steps a keyframe
+UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
+WORSE = 1.5  # a look whose sigma is larger by this changes nothing
+SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
+SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
+BELOW = 0.06  # horizontal over vertical distance at which the newest view renews the colour
+FUSED = ("height", "sigma", "flags", "views", "residual")
+
+
+class RecursiveParallax:
+    """Keyframes at distances that grow with age, and the step that they allow."""
+
+    def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
+        self._settings = settings
+        self._cell, self._ground = cell, ground
+        self._kept: list[list[Kept]] = []
+        self._unknown = UNKNOWN_RATIO
+        self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
+        self._sharper = False  # the cells became smaller: the colours of the map are coarse
+        self._buffers = Buffers()
+        self._alignment = Alignment(settings.ring)
+
+    @property
+    def plane(self) -> F64:
+        """By how much the last step found the map to be off: (3,) up, and rise a metre towards east and north."""
+        return self._alignment.plane
+
+    @property
+    def about(self) -> F64:
+        """The place (2,) east and north where `plane` is what it says upwards."""
+        return self._alignment.about
+
+    def plane_on(self, grid: Grid) -> F32:
+        """The same for the cells of a grid, (R, C) metres."""
+        return self._alignment.on(grid)
+
+    def work_at(self, cell: float, ground: float) -> None:
+        """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
+
+        Pictures that were made ready for another ground stay as they are: the height only says how much to smooth.
+        """
+        self._ground = ground
+        if cell != self._cell:
+            self._sharper = cell < self._cell
+            self._cell = cell
+            if self._ratio is not None:  # the other cells confirm or refute what the sweep found
+                self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
+            self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
+
+    def restart(self) -> None:
+        """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
+        self._kept, self._alignment = [], Alignment(self._settings.ring)
+        self.look_anew()
+
+    def look_anew(self) -> None:
+        """Believe nothing of the map until it was swept again."""
+        self._ratio, self._unknown = None, np.float32(np.nan)
+
+    def _ready(self, view: View) -> Kept:
+        fine = prepare_view(view, self._cell, self._ground)
+        return view, fine, coarser(fine)
+
+    def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
+        """Take the images of one exposure, late or not; the one that is missed least leaves.
+
+        `poses`: what is known of the keyframes' poses by now, this one's among them; None: they are taken as they are.
+        """
+        if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
+            return  # a repeated time: the same picture twice would agree with itself
+        self._kept.append([self._ready(v) for v in views])
+        self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
+        centres = np.array([exposure[0][0].centre for exposure in self._kept])
+        above = max(centres[-1][2] - self._ground, 1e-2)
+        away = np.linalg.norm(centres - centres[-1], axis=1) / above
+        self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring)]
+        if poses is not None:
+            times = {exposure[0][0].t_ns for exposure in self._kept}
+            self._alignment.tell(poses, times, above)
+
+    def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
+        """Improve the heights of a window with the ring as it is now (docs/method.md, section 5).
+
+        Args:
+            grid: the window, cells on the map's raster.
+            known: what the map has there.
+            low, high: heights searched where nothing is known.
+
+        Returns:
+            The window after the step, or None while no cell has seen enough parallax.
+        """
+        ratio = self._carried(grid)
+        self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
+        if self.plane.any():
+            known = replace(known, height=known.height + self.plane_on(grid))
+        views = [k for exposure in self._kept for k in exposure]
+        fine = [f for _, f, _ in views]
+        seen = refine.view_geometry(fine, grid, known.height)
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        start, wrong = self._first_look(fine, grid, known.height, ratio, seen, per_px, (low, high))
+        self._ratio = (grid, ratio)
+        if not np.isfinite(start).any():
+            return None
+        visible = refine.visible_from(fine, grid, start, per_px)
+        fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
+        rgb = self._coloured(views[-1], grid, fit.height, known)
+        ratio = trust.half_resolution(np.where(np.isnan(ratio) | np.isnan(start), UNKNOWN_RATIO, ratio))
+        if wrong.any():
+            known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
+        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
+        samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
+        found = replace(found, flags=found.flags | moves)
+        return replace(fused(found, known), gauge=self._alignment.gauge(grid))
+
+    def _carried(self, grid: Grid) -> F32:
+        out = np.full(grid.shape, self._unknown, np.float32)
+        if self._ratio is not None:
+            old, values = self._ratio
+            (row, r), (col, c) = (_shared(*i) for i in zip(old.index(*grid.xy()), old.shape, strict=True))
+            if r.size and c.size:
+                same = old.cell == grid.cell  # then both are ranges, and views are copied fast
+                there = values[row[0] : row[-1] + 1, col[0] : col[-1] + 1] if same else values[np.ix_(row, col)]
+                out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
+        return out
+
+    def _first_look(
+        self,
+        fine: list[Prepared],
+        grid: Grid,
+        before: F32,
+        ratio: F32,
+        seen: refine.ViewGeometry,
+        per_px: F32,
+        searched: tuple[float, float],
+    ) -> tuple[F32, NDArray[np.bool_]]:
+        """Sweep the cells that are seen well for the first time; `ratio` gets their ambiguity.
+
+        First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
+        differ by more than `SAME_PX`; what was not looked at yet is left out of the step.
+
+        Returns:
+            Where to start from, (R, C) metres, and where what the map has is wrong.
+        """
+        above, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
+        base = np.where(seen.count >= LEAST_VIEWS, seen.baseline / np.float32(FIRST_LOOK * above), np.float32(0))
+        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a look in vain, twice the baseline
+        fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
+        start = np.where(anew, np.float32(np.nan), before)
+        if not fresh.any():
+            return start, fresh
+        new, found = sweep_unseen(fine, grid, searched, float(np.clip(self._ground, *searched)), fresh)
+        told = before + shift_of((new - before)[fresh], per_px[fresh])
+        new = np.where(np.abs(new - told) < SAME_PX * per_px, told, new)
+        wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)
+        np.copyto(start, new, where=fresh)
+        np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
+        return start, wrong
+
+    def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
+        """The map's colour, renewed by the newest view just below it and where there was none."""
+        view, fine, _ = newest
+        out = known.rgb.copy()
+        row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
+        k = BELOW * (view.centre[2] - self._ground) / grid.cell
+        below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
+        fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
+        self._sharper = False
+        for where, only in ((box_of(fresh), fresh), (below, None)):
+            r, c = where
+            part = grid.window(r.start, c.start, *height[where].shape)
+            if not part.rows * part.cols:
+                continue
+            mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
+            take = mapx >= 0  # not where there is no height
+            if only is not None:
+                take &= only[where]
+            cv2.copyTo(picture_at(view, fine, mapx, mapy), take.view(np.uint8), out[where])
+        return out
+
+
+def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Which of `size` rows (or columns) those of another grid are, (K,), and which of that other grid have one."""
+    nearest = np.rint(index).astype(np.intp)
+    has = np.flatnonzero((nearest >= 0) & (nearest < size))
+    return nearest[has], has
+
+
+def shift_of(apart: F32, per_px: F32) -> np.float32:
+    """What a sweep and a map differ by as a whole, metres; 0 where that is little, or nothing in common."""
+    both = np.isfinite(apart)
+    if not both.any():
+        return np.float32(0)
+    shift = np.median(apart[both])
+    return np.float32(shift if abs(shift) > SHIFT_PX * np.median(per_px[both]) else 0)
+
+
+def spread_baselines(away: NDArray[np.float64], count: int) -> list[int]:
+    """Choose `count` keyframes, oldest first, whose distances from the newest grow evenly in proportion.
+
+    `away` (N,): baseline to the newest, the last, over the height. The nearest find what is new, the farthest measure
+    it best; what is farther than `SPAN` sees too little of what the newest sees.
+    """
+    kept = [i for i in range(len(away)) if away[i] < SPAN]
+    while len(kept) > count:
+        gaps = [
+            (away[kept[k - 1]] - away[kept[k + 1]]) / (away[kept[k]] + 0.02) for k in range(1, len(kept) - 1)
+        ]  # what would be left open, in proportion
+        kept.pop(1 + int(np.argmin(gaps)))
+    return kept
+
+
+def fused(new: Heights, old: ElevationMap) -> Heights:
+    """Weigh a step against the map (eq. 16).
+
+    Heights that disagree by more than three sigma are not averaged: the new one stands. Where the ring sees a cell much
+    worse than it once did, at the edge of its pictures, the map stays as it is.
+    """
+    out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
+    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), WORSE)
+    return out

@@ -1,0 +1,141 @@
+"""Where the ground is, before anything is known of it: points triangulated from pairs of posed views.
+
+They give the height range that the sweep searches and the ground sampling distance. Descriptors, not tracks: it works
+the same for video and for photos far apart, from any source of poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from alight.parallax.views import grey_of
+from alight.records import F64, View
+
+FEATURES = 1500
+LONGEST_PX = 960  # features are found on images of at most this size
+LEAST_ANGLE = 0.02  # rad between the rays of a point
+MOST_PAIRS = 40
+RATIO = 0.8
+NEIGHBOURS = 8  # nearest points over the ground
+SUPPORTERS = 2  # of them at a like height: a wrong match triangulates anywhere, and seldom twice at one height
+LIKE = 0.05  # of the height above the ground
+
+
+class _Features:
+    """SIFT features of one view, as descriptors and rays in the world."""
+
+    def __init__(self, view: View) -> None:
+        grey = grey_of(view.image).astype(np.uint8)
+        scale = min(1.0, LONGEST_PX / max(grey.shape))
+        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
+        found, self.descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(small, None)  # type: ignore[attr-defined]
+        pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
+        rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
+        self.rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+        self.centre = view.centre
+
+
+def _matches(a: _Features, b: _Features) -> NDArray[np.int64]:
+    if len(a.rays) < 2 or len(b.rays) < 2:
+        return np.empty((0, 2), int)
+    best = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2)
+    good = [(m.queryIdx, m.trainIdx) for m, n in (p for p in best if len(p) == 2) if m.distance < RATIO * n.distance]
+    return np.array(good, dtype=int).reshape(-1, 2)
+
+
+def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F64, F64]:
+    """Meet rays (N, 3) from two centres half way between their nearest points.
+
+    Returns:
+        points (N, 3), the sine of the angle between the rays (N,), and the miss as an angle seen from the cameras
+        (N,) rad, infinite where the rays meet behind a camera.
+    """
+    base = cb - ca
+    dot = (rays_a * rays_b).sum(1)
+    pa, pb = rays_a @ base, rays_b @ base
+    det = np.maximum(1 - dot**2, 1e-12)
+    ta, tb = (pa - dot * pb) / det, (dot * pa - pb) / det
+    A, B = ca + ta[:, None] * rays_a, cb + tb[:, None] * rays_b
+    miss = np.linalg.norm(A - B, axis=1) / np.maximum(np.minimum(ta, tb), 1e-6)
+    miss[(ta <= 0) | (tb <= 0)] = np.inf
+    return 0.5 * (A + B), np.sqrt(det), miss
+
+
+def _pair(a: _Features, b: _Features) -> tuple[F64, float]:
+    """Points of a pair of views and the median angle between its matched rays."""
+    m = _matches(a, b)
+    if len(m) < 12:
+        return np.empty((0, 3)), np.inf
+    points, angle, miss = triangulate_pair(a.centre, a.rays[m[:, 0]], b.centre, b.rays[m[:, 1]])
+    good = (angle > LEAST_ANGLE) & (miss < 0.01)
+    near = points[good]
+    return (near if len(near) >= 8 else np.empty((0, 3))), float(np.median(angle))
+
+
+def _starts(count: int) -> Iterator[int]:
+    yield from np.unique(np.linspace(0, max(count - 2, 0), min(MOST_PAIRS, max(count - 1, 1))).astype(int)).tolist()
+
+
+def find_points(views: Sequence[View]) -> F64:
+    """Triangulate points of the scene from pairs of `views` (in order of time), (N, 3) metres in the world.
+
+    The stride between the views of a pair doubles until their rays meet at 0.06 rad, or the overlap ends.
+    """
+    views = [v for v in views if v.cam == views[0].cam]
+    features: dict[int, _Features] = {}
+
+    def of(i: int) -> _Features:
+        if i not in features:
+            features[i] = _Features(views[i])
+        return features[i]
+
+    found, stride = [], 1
+    for i in _starts(len(views)):
+        while i + stride < len(views):
+            points, angle = _pair(of(i), of(i + stride))
+            if angle < 3 * LEAST_ANGLE and i + 2 * stride < len(views):
+                stride *= 2
+                continue
+            if not len(points) and stride > 1:
+                stride //= 2
+                points, angle = _pair(of(i), of(i + stride))
+            found.append(points)
+            break
+        for k in [k for k in features if k < i]:
+            del features[k]
+    points = np.concatenate(found) if found else np.empty((0, 3))
+    return supported(points, float(np.median([v.centre[2] for v in views])))
+
+
+def supported(points: F64, height_of_camera: float) -> F64:
+    """Drop the points (N, 3) that hardly any neighbour agrees with: one wrong match in a tile widens all its search."""
+    if len(points) <= NEIGHBOURS:
+        return points
+    like = LIKE * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
+    _, near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)
+    agree = np.abs(points[near[:, 1:], 2] - points[:, 2:]) < like
+    return np.asarray(points[agree.sum(axis=1) >= SUPPORTERS])
+
+
+def height_range(
+    points: F64, height_of_camera: float, near: tuple[float, float, float] | None = None
+) -> tuple[float, float]:
+    """The heights to search: what the points span, with a margin for what has no point (tree tops, holes).
+
+    Args:
+        points: (N, 3) metres.
+        height_of_camera: metres, to scale the margins.
+        near: (east, north, radius): only points within, when there are enough of them.
+    """
+    z = points[:, 2]
+    if near is not None:
+        close = np.hypot(points[:, 0] - near[0], points[:, 1] - near[1]) < near[2]
+        z = z[close] if close.sum() >= 40 else z
+    low, middle, high = np.percentile(z, [0.5, 50, 99.5])
+    drop = max(height_of_camera - middle, 1.0)
+    return float(low - 0.02 * drop - 0.3), float(min(high + 0.05 * drop + 0.5, height_of_camera - 0.2 * drop))

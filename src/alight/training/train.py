@@ -1,0 +1,208 @@
+"""Train the model of appearance, and test it on places that it has not seen (docs/method-ground.md, T4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize, minimize_scalar
+
+from alight.records import F32, F64, U8, Terrain
+from alight.terrain.features import LEVELS, PIXEL, STRETCH
+from alight.terrain.model import CLIP, Head, Model, appearance_evidence, log_probability, log_softmax, scores
+from alight.training.confusion import Confusion, lines_of
+from alight.training.patches import Integers, LabelledPatch, Samples, Tell, measure_patches, quiet
+
+PENALTY = 1e-4  # of the squared weights
+SHRINKAGE = 0.3  # of the covariance within the classes towards a sphere
+TEMPERATURES = (0.5, 10.0)
+COARSEST = STRETCH * PIXEL * 2 ** (LEVELS - 1)  # metres, pixel
+UNTESTED = 3.0  # temperature of a model of one site: nobody knows how it does elsewhere
+FLOOR = np.float32(-7.0)  # log probability of one place: no single one settles a patch
+
+
+def share_progress(tell: Tell, level: int) -> Tell:
+    """Tells the share of all levels of the share of one."""
+    return lambda share: tell((level + share) / LEVELS)
+
+
+def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
+    """Weights by which a class at a site counts as the root of its number."""
+    key = np.char.add(sites, kinds.astype(str))
+    _, at, count = np.unique(key, return_inverse=True, return_counts=True)
+    weight = 1 / np.sqrt(count[at])
+    return np.asarray(weight / weight.mean())
+
+
+def fit_logistic(z: F32, at: Integers, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
+    """Multinomial logistic regression with a penalty: weights (K, F) and bias (K,)."""
+    features = np.c_[z, np.ones(len(z))].astype(np.float64)
+    goal = np.eye(count)[at]
+    free = np.r_[np.ones(z.shape[1]), 0.0]  # the bias is not penalised
+
+    def loss(flat: F64) -> tuple[float, F64]:
+        w = flat.reshape(count, -1)
+        log_p = log_softmax((features @ w.T).astype(np.float64))
+        off = (np.exp(log_p) - goal) * weight[:, None] / len(z)
+        value = -float((weight * (log_p * goal).sum(axis=1)).mean()) + 0.5 * penalty * float((w**2 @ free).sum())
+        return value, np.asarray((off.T @ features + penalty * w * free).ravel())
+
+    start = np.zeros(count * features.shape[1])
+    found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 300}).x.reshape(count, -1)
+    return found[:, :-1].astype(np.float32), found[:, -1].astype(np.float32)
+
+
+def fit_head(values: F32, at: Integers, weight: F64, count: int, penalty: float = PENALTY) -> Head:
+    """The classifier of one level, without a temperature."""
+    mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
+    z = np.clip((values - mean) / spread, -CLIP, CLIP)
+    weights, bias = fit_logistic(z, at, weight, count, penalty)
+    centres = np.stack([np.average(z[at == k], axis=0, weights=weight[at == k]) for k in range(count)])
+    within = np.cov((z - centres[at]).T)
+    round_one = np.eye(len(mean)) * np.trace(within) / len(mean)
+    metric = np.linalg.inv((1 - SHRINKAGE) * within + SHRINKAGE * round_one)
+    off = np.min([np.einsum("nf,fg,ng->n", z - c, metric, z - c, optimize=True) for c in centres], axis=0)
+    plain = [np.asarray(a, np.float32) for a in (mean, spread, weights, bias, centres, metric)]
+    return Head(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], float(np.median(off)), 1.0)
+
+
+def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, Integers]:
+    """Scores of the pictures of a site by a model of the others, (n, K), and their patches; unknown classes -inf."""
+    inside = sites[s.patch] != out
+    training, test = s.of(inside), s.of(~inside & (s.variant == 0))
+    known, at = np.unique(kinds[training.patch], return_inverse=True)
+    weight = balance(kinds[training.patch], sites[training.patch])
+    head = fit_head(training.values, at.astype(np.int64), weight, len(known))
+    found = np.full((len(test.patch), len(classes)), -np.inf, np.float32)
+    found[:, np.searchsorted(classes, known)] = scores(head, test.values)
+    return found, test.patch
+
+
+def _temperature(scored: F32, at: Integers) -> float:
+    """By which the scores of left-out sites are divided to be as sure as they are right; unknown classes leave none."""
+    fair = np.isfinite(scored[np.arange(len(at)), at])
+    values, truth = np.where(np.isfinite(scored), scored, -1e9)[fair], at[fair]
+    if not len(truth):
+        return 1.0
+
+    def surprise(log_t: float) -> float:
+        return -float(log_softmax(values / np.float32(np.exp(log_t)))[np.arange(len(truth)), truth].mean())
+
+    return float(np.exp(minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded").x))
+
+
+def patch_means(log_p: F32, patch: Integers, count: int) -> F64:
+    """Mean log probability of the places of each patch, normalised, (count, K); NaN for patches without any."""
+    n = np.bincount(patch, minlength=count)[:, None]
+    floor = np.maximum(log_p, FLOOR)
+    total = np.stack([np.bincount(patch, weights=floor[:, k], minlength=count) for k in range(log_p.shape[1])], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(log_softmax(total / n))
+
+
+def leave_sites_out(samples: Samples, kinds: U8, sites: NDArray[np.str_]) -> tuple[Confusion, float]:
+    """Test every site with a model of the others (one level); the verdicts, and the temperature that makes them fair.
+
+    Raises:
+        ValueError: there are fewer than two sites.
+    """
+    every = np.unique(sites)
+    if len(every) < 2:
+        raise ValueError("leaving a site out needs pictures of two sites or more")
+    classes = np.unique(kinds)
+    parts = [_fit_without(samples, kinds, sites, classes, str(site)) for site in every]
+    scored, patch = np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
+    temperature = _temperature(scored, np.searchsorted(classes, kinds[patch]).astype(np.int64))
+    log_p = log_softmax(np.where(np.isfinite(scored), scored / np.float32(temperature), np.float32(-1e4)))
+    return _confusion(kinds, sites, classes, patch_means(log_p, patch, len(kinds))), temperature
+
+
+def _confusion(kinds: U8, sites: NDArray[np.str_], classes: U8, log_p: F64) -> Confusion:
+    """The verdicts on what could be tested."""
+    tested = np.isfinite(log_p).all(axis=1)
+    return Confusion(kinds[tested], sites[tested], classes, log_p[tested])
+
+
+def _known(patches: list[LabelledPatch]) -> tuple[U8, NDArray[np.str_]]:
+    return np.array([p.kind for p in patches], np.uint8), np.array([p.site for p in patches])
+
+
+def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Confusion | None]:
+    """Train a model; beside it the verdicts of its finest level on sites left out, None with one site.
+
+    Raises:
+        ValueError: fewer than two classes, or no level can be filled.
+    """
+    kinds, sites = _known(patches)
+    classes = np.unique(kinds)
+    if len(classes) < 2:
+        raise ValueError("a model needs pictures of two classes or more")
+    heads: list[Head | None] = [None] * LEVELS
+    first: Confusion | None = None
+    for level in range(LEVELS):
+        s = measure_patches(patches, level, share_progress(tell, level))
+        if set(kinds[s.patch]) != set(kinds):
+            continue
+        at = np.searchsorted(classes, kinds[s.patch]).astype(np.int64)
+        head = fit_head(s.values, at, balance(kinds[s.patch], sites[s.patch]), len(classes))
+        out, temperature = leave_sites_out(s, kinds, sites) if len(np.unique(sites)) > 1 else (None, UNTESTED)
+        first = first or out
+        heads[level] = replace(head, temperature=temperature)
+    if not any(heads):
+        raise ValueError(f"the pictures are too coarse: a pixel must be smaller than {COARSEST:.2f} m")
+    return Model(classes, tuple(heads), provenance(kinds, sites, first)), first
+
+
+def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -> str:
+    """What a model was trained on and how well it does elsewhere, in words."""
+    of = ", ".join(f"{Terrain(k).name.lower()} {(kinds == k).sum()}" for k in np.unique(kinds))
+    places = ", ".join(np.unique(sites))
+    lines = [f"trained on {len(kinds)} patches ({of}) of {len(np.unique(sites))} site(s): {places}"]
+    if left_out is not None:
+        lines += ["each site judged by a model of the others:", *lines_of(left_out)]
+    return "\n".join(lines)
+
+
+def elsewhere(patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
+    """Every site judged by a model of the others, at the finest level that all classes can fill.
+
+    Raises:
+        ValueError: fewer than two sites, or the pictures are too coarse.
+    """
+    kinds, sites = _known(patches)
+    for level in range(LEVELS):
+        s = measure_patches(patches, level, tell)
+        if set(kinds[s.patch]) == set(kinds):
+            return leave_sites_out(s, kinds, sites)[0]
+    raise ValueError(f"the pictures are too coarse: a pixel must be smaller than {COARSEST:.2f} m")
+
+
+def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
+    """What a given model says of every patch, each at the finest level that it can fill."""
+    kinds, sites = _known(patches)
+    log_p = np.full((len(patches), len(model.classes)), np.nan)
+    for level, head in enumerate(model.heads):
+        if head is not None:
+            s = measure_patches(patches, level, share_progress(tell, level), variants=1)
+            found = patch_means(log_probability(head, s.values), s.patch, len(patches))
+            log_p = np.where(np.isnan(log_p), found, log_p)
+    return _confusion(kinds, sites, model.classes, log_p)
+
+
+def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling: float) -> Confusion:
+    """What a model says of the blocks of pictures with a label a pixel; all pictures are one site."""
+    kinds, log_p = [], []
+    for _, rgb, label in pictures:
+        found = appearance_evidence(model, rgb, sampling)
+        if found is None:
+            continue
+        rows, cols = found.shape[:2]
+        kinds.append(cv2.resize(label, (cols, rows), interpolation=cv2.INTER_NEAREST).ravel())
+        log_p.append(found.reshape(-1, found.shape[2]).astype(np.float64))
+    kind = np.concatenate([*kinds, np.empty(0, np.uint8)])
+    said = np.concatenate([*log_p, np.empty((0, len(model.classes)))])
+    said[kind == Terrain.UNKNOWN] = np.nan
+    return _confusion(kind, np.full(len(kind), "pictures"), model.classes, said)

@@ -1,0 +1,140 @@
+"""What lens and sensor make of the light: blur, falloff, exposure control, noise, tone; one random stream each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from alight.geometry import Camera
+from alight.records import F32, F64, U8
+from alight_sim.kernels.exposure import LEVELS, develop
+from alight_sim.section import Section
+from alight_sim.vehicle import correlated
+
+HOT = 0.9  # of full scale: what a hot pixel adds
+Seeds = np.random.SeedSequence
+
+
+class GainStep(Section):
+    """The exposure control changes its mind at once."""
+
+    at: float = Field(description="s after the first frame")
+    factor: float = Field(gt=0, description="of the gain, from then on")
+
+
+class Imaging(Section):
+    """What happens between the lens and the file."""
+
+    rate_hz: float = Field(8.0, gt=0, le=1000, description="exposures a second")
+    samples: int = Field(1, ge=1, le=16, description="rays a pixel")
+    exposure_time: float = Field(0.0, ge=0, description="s that the shutter is open: motion blur")
+    line_time: float = Field(0.0, ge=0, description="s from one row to the next: rolling shutter")
+    moments: int = Field(5, ge=1, le=64, description="instants that the motion blur is summed of")
+    gain: float = Field(1.25, gt=0, description="linear light times this is full scale at 1")
+    auto: bool = Field(False, description="exposure control that follows the mean brightness")
+    auto_target: float = Field(0.25, gt=0, lt=1, description="mean signal that it wants, of full scale")
+    auto_lag: float = Field(0.6, gt=0, description="s, time constant of the exposure control")
+    gain_drift: float = Field(0.05, ge=0, description="standard deviation of the gain's logarithm, each camera its own")
+    gain_drift_time: float = Field(5.0, gt=0, description="s, its correlation time")
+    gain_steps: tuple[GainStep, ...] = Field((), description="jumps of the gain")
+    white_balance: float = Field(0.004, ge=0, description="standard deviation of red's and blue's logarithm, drifting")
+    blur_px: float = Field(0.45, ge=0, description="pixels, standard deviation of lens and pixel together")
+    vignetting: float = Field(0.12, ge=0, lt=1, description="share of light lost in the farthest corner")
+    full_well: float = Field(30000.0, gt=0, description="electrons that are full scale at gain 1: less is noisier")
+    read_noise: float = Field(10.0, ge=0, description="electrons")
+    noise: float = Field(1.0, ge=0, description="factor on all noise of the sensor; 0 is none")
+    gamma: float = Field(2.2, gt=0.5, le=4, description="of the file's grey values")
+    hot_pixels: float = Field(0.0, ge=0, le=0.1, description="share of pixels that are bright whatever they see")
+    dust: int = Field(0, ge=0, le=1000, description="specks on the sensor, soft and dark")
+
+
+QUIET = {"gain_drift": 0.0, "white_balance": 0.0, "noise": 0.0}  # an imaging without chance
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """One camera's glass and silicon: made once, then fed with light."""
+
+    imaging: Imaging
+    falloff: F32  # (H, W) share of light that gets through
+    hot: F32  # (N, 3) row, column, channel of hot pixels
+    tone: U8  # (LEVELS,) grey value by the root of the signal
+
+    @classmethod
+    def of(cls, camera: Camera, imaging: Imaging, seeds: Seeds) -> Sensor:
+        """Make one with flaws of its own."""
+        dust, hot = (np.random.default_rng(s) for s in seeds.spawn(2))
+        size = (camera.height, camera.width, 3)
+        count = round(imaging.hot_pixels * camera.height * camera.width)
+        roots = np.linspace(0.0, 1.0, LEVELS)
+        tone = np.round(255.0 * roots ** (2.0 / imaging.gamma)).astype(np.uint8)
+        return cls(imaging, _falloff(camera, imaging, dust), hot.integers(0, size, (count, 3)).astype(np.float32), tone)
+
+    def expose(self, radiance: F32, gain: F64, key: int, covered: float = 0.0) -> U8:
+        """(H, W, 3) RGB of linear light (H, W, 3); `gain` (3,) RGB, `key` of the noise, `covered` share of the lens."""
+        s, light = self.imaging, radiance
+        if s.blur_px > 0:
+            light = cv2.GaussianBlur(radiance, (0, 0), s.blur_px)
+        if len(self.hot):
+            light = light.copy() if light is radiance else light
+            light[tuple(self.hot.astype(np.intp).T)] += np.float32(HOT / float(gain.mean()))
+        amplified = float(gain.mean()) / s.full_well  # full scale per electron
+        shot, read = s.noise**2 * amplified, (s.noise * s.read_noise * amplified) ** 2
+        out = np.empty(light.shape, np.uint8)
+        falloff = self.falloff if covered <= 0 else self.falloff * np.float32(1.0 - covered)
+        develop(light, falloff, gain, shot, read, self.tone, np.uint64(key), out)
+        return out
+
+
+def _falloff(camera: Camera, imaging: Imaging, rng: np.random.Generator) -> F32:
+    u, v = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
+    r2 = (u - camera.cu) ** 2 + (v - camera.cv) ** 2
+    falloff = 1.0 - imaging.vignetting * (r2 / r2.max())
+    for _ in range(imaging.dust):
+        x, y, size, depth = rng.uniform((0, 0, 1.5, 0.05), (camera.width, camera.height, 6.0, 0.35))
+        falloff *= 1.0 - depth * np.exp(-0.5 * ((u - x) ** 2 + (v - y) ** 2) / size**2)
+    return np.ascontiguousarray(falloff, dtype=np.float32)
+
+
+def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = None) -> F64:
+    """(N, 3) gains of one camera for red, green and blue at rising times in seconds.
+
+    `metered` (N,) is the mean linear light of each exposure: what exposure control would see.
+    """
+    drift, white = (np.random.default_rng(s) for s in seeds.spawn(2))
+    log = np.full((len(seconds), 3), math.log(imaging.gain))
+    log += imaging.gain_drift * irregular_gauss_markov(drift, seconds, 1, imaging.gain_drift_time)
+    log[:, ::2] += imaging.white_balance * irregular_gauss_markov(white, seconds, 2, 4.0 * imaging.gain_drift_time)
+    for step in imaging.gain_steps:
+        log[seconds >= step.at] += math.log(step.factor)
+    if imaging.auto and metered is not None:
+        log += _control(imaging, seconds, metered)[:, None]
+    return np.asarray(np.exp(log))
+
+
+def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
+    """(N,) logarithm of what exposure control does: a first-order lag towards the wanted mean, from settled."""
+    wanted = np.log(imaging.auto_target / np.maximum(metered * imaging.gain, 1e-6))
+    out = np.empty_like(wanted)
+    out[0] = wanted[0]
+    for i in range(1, len(out)):
+        keep = math.exp(-(seconds[i] - seconds[i - 1]) / imaging.auto_lag)
+        out[i] = keep * out[i - 1] + (1.0 - keep) * wanted[i - 1]  # what the exposure before showed
+    return np.clip(out, math.log(1 / 16), math.log(16))
+
+
+def irregular_gauss_markov(rng: np.random.Generator, seconds: F64, width: int, tau: float) -> F64:
+    """(N, width) Gauss-Markov noise of unit deviation at any rising times: drawn every tau / 20 and interpolated.
+
+    The draws do not depend on the times, so that a lost exposure leaves the others as they were.
+    """
+    step = tau / 20.0
+    first = math.floor(float(seconds.min(initial=0.0)) / step)
+    last = math.ceil(float(seconds.max(initial=0.0)) / step) + 1
+    grid = step * np.arange(min(first, 0), last + 1)
+    values = correlated(rng, len(grid), width, 1.0 / 20.0)
+    return np.column_stack([np.interp(seconds, grid, values[:, k]) for k in range(width)])

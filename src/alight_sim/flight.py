@@ -1,0 +1,343 @@
+"""A simulated flight: a source of events like any other, plus the truth."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from alight.geometry import LocalFrame, Pose
+from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
+from alight_sim.cameras import Eye, Poses, Shutter
+from alight_sim.course import LEAD, Extent, chart
+from alight_sim.exposure import Imaging, Sensor, gains
+from alight_sim.faults import Exposures, Faults, exposures
+from alight_sim.patterns import FlightPlan
+from alight_sim.rigs import RigModel
+from alight_sim.scene import Scene, explain
+from alight_sim.section import Section
+from alight_sim.sensors import ImuErrors, NavErrors, imu_biases, simulated_imu, simulated_nav
+from alight_sim.truth import SceneTruth
+from alight_sim.vehicle import Limits, Trajectory
+from alight_sim.world import World, build
+
+START_NS = 1_700_000_000_000_000_000
+NAV_OFFSET_NS = 13_000_000  # the navigation solution keeps its own time
+METER = 16  # pixels across: what exposure control looks at
+# one random stream for each source of randomness; a new one goes at the end
+WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
+
+Times = NDArray[np.int64]
+S = TypeVar("S", bound=Section)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedFlight:
+    """A flight over a world. Use it where a recording goes; every call of `events` gives the same events."""
+
+    world: World
+    trajectory: Trajectory
+    seed: int
+    true_rig: Rig  # what draws
+    scene: Scene  # what was flown: the world's, with what was asked for instead
+    repeatable: bool = True  # the scene and the seed alone make this flight again
+    georeferenced: bool = True
+    warnings: list[str] = field(default_factory=list)
+    kind: Literal["flight"] = "flight"
+
+    @property
+    def name(self) -> str:
+        """The scene and the seed."""
+        return f"{self.world.name}-{self.seed}"
+
+    @property
+    def local(self) -> LocalFrame:
+        """Where the world lies."""
+        return self.world.local
+
+    @cached_property
+    def rig(self) -> Rig:
+        """What the calibration claims."""
+        return self.faults.claimed(self.true_rig)
+
+    @property
+    def plan(self) -> FlightPlan:
+        """Where and how it flies."""
+        return self.scene.flight
+
+    @property
+    def imaging(self) -> Imaging:
+        """What lens and sensor do."""
+        return self.scene.imaging
+
+    @property
+    def faults(self) -> Faults:
+        """What goes wrong."""
+        return self.scene.faults
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last beat."""
+        return self.trajectory.duration
+
+    @property
+    def rate_hz(self) -> float:
+        """Exposures a second."""
+        return self.imaging.rate_hz
+
+    @property
+    def nav(self) -> NavErrors:
+        """The errors of GPS/INS."""
+        return self.scene.sensors.nav
+
+    @property
+    def imu(self) -> ImuErrors:
+        """The errors of the IMU."""
+        return self.scene.sensors.imu
+
+    @property
+    def length(self) -> int:
+        """Exposures of which at least one camera's picture arrives."""
+        return len(self.exposures.order)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What arrives, and what is lost where something is."""
+        lost = {
+            f"{cam.name} images lost": int((~self.exposures.seen[:, k]).sum())
+            for k, cam in enumerate(self.true_rig.cameras)
+        }
+        return {"exposures": self.length, **{k: n for k, n in lost.items() if n}}
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """Facts for the report."""
+        lens = self.rig.cameras[0].camera
+        return {
+            "cameras": [c.name for c in self.rig.cameras],
+            "image_size": [lens.width, lens.height],
+            "focal_px": [lens.fu, lens.fv],
+            "focal_from": "simulated",
+            "nav": True,
+            "imu": True,
+            "scene": self.world.description,
+            "imu_noise": self.imu.densities,
+        }
+
+    # -- time
+
+    @cached_property
+    def exposures(self) -> Exposures:
+        """When the cameras looked, what they say of it, and what was lost."""
+        beats = np.arange(int(self.seconds * self.rate_hz + 1e-9) + 1)
+        beat_ns = START_NS + np.round(beats * 1e9 / self.rate_hz).astype(np.int64)
+        return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(FAULTS))
+
+    @property
+    def frame_times(self) -> Times:
+        """(N,) ns: true times of all exposures, the lost ones included."""
+        return self.exposures.true_ns
+
+    @cached_property
+    def imu_times(self) -> Times:
+        """(N,) ns."""
+        return self._clock(self.imu.rate_hz, 0)
+
+    @cached_property
+    def nav_times(self) -> Times:
+        """(N,) ns."""
+        return self._clock(self.nav.rate_hz, NAV_OFFSET_NS)
+
+    def _clock(self, rate_hz: float, offset_ns: int) -> Times:
+        n = math.floor((self.seconds + 2 * LEAD) * rate_hz) + 1
+        return START_NS - int(LEAD * 1e9) + offset_ns + np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64)
+
+    @staticmethod
+    def since(t_ns: Times) -> F64:
+        """(N,) seconds of the trajectory."""
+        return np.asarray((t_ns - START_NS).astype(np.float64) * 1e-9)
+
+    # -- truth
+
+    @cached_property
+    def seen(self) -> Extent:
+        """West, south, east, north of a box that holds all the ground that the cameras saw, within the world."""
+        return seen_box(self)
+
+    @cached_property
+    def truth(self) -> SceneTruth:
+        """The ground as it is, where the cameras saw it."""
+        return self.world.truth(self.seen)
+
+    @cached_property
+    def truth_trajectory(self) -> tuple[Times, list[Pose]]:
+        """True body poses at the times of all inertial samples and exposures."""
+        t = np.union1d(self.imu_times, self.frame_times)
+        s = self.since(t)
+        return t, [
+            Pose(R, p) for R, p in zip(self.trajectory.rotations(s), self.trajectory.place_world(s), strict=True)
+        ]
+
+    def pose(self, t_ns: int) -> Pose:
+        """True `world_from_body`."""
+        return self.trajectory.pose((t_ns - START_NS) * 1e-9)
+
+    def camera_at(self, cam: int) -> Poses:
+        """True `world_from_cam` as a function of the trajectory's seconds (N,): rotations and places."""
+        body_from_cam = self.true_rig.cameras[cam].body_from_cam
+
+        def poses(seconds: F64) -> tuple[F64, F64]:
+            turns, places = self.trajectory.rotations(seconds), self.trajectory.place_world(seconds)
+            return turns @ body_from_cam.rotation, places + turns @ body_from_cam.translation
+
+        return poses
+
+    @cached_property
+    def biases(self) -> tuple[F64, F64]:
+        """True (N, 3) gyroscope and accelerometer biases at `imu_times`."""
+        return imu_biases(len(self.imu_times), self.imu, self.seeds(IMU_BIAS))
+
+    # -- events
+
+    def events(self) -> Iterator[Event]:
+        """Yield navigation and inertial samples and frames as they arrive; pictures are drawn as they are asked for.
+
+        Frames are stamped with the time that the cameras claim; only late ones come out of the order of stamps.
+        """
+        nav = simulated_nav(self.trajectory, self.nav_times, self.since(self.nav_times), self.nav, self.seeds(NAV))
+        seconds = self.since(self.imu_times)
+        imu = simulated_imu(self.trajectory, self.imu_times, seconds, self.biases, self.imu, self.seeds(IMU_NOISE))
+        streams: list[Iterator[tuple[int, NavSample | ImuSample | int]]] = [
+            ((e.t_ns, e) for e in nav), ((e.t_ns, e) for e in imu),
+            ((int(self.exposures.arrival_ns[k]), int(k)) for k in self.exposures.order),
+        ]  # fmt: skip
+        for _, event in heapq.merge(*streams, key=lambda pair: pair[0]):
+            yield self._frame(event) if isinstance(event, int) else event
+
+    def _frame(self, k: int) -> Frame:
+        x = self.exposures
+        images = tuple(self.image(k, cam) if seen else None for cam, seen in enumerate(x.seen[k]))
+        return Frame(int(x.stamp_ns[k]), images, str(x.true_ns[k]))
+
+    def image(self, index: int, cam: int) -> U8:
+        """Draw one picture, (H, W, 3) RGB, lost or not; any order gives the same."""
+        seconds = float(self.since(self.frame_times[index : index + 1])[0])
+        light = self.eyes[cam].radiance(self.world, self.camera_at(cam), seconds, self._shutter)
+        key = int(self.seeds(IMAGE, index, cam).generate_state(1, np.uint64)[0])
+        return self._glass[cam].expose(light, self._gains[cam][index], key, self.faults.cover(seconds, cam))
+
+    @cached_property
+    def eyes(self) -> tuple[Eye, ...]:
+        """The cameras, their rays undistorted."""
+        return tuple(Eye(c.camera, self.imaging.samples) for c in self.true_rig.cameras)
+
+    @property
+    def _shutter(self) -> Shutter:
+        return Shutter(self.imaging.exposure_time, self.imaging.line_time, self.imaging.moments)
+
+    @cached_property
+    def _glass(self) -> tuple[Sensor, ...]:
+        return tuple(
+            Sensor.of(c.camera, self.imaging, self.seeds(FLAWS, k)) for k, c in enumerate(self.true_rig.cameras)
+        )
+
+    @cached_property
+    def _gains(self) -> list[F64]:
+        """(N, 3) of each camera."""
+        seconds = self.since(self.frame_times)
+        cams = range(len(self.true_rig.cameras))
+        return [gains(self.imaging, seconds, self.seeds(GAIN, cam), self._metered(cam, seconds)) for cam in cams]
+
+    def _metered(self, cam: int, seconds: F64) -> F64 | None:
+        """(N,) mean light of every exposure, from a picture of a few pixels; None where nobody asks."""
+        if not self.imaging.auto:
+            return None
+        lens, at = self.true_rig.cameras[cam].camera, self.camera_at(cam)
+        eye = Eye(lens.scaled(METER / lens.width))
+        return np.array([float(eye.radiance(self.world, at, float(s)).mean()) for s in seconds])
+
+    def seeds(self, *key: int) -> np.random.SeedSequence:
+        """The random stream of one source of randomness."""
+        return np.random.SeedSequence(self.seed, spawn_key=key)
+
+
+def seen_box(flight: SimulatedFlight) -> Extent:
+    """Where the border of the pictures meets the lowest ground, at worst the whole world."""
+    world = flight.world
+    west, south, east, north = world.extent
+    low, s = world.low, flight.since(flight.frame_times)
+    turns, places = flight.trajectory.rotations(s), flight.trajectory.place_world(s)
+    hits = []
+    for cam in flight.true_rig.cameras:
+        lens = cam.camera
+        u, v = np.linspace(-0.5, lens.width - 0.5, 17), np.linspace(-0.5, lens.height - 0.5, 13)
+        sides = [np.stack(np.broadcast_arrays(u, k), -1) for k in v[[0, -1]]]
+        sides += [np.stack(np.broadcast_arrays(k, v), -1) for k in u[[0, -1]]]
+        rays = lens.rays(np.concatenate(sides)) @ (turns @ cam.body_from_cam.rotation).swapaxes(1, 2)
+        centres = (places + turns @ cam.body_from_cam.translation)[:, None]
+        down = np.maximum(-rays[..., 2:], 1e-6)  # a ray that looks up ends far away
+        hits.append((centres + rays * (centres[..., 2:] - low) / down)[..., :2].reshape(-1, 2))
+    least, most = np.concatenate(hits).min(axis=0), np.concatenate(hits).max(axis=0)
+    return (
+        float(np.clip(least[0], west, east)), float(np.clip(least[1], south, north)),
+        float(np.clip(most[0], west, east)), float(np.clip(most[1], south, north)),
+    )  # fmt: skip
+
+
+def fly(
+    scene: str | Path | Scene | World = "demo",
+    seed: int = 0,
+    duration: float | None = None,
+    *,
+    height: float | None = None,
+    speed: float | None = None,
+    rate_hz: float | None = None,
+    waypoints: Sequence[Sequence[float]] | None = None,
+    limits: Limits | None = None,
+    plan: FlightPlan | None = None,
+    rig: Rig | None = None,
+    imaging: Imaging | None = None,
+    nav: NavErrors | None = None,
+    imu: ImuErrors | None = None,
+    faults: Faults | None = None,
+) -> SimulatedFlight:
+    """Fly over a scene as it says, unless told otherwise here; nothing is drawn before `events` is read.
+
+    `waypoints`: (east, north, height) in metres, heights counted like those of the plan. The same arguments give the
+    same events, bit for bit.
+
+    Raises:
+        InputError: no such scene, or the flight cannot be flown: `alight_sim.course.chart`.
+    """
+    world = scene if isinstance(scene, World) else build(scene, seed)
+    s = world.scene or Scene()
+    wishes = {"duration": duration, "height": height, "speed": speed, "waypoints": waypoints, "limits": limits}
+    used = s.model_copy(
+        update={
+            "flight": _with(plan or s.flight, wishes),
+            "imaging": _with(imaging or s.imaging, {"rate_hz": rate_hz}),
+            "sensors": _with(s.sensors, {"nav": nav, "imu": imu}),
+            "faults": faults or s.faults,
+            "rig": RigModel.of(rig) if rig else s.rig,
+        }
+    )
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WIND,)))
+    again = world.scene is not None and world.seed == seed
+    trajectory = chart(world, used.flight, rng)
+    return SimulatedFlight(world, trajectory, seed, used.rig.rig, used, again, warnings=list(world.warnings))
+
+
+def _with(section: S, wishes: dict[str, Any]) -> S:
+    """The section with the wishes that are not None."""
+    try:
+        return type(section).model_validate(dict(section) | {k: v for k, v in wishes.items() if v is not None})
+    except ValidationError as e:
+        raise InputError(explain(e)) from e

@@ -1,0 +1,121 @@
+"""A block of pixels as vectors: one flat scratch array, cut into slots that all passes of the shading share.
+
+A pass is one branch-free loop over the block. Slots lie a fixed number of pixels apart in one array, so LLVM sees that
+they do not overlap and turns the loop into vector code (texture noise: 27 -> 2.3 ns a sample with AVX-512).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, pixelwise
+from alight_sim.kernels.noise import noise32, seed32
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I32 = NDArray[np.int32]
+
+f32, u32, i32 = np.float32, np.uint32, np.int32
+B = 128  # pixels of a block
+
+# where it is: relative to the block's base point, metres; unit vector to the camera; distance; ground a pixel covers
+X, Y, Z, VX, VY, VZ, DIST, FOOT = (k * B for k in range(8))
+# layers of light, then the place on the texture
+SLOPE_E, SLOPE_N, MARGIN, SKY, DEPTH, TX, TY = (k * B for k in range(8, 15))
+# noise: coordinates in, value and slopes out
+U, V, N, DU, DV = (k * B for k in range(15, 20))
+# texture: detail and its slopes, weight of an octave; large and middle fields of the place; shadow of small things
+VALUE, BUMP_E, BUMP_N, WEIGHT, LARGE, MIDDLE, ASIDE, SHADE = (k * B for k in range(20, 28))
+RED, GREEN, BLUE, NX, NY, NZ, SUN, CLOUD = (k * B for k in range(28, 36))
+# water: is it; slopes of the waves that are seen, variance of those that are not; drifting scum
+WATER, WAVE_E, WAVE_N, WAVE_VAR, SCUM, CALM = (k * B for k in range(36, 42))
+TINT_R, TINT_G, TINT_B = (k * B for k in range(42, 45))
+KEPT_X, KEPT_Y, ALONG, LEAF, FACE, BODY_R, BODY_G, BODY_B, DULL_R, DULL_G, DULL_B = (k * B for k in range(45, 56))
+PARAM = 56 * B  # then one slot for each number of a look
+F0, F1, F2, F3 = f32(0), f32(1), f32(2), f32(3)
+
+
+@pixelwise
+def smoothstep(low: np.float32, high: np.float32, x: np.float32) -> np.float32:
+    """Return 0 below `low`, 1 above `high`, smooth between."""
+    t = min(max((x - low) / (high - low), F0), F1)
+    return t * t * (F3 - F2 * t)
+
+
+@pixelwise
+def fading(x: np.float32) -> np.float32:
+    """Return about exp(-x) for x >= 0: vectorised, and exact enough for light (error below 0.004)."""
+    a = F1 + x * (f32(1 / 16) + x * (f32(1 / 512) + x * f32(1 / 24576)))
+    a2 = a * a
+    a4 = a2 * a2
+    a8 = a4 * a4
+    return F1 / (a8 * a8)
+
+
+@kernel
+def noise_lattice(
+    base: F64, wavelength: float, c: float, s: float, dx: float, dy: float
+) -> tuple[float, float, int, int]:
+    """Return where a block's base lies on a turned lattice: fractions, then whole steps; `dx`, `dy`: a shift."""
+    x, y = base[0] + dx, base[1] + dy
+    u, v = (c * x - s * y) / wavelength, (s * x + c * y) / wavelength
+    i, j = math.floor(u), math.floor(v)
+    return u - i, v - j, i, j
+
+
+@kernel
+def _coordinates(buf: F32, a: np.float32, b: np.float32, u0: np.float32, v0: np.float32) -> None:
+    for i in range(B):
+        buf[U + i] = u0 + a * buf[TX + i] - b * buf[TY + i]
+        buf[V + i] = v0 + b * buf[TX + i] + a * buf[TY + i]
+
+
+@kernel
+def _noise(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
+    for i in range(B):
+        buf[N + i], buf[DU + i], buf[DV + i] = noise32(buf[U + i], buf[V + i], i0, j0, seed)
+
+
+@kernel
+def noise_at(
+    buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
+) -> None:
+    """Fill N, DU, DV with noise of a wavelength at the block's texture places, on a lattice turned by (c, s)."""
+    u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
+    _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
+    _noise(buf, i32(i), i32(j), seed32(seed))
+
+
+@kernel
+def fill(buf: F32, slot: int, value: float) -> None:
+    """Set one slot."""
+    for i in range(slot, slot + B):
+        buf[i] = f32(value)
+
+
+@kernel
+def copy(buf: F32, source: int, target: int) -> None:
+    """Copy one slot to another."""
+    for i in range(B):
+        buf[target + i] = buf[source + i]
+
+
+@kernel
+def largest(buf: F32, slot: int) -> float:
+    """Return the largest number of a slot."""
+    top = buf[slot]
+    for i in range(slot, slot + B):
+        top = max(top, buf[i])
+    return float(top)
+
+
+@kernel
+def smallest(buf: F32, slot: int) -> float:
+    """Return the smallest number of a slot."""
+    low = buf[slot]
+    for i in range(slot, slot + B):
+        low = min(low, buf[i])
+    return float(low)

@@ -1,0 +1,143 @@
+"""Plants for a block of pixels: leaves at several depths below the surface, moved by the wind."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alight.compiled import kernel
+from alight_sim.kernels.block import (  # fmt: skip
+    ALONG,
+    DU,
+    DV,
+    F0,
+    F1,
+    F2,
+    F32,
+    F64,
+    FOOT,
+    KEPT_X,
+    KEPT_Y,
+    LEAF,
+    PARAM,
+    SHADE,
+    SLOPE_E,
+    SLOPE_N,
+    TX,
+    TY,
+    VX,
+    VY,
+    VZ,
+    WEIGHT,
+    B,
+    N,
+    copy,
+    f32,
+    fill,
+    largest,
+    noise_at,
+    smallest,
+    smoothstep,
+)
+from alight_sim.kernels.texture import P_COARSE, P_DEEP, P_LIFT, P_OPEN, P_SWAY
+
+
+@kernel
+def sway(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
+    """Shift the texture of what the wind moves; gusts run over it with the wind. `wind` (2,): m/s east, north."""
+    if largest(buf, PARAM + P_SWAY * B) <= 0.0:
+        return
+    speed = math.hypot(wind[0], wind[1])
+    push = f32(min(speed / 4.0, 3.0))
+    noise_at(buf, base, 1.9, 0.8, 0.6, seed, -0.7 * wind[0] * time, -0.7 * wind[1] * time)
+    for i in range(B):
+        reach = push * buf[PARAM + P_SWAY * B + i]
+        buf[TX + i] += reach * (buf[N + i] + f32(0.3) * buf[DU + i])
+        buf[TY + i] += reach * (f32(0.3) * buf[DV + i] - f32(0.5) * buf[N + i])
+
+
+@kernel
+def _sift(buf: F32, wavelength: np.float32, coarse: np.float32) -> None:
+    for i in range(B):
+        share = buf[PARAM + P_COARSE * B + i]
+        w = coarse * share + (F1 - coarse) * (F1 - share)
+        buf[WEIGHT + i] += w * smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i]) * buf[N + i]
+
+
+@kernel
+def _choose(buf: F32, part: np.float32, gain: np.float32, opaque: np.float32) -> None:
+    """Settle the pixels whose layer is opaque: where on the texture they look, and how little light comes there."""
+    for i in range(B):
+        deep = part * buf[PARAM + P_DEEP * B + i]
+        free = F1 if buf[SHADE + i] < F0 else F0
+        take = free if buf[WEIGHT + i] > buf[PARAM + P_OPEN * B + i] - opaque else F0
+        shown = F1 + (gain - F1) * min(f32(2.2) * buf[PARAM + P_DEEP * B + i], F1)  # little dark under short grass
+        buf[SHADE + i] = shown if take > F0 else buf[SHADE + i]
+        fall = min(deep / max(buf[VZ + i], f32(0.3)), f32(1.5))
+        buf[ALONG + i] = fall if take > F0 else buf[ALONG + i]
+
+
+@kernel
+def foliage(buf: F32, base: F64, seed: int) -> None:
+    """Look into crowns and grass: three layers of leaves, the first opaque one is seen; fills LEAF with its light.
+
+    Leaves hang at several depths below the surface, so views from two places disagree, as with real plants; the
+    height that truth knows is the topmost layer.
+    """
+    fill(buf, SHADE, 1.0)
+    if largest(buf, PARAM + P_DEEP * B) > 0.0:
+        fill(buf, SHADE, -1.0)
+        fill(buf, ALONG, 0.0)
+        finest = smallest(buf, FOOT)
+        copy(buf, TX, KEPT_X)
+        copy(buf, TY, KEPT_Y)
+        noise_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer hang at many heights
+        _hang(buf)
+        for k, (part, gain, opaque) in enumerate(((0.0, 1.2, 0.0), (0.4, 0.55, 0.35), (1.0, 0.2, 9.0))):
+            fill(buf, WEIGHT, 0.0)
+            _shift(buf, f32(part))
+            for m, wavelength in enumerate((0.41, 0.17, 0.062)):
+                if wavelength > 1.2 * finest and k < 2:
+                    noise_at(buf, base, wavelength, math.cos(k + 2.0 * m), math.sin(k + 2.0 * m), seed + 10 * k + m)
+                    _sift(buf, f32(wavelength), f32(1.0 - 0.5 * m))
+            _choose(buf, f32(part), f32(gain), f32(opaque))
+        _settle(buf)
+    copy(buf, SHADE, LEAF)
+    for i in range(B):  # the flanks of a crown: the dark below it
+        e, n = buf[SLOPE_E + i], buf[SLOPE_N + i]
+        flank = smoothstep(f32(1.5), f32(5.0), np.sqrt(e * e + n * n)) if buf[PARAM + P_DEEP * B + i] > f32(0.2) else F0
+        buf[LEAF + i] *= F1 - f32(0.85) * flank
+
+
+@kernel
+def _hang(buf: F32) -> None:
+    """Shift the place of the leaves by the parallax of their own height: clumps of two depths in a crown.
+
+    Less P_LIFT, by which the tips of short plants stand above the height that truth knows: the mean of what is seen.
+    """
+    for i in range(B):
+        deep = buf[PARAM + P_DEEP * B + i]
+        n = buf[N + i] * smoothstep(f32(1.2), f32(2.4), f32(0.33) / buf[FOOT + i])
+        clump = smoothstep(f32(-0.35), f32(0.35), n)
+        crown = smoothstep(f32(0.15), f32(0.5), deep)
+        blades = f32(0.16) * min(max(F1 + f32(0.8) * n, F0), F2)
+        own = deep * (blades + crown * (f32(0.5) * clump - blades)) - buf[PARAM + P_LIFT * B + i]
+        fall = own / max(buf[VZ + i], f32(0.3))
+        buf[KEPT_X + i] -= buf[VX + i] * fall
+        buf[KEPT_Y + i] -= buf[VY + i] * fall
+
+
+@kernel
+def _shift(buf: F32, part: np.float32) -> None:
+    for i in range(B):
+        fall = min(part * buf[PARAM + P_DEEP * B + i] / max(buf[VZ + i], f32(0.3)), f32(1.5))
+        buf[TX + i] = buf[KEPT_X + i] - buf[VX + i] * fall
+        buf[TY + i] = buf[KEPT_Y + i] - buf[VY + i] * fall
+
+
+@kernel
+def _settle(buf: F32) -> None:
+    for i in range(B):
+        buf[TX + i] = buf[KEPT_X + i] - buf[VX + i] * buf[ALONG + i]
+        buf[TY + i] = buf[KEPT_Y + i] - buf[VY + i] * buf[ALONG + i]

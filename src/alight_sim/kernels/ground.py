@@ -1,0 +1,162 @@
+"""The layers of a patch at the places of a block of pixels: look, light, tint.
+
+Where the ground steps, the height of the hit says on which side of the step it is: the surface's contour is a straight
+line where a thing's edge is one (`alight_sim.kernels.stamps`), the border between two cells is a stair.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel
+from alight_sim.kernels.block import (  # fmt: skip
+    BUMP_E,
+    BUMP_N,
+    F1,
+    F32,
+    F64,
+    FOOT,
+    I32,
+    SLOPE_E,
+    SLOPE_N,
+    TINT_B,
+    TINT_G,
+    TINT_R,
+    TX,
+    TY,
+    WATER,
+    B,
+    N,
+    X,
+    Y,
+    Z,
+    copy,
+    f32,
+    noise_at,
+    smallest,
+    smoothstep,
+)
+
+U8 = NDArray[np.uint8]
+
+# codes of records.Terrain whose borders are edges of height: colours keep to them
+TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
+STEEP = 3.0  # slope of a side
+STEP, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; up to here its side is the ground's
+
+
+@kernel
+def _class_near(label: U8, gx: float, gy: float) -> tuple[int, int]:
+    rows, cols = label.shape
+    return min(max(int(gy + 0.5), 0), rows - 1), min(max(int(gx + 0.5), 0), cols - 1)
+
+
+@kernel
+def _hard(kind: int) -> bool:
+    return kind in (TREE, ROCK, STRUCTURE)
+
+
+@kernel
+def _beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
+    """Return the nearest cell on the point's own side of a step, and whether that is the upper; row -1: no step."""
+    rows, cols = height.shape
+    ix, iy = int(gx), int(gy)
+    if ix < 1 or iy < 1 or ix > cols - 3 or iy > rows - 3 or gx < 1.0 or gy < 1.0:
+        return -1, -1, True
+    a, b, c, d = height[iy, ix], height[iy, ix + 1], height[iy + 1, ix], height[iy + 1, ix + 1]
+    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < f32(STEP):
+        return -1, -1, True
+    top, low = height[iy, ix], height[iy, ix]
+    for r in range(iy - 1, iy + 3):
+        for q in range(ix - 1, ix + 3):
+            top, low = max(top, height[r, q]), min(low, height[r, q])
+    middle = 0.5 * (float(top) + float(low))
+    upper = z > min(middle, float(low) + FOOT_OF)
+    best, row, col = 1e9, -1, -1
+    for r in range(iy - 1, iy + 3):
+        for q in range(ix - 1, ix + 3):
+            away = (q - gx) * (q - gx) + (r - gy) * (r - gy)
+            if (float(height[r, q]) > middle) == upper and away < best:
+                best, row, col = away, r, q
+    return row, col, upper
+
+
+@kernel
+def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
+    """Return the cell whose look a place has. Borders between two kinds of ground wander, as real ones do."""
+    steep = math.hypot(buf[SLOPE_E + i], buf[SLOPE_N + i])
+    if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
+        gx, gy = gx + buf[SLOPE_E + i] / steep, gy - buf[SLOPE_N + i] / steep
+    r, c = _class_near(label, gx, gy)
+    if steep > STEEP:
+        return r, c
+    q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
+    if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
+        q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
+    hard = _hard(label[r, c]) or _hard(label[q, p])
+    return (r, c) if hard else (q, p)
+
+
+@kernel
+def look_up_layers(
+    buf: F32, height: F32, label: U8, looks_layer: U8, light: F32, tint: F32, by_class: I32, place: F64, base: F64,
+    wet: F32, look: I32,
+) -> None:  # fmt: skip
+    """Fill look, light and tint; `height` is empty where the layers are coarser than it.
+
+    TX, TY hold how far the borders of a class wander: see `wander`.
+    """
+    per = 1.0 / place[2]
+    for i in range(B):
+        gx = (base[0] - place[0] + buf[X + i]) * per
+        gy = (place[1] - base[1] - buf[Y + i]) * per
+        _layers_at(buf, i, SLOPE_E, light, 5, gx, gy)
+        r, c, upper = _beside(height, gx, gy, base[2] + buf[Z + i])
+        if r >= 0:
+            gx, gy = float(c), float(r)
+            if not upper and not _hard(label[r, c]):  # ground at the foot of a thing: level, however cells slope
+                buf[SLOPE_E + i], buf[SLOPE_N + i] = f32(0.1) * buf[SLOPE_E + i], f32(0.1) * buf[SLOPE_N + i]
+        else:
+            r, c = _near(buf, i, label, gx, gy)
+        look[i] = int(looks_layer[r, c]) if looks_layer.size > 0 else 0
+        if look[i] == 0:
+            look[i] = by_class[label[r, c]]
+        buf[WATER + i] = wet[look[i]]
+        if tint.size > 0:
+            _layers_at(buf, i, TINT_R, tint, 3, gx, gy)
+        else:
+            buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
+
+
+@kernel
+def _layers_at(buf: F32, i: int, slot: int, layers: F32, count: int, gx: float, gy: float) -> None:
+    """Fill `count` slots from `slot` on with the layers (R, C, count) at a place of the grid, bilinear."""
+    rows, cols = layers.shape[0], layers.shape[1]
+    gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
+    ix, iy = int(gx), int(gy)
+    u, v = f32(gx - ix), f32(gy - iy)
+    a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
+    for k in range(count):
+        upper = layers[iy, ix, k] * a + layers[iy, ix + 1, k] * b
+        buf[slot + k * B + i] = upper + layers[iy + 1, ix, k] * c + layers[iy + 1, ix + 1, k] * d
+
+
+@kernel
+def wander_borders(buf: F32, base: F64) -> None:
+    """Fill TX, TY with how far, in cells, the border of a class wanders: at 0.4 and 0.1 m."""
+    copy(buf, X, TX)
+    copy(buf, Y, TY)
+    noise_at(buf, base, 0.4, 0.8, 0.6, 77)
+    for i in range(B):
+        buf[BUMP_E + i], buf[BUMP_N + i] = f32(0.25) * buf[N + B + i], f32(0.25) * buf[N + 2 * B + i]
+    if smallest(buf, FOOT) < 0.08:
+        noise_at(buf, base, 0.1, 0.6, 0.8, 78)
+        for i in range(B):
+            fine = f32(0.22) * smoothstep(f32(1.2), f32(2.4), f32(0.1) / buf[FOOT + i])
+            buf[BUMP_E + i] += fine * buf[N + B + i]
+            buf[BUMP_N + i] += fine * buf[N + 2 * B + i]
+    copy(buf, BUMP_E, TX)
+    copy(buf, BUMP_N, TY)

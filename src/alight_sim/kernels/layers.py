@@ -1,0 +1,185 @@
+"""Ground by world position: fractal relief and distances to lines, for cells of a tile and for single places alike.
+
+Every value is a function of its place and the seed alone: tiles that share a border agree on it, on any thread.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, parallel_kernel, prange
+from alight_sim.kernels.noise import noise32, seed32
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+HILLS, RIDGES, DUNES = 0, 1, 2
+BLOCK = 8  # cells of a block's side
+
+
+@kernel
+def _fractal_row(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
+    """Add the octaves at places (C,) to `out` (C,), in single precision from the first place."""
+    cos, sin = 1.0, 0.0
+    for k in range(wavelengths.size):
+        # wave numbers of the octave's axes: u = a x + b y, v = c x + d y
+        a, b = cos / wavelengths[k], -sin / wavelengths[k]
+        c, d = sin / wavelengths[k], cos / wavelengths[k]
+        if form == DUNES:
+            a, b, c, d = 1.0 / wavelengths[k], 0.0, 0.0, 0.25 / wavelengths[k]
+        u0, v0 = math.floor(a * x[0] + b * y[0]), math.floor(c * x[0] + d * y[0])
+        i0, j0, bits, gain = np.int32(u0), np.int32(v0), seed32(seed + 101 * k), amplitudes[k]
+        if form == HILLS:
+            for m in range(out.size):
+                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
+                out[m] += gain * noise32(u, v, i0, j0, bits)[0]
+        else:
+            for m in range(out.size):
+                u, v = np.float32(a * x[m] + b * y[m] - u0), np.float32(c * x[m] + d * y[m] - v0)
+                out[m] += 1.9 * gain * (0.7 - abs(noise32(u, v, i0, j0, bits)[0]))
+        cos, sin = 0.7986 * cos - 0.6018 * sin, 0.6018 * cos + 0.7986 * sin  # 37 degrees: lattices never line up
+
+
+@kernel
+def add_fractal_here(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
+    """`add_fractal` on the calling thread alone: for a few places, where waking the others takes longer."""
+    for r in range(out.shape[0]):
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
+
+
+@parallel_kernel
+def add_fractal(x: F64, y: F64, wavelengths: F64, amplitudes: F64, form: int, seed: int, out: F64) -> None:
+    """Add noise octaves at places (R, C) to `out` (R, C).
+
+    `form`: HILLS: as they are; RIDGES: creases upwards; DUNES: long crests across the east. An octave has about its
+    amplitude as standard deviation.
+    """
+    for r in prange(out.shape[0]):
+        _fractal_row(x[r], y[r], wavelengths, amplitudes, form, seed, out[r])
+
+
+@parallel_kernel
+def along_line(x: F64, y: F64, line: F64, reach: float, out: F64) -> None:
+    """Fill `out` (R, C, 3) with the way of each place from a line: aside (left is negative), along, height there.
+
+    `line` (N, 4): east, north, metres along, height of each vertex. Places farther than `reach`: aside is `reach`.
+    """
+    for r in prange(out.shape[0]):
+        for c in range(out.shape[1]):
+            best, side = reach * reach, 1.0
+            out[r, c, 1], out[r, c, 2] = 0.0, 0.0
+            for k in range(line.shape[0] - 1):
+                ax, ay = x[r, c] - line[k, 0], y[r, c] - line[k, 1]
+                bx, by = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
+                t = min(max((ax * bx + ay * by) / (bx * bx + by * by), 0.0), 1.0)
+                d = (ax - t * bx) ** 2 + (ay - t * by) ** 2
+                if d < best:
+                    best, side = d, -1.0 if bx * ay - by * ax > 0.0 else 1.0
+                    out[r, c, 1] = line[k, 2] + t * (line[k + 1, 2] - line[k, 2])
+                    out[r, c, 2] = line[k, 3] + t * (line[k + 1, 3] - line[k, 3])
+            out[r, c, 0] = side * math.sqrt(best)
+
+
+@parallel_kernel
+def box_mean(values: F32, half: int, out: F32) -> None:
+    """Fill `out` (R, C) with the mean of the square of 2 half + 1 cells about each cell, cut at the edges."""
+    rows, cols = values.shape
+    across = np.empty((rows, cols))
+    for r in prange(rows):
+        total = 0.0
+        for c in range(min(half, cols)):
+            total += values[r, c]
+        for c in range(cols):
+            if c + half < cols:
+                total += values[r, c + half]
+            if c - half > 0:
+                total -= values[r, c - half - 1]
+            across[r, c] = total / (min(c + half, cols - 1) - max(c - half, 0) + 1)
+    for r in prange(rows):
+        first, last = max(r - half, 0), min(r + half, rows - 1)
+        total_row = np.zeros(cols)
+        for k in range(first, last + 1):
+            for c in range(cols):
+                total_row[c] += across[k, c]
+        for c in range(cols):
+            out[r, c] = np.float32(total_row[c] / (last - first + 1))
+
+
+@parallel_kernel
+def ground_light(height: F32, means: F32, row: int, col: int, cell: float, gains: F64, out: F32) -> None:
+    """Fill `out` (R, C, 3) with slope east, slope north and the share of open sky.
+
+    Cell (0, 0) of `out` is (`row`, `col`) of `height`, which goes on by a cell or more on every side. `means` (K, ...):
+    heights smoothed over K widths; a hollow is a cell below them, darker by `gains` (K,) a metre.
+    """
+    for r in prange(out.shape[0]):
+        for c in range(out.shape[1]):
+            i, j = row + r, col + c
+            out[r, c, 0] = np.float32((height[i, j + 1] - height[i, j - 1]) / (2.0 * cell))
+            out[r, c, 1] = np.float32((height[i - 1, j] - height[i + 1, j]) / (2.0 * cell))
+            sky = 1.0
+            for k in range(gains.size):
+                sky /= 1.0 + gains[k] * max(float(means[k, i, j]) - float(height[i, j]), 0.0)
+            out[r, c, 2] = np.float32(sky)
+
+
+@kernel
+def _bilinear(layer: F32, x: float, y: float) -> float:
+    ix, iy = min(int(x), layer.shape[1] - 2), min(int(y), layer.shape[0] - 2)
+    u, v = x - ix, y - iy
+    upper = layer[iy, ix] * (1 - u) + layer[iy, ix + 1] * u
+    lower = layer[iy + 1, ix] * (1 - u) + layer[iy + 1, ix + 1] * u
+    return float(upper * (1 - v) + lower * v)
+
+
+@parallel_kernel
+def tile_block_tops(height: F32, out: F32) -> None:
+    """Fill `out` with the highest cell of each block of BLOCK x BLOCK, one cell about it included."""
+    rows, cols = height.shape
+    for i in prange(out.shape[0]):
+        for j in range(out.shape[1]):
+            top = -np.inf
+            for r in range(max(i * BLOCK - 1, 0), min((i + 1) * BLOCK + 1, rows)):
+                for c in range(max(j * BLOCK - 1, 0), min((j + 1) * BLOCK + 1, cols)):
+                    top = max(top, float(height[r, c]))
+            out[i, j] = np.float32(top)
+
+
+@kernel
+def _to_leave(x: float, step: float) -> int:
+    """Return how many steps stay inside the block."""
+    inside = x - BLOCK * math.floor(x / BLOCK)
+    if step > 0.0:
+        return int((BLOCK - inside) / step)
+    return int(inside / -step) if step < 0.0 else BLOCK
+
+
+@parallel_kernel
+def sun_margin(
+    height: F32, tops: F32, row: int, col: int, top: float, step: F64, limit: float, out: F32
+) -> None:  # fmt: skip
+    """Fill `out` (R, C) with how far, in metres, the sun's ray from each cell clears the ground (negative: shadow).
+
+    Cell (0, 0) of `out` is (`row`, `col`) of `height`. `step` (3,): one step towards the sun in columns, rows, metres;
+    steps of about a cell. Nothing is higher than `top`. Clipped to `limit`. Blocks that lie so deep below the ray that
+    they cannot matter are leapt over, by `tops` of `block_tops`; the result is the same.
+    """
+    rows, cols = height.shape
+    for r in prange(out.shape[0]):
+        for c in range(out.shape[1]):
+            x0, y0, z0 = float(col + c), float(row + r), float(height[row + r, col + c])
+            margin, k = limit, 1
+            while margin > -limit:
+                x, y, z = x0 + k * step[0], y0 + k * step[1], z0 + k * step[2]
+                if z - step[2] >= top or x < 0.0 or y < 0.0 or x > cols - 1.0 or y > rows - 1.0:
+                    break
+                if z - tops[int(y) // BLOCK, int(x) // BLOCK] >= margin:
+                    k += 1 + min(_to_leave(x, step[0]), _to_leave(y, step[1]))
+                    continue
+                margin = min(margin, z - _bilinear(height, x, y))
+                k += 1
+            out[r, c] = np.float32(max(margin, -limit))

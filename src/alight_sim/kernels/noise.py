@@ -1,0 +1,142 @@
+"""Procedural noise by world position: an integer hash, so that no place repeats and nothing is stored.
+
+Everything is a pure function of position and seed: the same on every thread and in NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alight.compiled import kernel, pixelwise
+
+MASK = 0xFFFFFFFF
+UNIT_STD = 5.65  # largest lattice slope: brings the noise below to a standard deviation of one
+
+
+@kernel
+def _hash_column(i: int, seed: int) -> int:
+    h = ((i & MASK) * 0x2DA6B343 + ((seed & MASK) * 0x4B1AB31F & MASK)) & MASK
+    h ^= h >> 16
+    h = (h * 0x21F0AAAD) & MASK
+    return h ^ (h >> 15)
+
+
+@kernel
+def _hash_point(column: int, j: int) -> int:
+    h = (column + (j & MASK) * 0x58163841) & MASK
+    h ^= h >> 16
+    h = (h * 0x21F0AAAD) & MASK
+    h ^= h >> 15
+    h = (h * 0x735A2D97) & MASK
+    return h ^ (h >> 15)
+
+
+@kernel
+def hash3(i: int, j: int, seed: int) -> int:
+    """Return 32 well mixed bits of two lattice indices and a seed.
+
+    Multiply-xorshift rounds (Wellons' lowbias32), one index after the other: combining the indices first, by XOR of
+    their multiples, gave one lattice point in six the bits of another.
+    """
+    h: int = _hash_point(_hash_column(i, seed), j)
+    return h
+
+
+@kernel
+def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
+    """Return Perlin's gradient noise of unit wavelength and unit standard deviation, and its two derivatives.
+
+    Quintic blending: the value is twice differentiable, so its slopes can be used as micro-relief.
+    """
+    i, j = math.floor(x), math.floor(y)
+    u, v = x - i, y - j
+    left, right = _hash_column(i, seed), _hash_column(i + 1, seed)
+    h00, h10 = _hash_point(left, j), _hash_point(right, j)
+    h01, h11 = _hash_point(left, j + 1), _hash_point(right, j + 1)
+    s = UNIT_STD / 32768.0
+    ax, ay = (h00 & 0xFFFF) * s - UNIT_STD, (h00 >> 16) * s - UNIT_STD
+    bx, by = (h10 & 0xFFFF) * s - UNIT_STD, (h10 >> 16) * s - UNIT_STD
+    cx, cy = (h01 & 0xFFFF) * s - UNIT_STD, (h01 >> 16) * s - UNIT_STD
+    dx, dy = (h11 & 0xFFFF) * s - UNIT_STD, (h11 >> 16) * s - UNIT_STD
+    a, b = ax * u + ay * v, bx * (u - 1) + by * v
+    c, d = cx * u + cy * (v - 1), dx * (u - 1) + dy * (v - 1)
+    fu, fv = u * u * u * (u * (u * 6 - 15) + 10), v * v * v * (v * (v * 6 - 15) + 10)
+    gu, gv = 30 * u * u * (u * (u - 2) + 1), 30 * v * v * (v * (v - 2) + 1)
+    k = a - b - c + d
+    value = a + fu * (b - a) + fv * (c - a) + fu * fv * k
+    slope_x = ax + fu * (bx - ax) + fv * (cx - ax) + fu * fv * (ax - bx - cx + dx) + gu * (fv * k + b - a)
+    slope_y = ay + fu * (by - ay) + fv * (cy - ay) + fu * fv * (ay - by - cy + dy) + gv * (fu * k + c - a)
+    return value, slope_x, slope_y
+
+
+# ---- the same in 32 bits, for loops over a block of pixels that LLVM turns into vector code -------------------------
+
+f32, u32, i32 = np.float32, np.uint32, np.int32
+_FIRST, _I, _J, _LAST = u32(0x21F0AAAD), u32(0x2DA6B343), u32(0x58163841), u32(0x735A2D97)
+_STEP, _STD, _LOW = f32(UNIT_STD / 32768.0), f32(UNIT_STD), u32(0xFFFF)
+_15, _16 = u32(15), u32(16)
+_F1, _F2, _F6, _F10, _F15, _F30 = f32(1), f32(2), f32(6), f32(10), f32(15), f32(30)
+
+
+@pixelwise
+def floor32(x: np.float32) -> np.int32:
+    """Largest integer not above `x`; unlike `math.floor`, vectorised."""
+    i = i32(x)
+    return i32(i - i32(f32(i) > x))
+
+
+@pixelwise
+def column32(i: np.int32, seed: np.uint32) -> np.uint32:
+    """First half of the hash: what the points of one lattice column share; `seed` already multiplied (`seed32`)."""
+    h = u32(u32(i) * _I + seed)
+    h = u32(h ^ u32(h >> _16))
+    h = u32(h * _FIRST)
+    return u32(h ^ u32(h >> _15))
+
+
+@pixelwise
+def point32(column: np.uint32, j: np.int32) -> np.uint32:
+    """Second half of the hash: bits of one lattice point."""
+    h = u32(column + u32(u32(j) * _J))
+    h = u32(h ^ u32(h >> _16))
+    h = u32(h * _FIRST)
+    h = u32(h ^ u32(h >> _15))
+    h = u32(h * _LAST)
+    return u32(h ^ u32(h >> _15))
+
+
+@pixelwise
+def seed32(seed: int) -> np.uint32:
+    """The seed as the 32-bit hash takes it."""
+    return u32(((seed & MASK) * 0x4B1AB31F) & MASK)
+
+
+@pixelwise
+def _slope32(h: np.uint32, x: np.float32, y: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+    """One lattice point's slopes, and its plane's height at (x, y) from it."""
+    a, b = f32(u32(h & _LOW)) * _STEP - _STD, f32(u32(h >> _16)) * _STEP - _STD
+    return a, b, a * x + b * y
+
+
+@pixelwise
+def noise32(
+    x: np.float32, y: np.float32, i0: np.int32, j0: np.int32, seed: np.uint32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """`gradient_noise` at (i0 + x, j0 + y), in single precision: whole lattice steps apart, so exact far from zero."""
+    i, j = floor32(x), floor32(y)
+    u, v = x - f32(i), y - f32(j)
+    left, right = column32(i32(i + i0), seed), column32(i32(i + i0 + i32(1)), seed)
+    low, high = i32(j + j0), i32(j + j0 + i32(1))
+    ax, ay, a = _slope32(point32(left, low), u, v)
+    bx, by, b = _slope32(point32(right, low), u - _F1, v)
+    cx, cy, c = _slope32(point32(left, high), u, v - _F1)
+    dx, dy, d = _slope32(point32(right, high), u - _F1, v - _F1)
+    fu, fv = u * u * u * (u * (u * _F6 - _F15) + _F10), v * v * v * (v * (v * _F6 - _F15) + _F10)
+    gu, gv = _F30 * u * u * (u * (u - _F2) + _F1), _F30 * v * v * (v * (v - _F2) + _F1)
+    k = a - b - c + d
+    value = a + fu * (b - a) + fv * (c - a) + fu * fv * k
+    slope_x = ax + fu * (bx - ax) + fv * (cx - ax) + fu * fv * (ax - bx - cx + dx) + gu * (fv * k + b - a)
+    slope_y = ay + fu * (by - ay) + fv * (cy - ay) + fu * fv * (ay - by - cy + dy) + gv * (fu * k + c - a)
+    return value, slope_x, slope_y

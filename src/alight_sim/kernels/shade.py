@@ -1,0 +1,217 @@
+"""The light that a hit point sends to a pixel: look by world position, sun with shadow, clouds, haze, moving water.
+
+Blocks of 128 pixels of a row go through passes that are vector loops (`alight_sim.kernels.block`). Linear radiance; a
+white flat surface in the sun is about 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, parallel_kernel, prange
+from alight_sim.kernels.block import (  # fmt: skip
+    BLUE,
+    DIST,
+    F0,
+    F1,
+    F32,
+    F64,
+    FACE,
+    FOOT,
+    GREEN,
+    I32,
+    MARGIN,
+    PARAM,
+    RED,
+    SLOPE_E,
+    SLOPE_N,
+    TINT_R,
+    TX,
+    TY,
+    VX,
+    VY,
+    VZ,
+    WATER,
+    B,
+    X,
+    Y,
+    Z,
+    f32,
+    fill,
+)
+from alight_sim.kernels.foliage import foliage, sway
+from alight_sim.kernels.ground import look_up_layers, wander_borders
+from alight_sim.kernels.illuminate import (
+    WIND,
+    car_shadows,
+    dye,
+    face_normals,
+    haze,
+    illuminate,
+    slope_normals,
+    sunshine,
+)
+from alight_sim.kernels.litter import small_things
+from alight_sim.kernels.texture import P_BED, P_DEEP, PARAMS, colours, laid, load_looks, patches, texture_detail
+from alight_sim.kernels.water import dive, refract, scum, water_light, waves
+
+U8 = NDArray[np.uint8]
+I16 = NDArray[np.int16]
+
+PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
+
+
+@kernel
+def _aim(
+    buf: F32, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float, level: float,
+    base: F64,
+) -> bool:  # fmt: skip
+    """Fill places, directions to the camera, distance (-1: sky) and footprint; False: the block sees only sky."""
+    last, seen = depth.shape[1] - 1, False
+    for i in range(B):
+        c = min(first + i, last)
+        d0, d1, d2 = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
+        x = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
+        y = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
+        z = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
+        length = math.sqrt(x * x + y * y + z * z)
+        t = depth[r, c]
+        if t < 0.0 and z < -1e-3:
+            t = (level - centre[2]) / z
+        if t > 0.0 and not seen:
+            seen = True
+            for k, rate in enumerate((x, y, z)):
+                base[k] = math.floor(centre[k] + t * rate)
+        if not seen:
+            base[0], base[1], base[2] = centre[0], centre[1], centre[2]
+        there = max(t, 0.0)
+        buf[X + i] = f32(centre[0] + there * x - base[0])
+        buf[Y + i] = f32(centre[1] + there * y - base[1])
+        buf[Z + i] = f32(centre[2] + there * z - base[2])
+        buf[VX + i], buf[VY + i], buf[VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
+        buf[DIST + i] = f32(t * length) if t > 0.0 else f32(-1.0)
+        buf[FOOT + i] = f32(max(there * pixel, 1e-4))
+    if seen:  # sky before the first hit: anywhere
+        for i in range(B):
+            if buf[DIST + i] < F0:
+                buf[X + i], buf[Y + i], buf[Z + i] = F0, F0, F0
+    return seen
+
+
+@kernel
+def _unfold(buf: F32, base: F64) -> None:
+    """Fill TX, TY: seen from above on ground and roofs, from the side on walls, of which a pixel covers more."""
+    x0, y0 = f32(base[0] - 512.0 * math.floor(base[0] / 512.0)), f32(base[1] - 512.0 * math.floor(base[1] / 512.0))
+    z0 = f32(base[2])
+    for i in range(B):
+        e, n = abs(buf[SLOPE_E + i]), abs(buf[SLOPE_N + i])
+        leafy = F1 if buf[PARAM + P_DEEP * B + i] > F0 else F0  # leaves have no face: askew through their volume
+        wall = F1 - leafy if max(e, n) > f32(1.3) else F0
+        east = wall if e > n else F0
+        north = wall - east
+        x, y, z = buf[X + i], buf[Y + i], buf[Z + i] + z0  # true height: blocks must agree
+        side_x, side_y = y + y0 - x0 + f32(300), z - y0 + f32(0.3) * (x + x0)  # of a wall that looks east or west
+        front_x, front_y = x - f32(300), z - y0 + f32(0.3) * (y + y0)
+        buf[TX + i] = (F1 - wall) * (x + leafy * f32(0.8) * z) + east * side_x + north * front_x
+        buf[TY + i] = (F1 - wall) * (y - leafy * f32(0.5) * z) + east * side_y + north * front_y
+        buf[FOOT + i] *= F1 + wall
+
+
+@kernel
+def _board(buf: F32, faces: I16, r: int, first: int, boxes: F64, base: F64, look: I32) -> bool:
+    """Give pixels that see a car its look; False: none does. See `alight_sim.kernels.boxes`."""
+    any_car, last = False, faces.shape[1] - 1
+    for i in range(B):
+        code = int(faces[r, min(first + i, last)])
+        buf[FACE + i] = f32(code)
+        if code == 0:
+            continue
+        any_car = True
+        box = boxes[code >> 3]
+        dx, dy, dz = base[0] + buf[X + i] - box[0], base[1] + buf[Y + i] - box[1], base[2] + buf[Z + i] - box[2]
+        u, v = box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx
+        look[i] = GLASS if box[11] > 0.5 and (code & 7) != 1 else PAINT
+        buf[TX + i], buf[TY + i] = f32(u + 20.0 * (code >> 3) + v * 0.3), f32(v + dz)
+        buf[SLOPE_E + i], buf[SLOPE_N + i], buf[MARGIN + i], buf[WATER + i] = F0, F0, F1, F0
+        for k in range(3):
+            buf[TINT_R + k * B + i] = f32(box[8 + k])
+    return any_car
+
+
+@kernel
+def _put(buf: F32, weight: np.float32, r: int, first: int, out: F32) -> None:
+    for i in range(min(B, out.shape[1] - first)):
+        out[r, first + i, 0] += weight * buf[RED + i]
+        out[r, first + i, 1] += weight * buf[GREEN + i]
+        out[r, first + i, 2] += weight * buf[BLUE + i]
+
+
+@kernel
+def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool) -> None:
+    """Fill reflectance and bumps."""
+    _unfold(buf, base)
+    sway(buf, base, lights[WIND : WIND + 2], time, seed + 60)
+    if wet:
+        refract(buf)
+    foliage(buf, base, seed + 400)
+    patches(buf, base, seed + 500)
+    texture_detail(buf, base, seed + 3)
+    small_things(buf, base, lights, seed + 700)
+    colours(buf, base, seed + 800)
+    laid(buf, base, seed + 900)
+
+
+@parallel_kernel
+def shade(
+    height: F32, label: U8, looks_layer: U8, light: F32, tint: F32, place: F64, looks: F32, by_class: I32, wet: F32,
+    centres: F64, directions: F32, turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float,
+    lights: F64, times: F64, seed: int, weight: float, out: F32,
+) -> None:  # fmt: skip
+    """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
+
+    `height` (R, C; empty: the layers are coarser than it); `label`, `looks_layer` (R, C; empty: by class), `tint`
+    (R, C, 3; empty: none), `light` (R, C, 5): slope east, slope north, shadow margin, open sky, water depth. `place`:
+    east, north of cell (0, 0), cell. `looks` (L, PARAMS), `by_class` (9,) look of a class, `wet` (L,) 1 for water:
+    `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
+    picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
+    from `cast_boxes`; `pixel`: angle of a pixel; `level`: height of the plane that goes on where the patch ends;
+    `lights` (LIGHTS,): see `illuminate`.
+    """
+    lights32 = lights.astype(np.float32)
+    for r in prange(out.shape[0]):
+        row = np.int64(r)
+        n = row if centres.shape[0] > 1 else np.int64(0)
+        buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.empty(3)
+        fill(buf, WATER, 0.0)
+        loaded = -1
+        for first in range(0, out.shape[1], B):
+            if not _aim(buf, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
+                fill(buf, DIST, -1.0)
+                haze(buf, lights32)
+                _put(buf, f32(weight), row, first, out)
+                continue
+            wander_borders(buf, base)
+            look_up_layers(buf, height, label, looks_layer, light, tint, by_class, place, base, wet, look)
+            cars = boxes.shape[1] > 0 and _board(buf, faces, row, first, boxes[n], base, look)
+            under = dive(buf, looks, look)
+            if under:
+                waves(buf, base, lights[WIND : WIND + 2], times[n], seed + 40)
+            loaded = load_looks(buf, looks, look, P_BED, loaded)
+            _texture(buf, base, lights, times[n], seed, under)
+            if cars or tint.size > 0:
+                dye(buf)
+            sunshine(buf, base, lights, times[n], seed + 950)
+            if boxes.shape[1] > 0:
+                car_shadows(buf, boxes[n], base, lights)
+            slope_normals(buf)
+            if cars:
+                face_normals(buf, boxes[n])
+            if under:
+                water_light(buf, lights)
+                scum(buf, base, lights[WIND : WIND + 2], times[n], seed + 980)
+            illuminate(buf, lights32)
+            haze(buf, lights32)
+            _put(buf, f32(weight), row, first, out)

@@ -1,0 +1,156 @@
+"""What stands on the ground, stamped into the layers of a tile: domes (rocks, crowns) and boxes (houses, cars).
+
+A thing replaces what is lower. Rows run in parallel and each goes through the things in their order, so the result
+does not depend on threads; heights come from world positions, so two tiles draw the same thing the same way.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, parallel_kernel, prange
+from alight_sim.kernels.noise import gradient_noise
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+
+# columns of a thing
+EAST, NORTH, LEVEL, REACH, TURN, HALF_U, HALF_V, TOP, EXTRA, RED, GREEN, BLUE, LOOK = range(13)
+COLUMNS = 13
+ELLIPSOID, CONE, DRUM = 0, 1, 2  # shapes of domes
+GABLE, HIP, FLAT, CAR = 0, 1, 2, 3  # roofs of boxes
+PARAPET, CHIMNEY = 0.25, 0.4  # metres: height of the rim of a flat roof, half a chimney's side
+
+
+@kernel
+def _span(centre: float, reach: float, first: float, cell: float, count: int) -> tuple[int, int]:
+    """Return the cells [a, b) of an axis whose centres lie within `reach`."""
+    a = math.ceil((centre - reach - first) / cell)
+    b = math.floor((centre + reach - first) / cell) + 1
+    return min(max(a, 0), count), min(max(b, 0), count)
+
+
+@kernel
+def _put(
+    thing: F64, surface: float, kind: int, r: int, c: int, height: F64, label: U8, depth: F64, look: U8, tint: F32
+) -> None:
+    if surface <= height[r, c]:
+        return
+    height[r, c], depth[r, c] = surface, 0.0
+    if kind < 0 and thing[LOOK] == 0.0:  # of the ground's own stuff
+        return
+    if kind >= 0:
+        label[r, c] = kind
+    look[r, c] = int(thing[LOOK])
+    for k in range(3):
+        tint[r, c, k] = thing[RED + k]
+
+
+@kernel
+def _dome(thing: F64, u: float, v: float, x: float, y: float, form: F64, shape: int, seed: int) -> float:
+    """Return a dome's height above its base, negative outside. `form`: skirt, lumps, their size, raggedness."""
+    r = math.hypot(u / thing[HALF_U], v / thing[HALF_V])
+    if r > 1.5:
+        return -1.0
+    size = form[2]
+    if form[3] > 0.0:
+        a, _, _ = gradient_noise(x / size, y / size, seed + 1)
+        b, _, _ = gradient_noise(x / (0.35 * size), y / (0.35 * size), seed + 2)
+        r *= 1.0 + form[3] * (a + 0.55 * b)
+    if r >= 1.0:
+        return -1.0
+    shaped = math.sqrt(1.0 - r * r) if shape == ELLIPSOID else (1.0 - r if shape == CONE else 1.0)
+    rise = thing[TOP] * (form[0] + (1.0 - form[0]) * shaped)
+    if form[1] > 0.0:
+        a, _, _ = gradient_noise(x / size, y / size, seed + 3)
+        b, _, _ = gradient_noise(x / (0.37 * size), y / (0.37 * size), seed + 4)
+        rise += form[1] * thing[EXTRA] * (a + b)
+    return float(max(rise, 0.02))
+
+
+@parallel_kernel
+def stamp_domes(
+    x: F64, y: F64, cell: float, things: F64, form: F64, shape: int, kind: int, rooted: bool, seed: int,
+    ground: F64, height: F64, label: U8, depth: F64, look: U8, tint: F32,
+) -> None:  # fmt: skip
+    """Stamp `things` (N, COLUMNS). `x` (C,), `y` (R,): cell centres. `rooted`: stands on the level of its foot.
+
+    `form` (4,): skirt (share of the top at the rim), lumps (times EXTRA, metres), size of lumps in metres, raggedness.
+    `kind` < 0 keeps the class of the ground.
+    """
+    for r in prange(y.size):
+        for k in range(things.shape[0]):
+            t = things[k]
+            if abs(y[r] - t[NORTH]) > t[REACH]:
+                continue
+            c0, c1 = _span(t[EAST], t[REACH], x[0], cell, x.size)
+            cos, sin = math.cos(t[TURN]), math.sin(t[TURN])
+            for c in range(c0, c1):
+                dx, dy = x[c] - t[EAST], y[r] - t[NORTH]
+                rise = _dome(t, cos * dx + sin * dy, cos * dy - sin * dx, x[c], y[r], form, shape, seed)
+                if rise > 0.0:
+                    base = t[LEVEL] if rooted else ground[r, c]
+                    _put(t, base + rise, kind, r, c, height, label, depth, look, tint)
+
+
+@kernel
+def _roof(thing: F64, u: float, v: float, kind: int) -> float:
+    """Return the height of a box above its base. TOP: of its walls, EXTRA: slope of its roof, or its parapet."""
+    u, v = min(max(u, -thing[HALF_U]), thing[HALF_U]), min(max(v, -thing[HALF_V]), thing[HALF_V])
+    inside_u, inside_v = thing[HALF_U] - abs(u), thing[HALF_V] - abs(v)
+    if kind == CAR:
+        return float(_car(thing, u, v))
+    if kind == FLAT:
+        rim = min(inside_u, inside_v) < PARAPET and thing[EXTRA] > 0.0
+        return float(thing[TOP] + (thing[EXTRA] if rim else 0.0))
+    rise = thing[EXTRA] * (inside_v if kind == GABLE else min(inside_u, inside_v))
+    if abs(u - 0.5 * thing[HALF_U]) < CHIMNEY and abs(v - 0.25 * thing[HALF_V]) < CHIMNEY:
+        rise = thing[EXTRA] * thing[HALF_V] + 0.5
+    return float(thing[TOP] + rise)
+
+
+@kernel
+def _car(thing: F64, u: float, v: float) -> float:
+    """Bonnet, wind-screen, roof and boot along the car, tumble home across it."""
+    along = u / thing[HALF_U]
+    body = 0.62 * thing[TOP]
+    screen = min((along + 0.85) / 0.25, (0.45 - along) / 0.3)
+    cabin = min(max(screen, 0.0), 1.0) * (thing[TOP] - body)
+    if abs(v) > 0.86 * thing[HALF_V]:
+        cabin *= 0.4
+    return float(body - 0.15 * max(along - 0.5, 0.0) + cabin)
+
+
+@parallel_kernel
+def stamp_boxes(
+    x: F64, y: F64, cell: float, things: F64, kind: int, label_code: int,
+    height: F64, label: U8, depth: F64, look: U8, tint: F32,
+) -> None:  # fmt: skip
+    """Stamp `things` (N, COLUMNS) with vertical sides, each on the level of its foot; `kind`: GABLE, HIP, FLAT, CAR.
+
+    A cell that an edge cuts rises by the share of it that is covered, so that edges askew to the grid are straight
+    lines on the surface, no stairs; it is of the thing's class where half of it is covered.
+    """
+    for r in prange(y.size):
+        for k in range(things.shape[0]):
+            t = things[k]
+            if abs(y[r] - t[NORTH]) > t[REACH] + cell:
+                continue
+            c0, c1 = _span(t[EAST], t[REACH] + cell, x[0], cell, x.size)
+            cos, sin = math.cos(t[TURN]), math.sin(t[TURN])
+            width = cell * (abs(cos) + abs(sin))
+            for c in range(c0, c1):
+                dx, dy = x[c] - t[EAST], y[r] - t[NORTH]
+                u, v = cos * dx + sin * dy, cos * dy - sin * dx
+                covered = 0.5 + min(t[HALF_U] - abs(u), t[HALF_V] - abs(v)) / width
+                if covered <= 0.0:
+                    continue
+                rise = t[LEVEL] + _roof(t, u, v, kind) - height[r, c]
+                if covered >= 0.5:
+                    _put(t, height[r, c] + min(covered, 1.0) * rise, label_code, r, c, height, label, depth, look, tint)
+                elif rise > 0.0:
+                    height[r, c] += covered * rise

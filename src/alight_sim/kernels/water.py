@@ -1,0 +1,188 @@
+"""Water for a block of pixels: moving waves, the bed refracted and dimmed, the sky mirrored, glints, scum that drifts.
+
+The bed is textured by the same passes as dry ground, at the place where the refracted ray meets it, so stereo matches
+the bed, below the true surface: the failure that a lander must not fall for.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alight.compiled import kernel
+from alight_sim.kernels.block import (  # fmt: skip
+    BLUE,
+    BODY_B,
+    BODY_G,
+    BODY_R,
+    CALM,
+    CLOUD,
+    DEPTH,
+    DU,
+    DULL_B,
+    DULL_G,
+    DULL_R,
+    DV,
+    F0,
+    F1,
+    F32,
+    F64,
+    FOOT,
+    GREEN,
+    I32,
+    RED,
+    SCUM,
+    SKY,
+    SUN,
+    TX,
+    TY,
+    VX,
+    VY,
+    VZ,
+    WATER,
+    WAVE_E,
+    WAVE_N,
+    WAVE_VAR,
+    B,
+    N,
+    U,
+    V,
+    X,
+    Y,
+    copy,
+    f32,
+    fading,
+    fill,
+    noise_at,
+    smoothstep,
+)
+from alight_sim.kernels.texture import P_BED, P_BLUE1, P_BLUE3, P_GREEN1, P_GREEN3, P_RED1, P_RED3, P_SCUM, P_WAVES
+
+TRAINS = ((5.1, 0.020), (2.2, 0.030), (0.95, 0.036), (0.41, 0.040), (0.18, 0.045))  # wavelength, m; slope at 3 m/s
+
+
+@kernel
+def dive(buf: F32, looks: F32, look: I32) -> bool:
+    """Remember the water's own numbers and give its pixels the look of the bed; False: no water in the block."""
+    wet = False
+    for i in range(B):
+        wet |= buf[WATER + i] > 0.0
+    if not wet:
+        return False
+    for i in range(B):
+        k = look[i]
+        buf[BODY_R + i], buf[BODY_G + i], buf[BODY_B + i] = looks[k, P_RED1], looks[k, P_GREEN1], looks[k, P_BLUE1]
+        buf[DULL_R + i], buf[DULL_G + i], buf[DULL_B + i] = looks[k, P_RED3], looks[k, P_GREEN3], looks[k, P_BLUE3]
+        buf[SCUM + i], buf[CALM + i] = looks[k, P_SCUM], looks[k, P_WAVES]
+        if buf[WATER + i] > 0.0:
+            look[i] = int(looks[k, P_BED])
+    return True
+
+
+@kernel
+def _add_train(buf: F32, w: np.float32, wavelength: np.float32, c: np.float32, s: np.float32) -> None:
+    for i in range(B):
+        slope = w * buf[CALM + i]
+        seen = smoothstep(f32(1.2), f32(2.4), wavelength / buf[FOOT + i])
+        buf[WAVE_E + i] += seen * slope * (c * buf[DU + i] - s * buf[DV + i])
+        buf[WAVE_N + i] += seen * slope * (s * buf[DU + i] + c * buf[DV + i])
+        buf[WAVE_VAR + i] += (F1 - seen) * slope * slope * f32(2.0)
+
+
+@kernel
+def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
+    """Fill the slopes of the waves: five lengths, each running both down the wind and across it at sqrt(g L / 2 pi)."""
+    copy(buf, X, TX)
+    copy(buf, Y, TY)
+    fill(buf, WAVE_E, 0.0)
+    fill(buf, WAVE_N, 0.0)
+    fill(buf, WAVE_VAR, 0.0004)
+    speed = max(math.hypot(wind[0], wind[1]), 0.3)
+    noise_at(buf, base, 14.0, 0.6, 0.8, seed + 90, -wind[0] * time, -wind[1] * time)
+    for i in range(B):  # gusts roughen the water here and leave it smooth there
+        buf[CALM + i] *= f32(0.25) + f32(0.75) * smoothstep(f32(-1.0), f32(1.0), buf[N + i])
+    for k, (wavelength, slope) in enumerate(TRAINS):
+        run = 1.25 * math.sqrt(wavelength) * time
+        w = 0.65 * slope * (0.25 + 0.25 * speed)
+        for m in range(2):
+            turn = math.atan2(wind[1], wind[0]) + (-0.5 + 0.35 * k if m == 0 else 0.8 - 0.3 * k)
+            c, s = math.cos(turn), math.sin(turn)
+            noise_at(buf, base, wavelength, c, -s, seed + 11 * k + m, -c * run, -s * run)
+            _add_train(buf, f32(w), f32(wavelength), f32(c), f32(s))
+
+
+@kernel
+def refract(buf: F32) -> None:
+    """Move the texture's place of wet pixels to where the refracted ray meets the bed."""
+    for i in range(B):
+        deep = max(buf[DEPTH + i], F0) * buf[WATER + i]
+        down = max(buf[VZ + i], f32(0.2))
+        buf[TX + i] += deep * (f32(0.25) * buf[WAVE_E + i] - buf[VX + i] / down * f32(0.75))
+        buf[TY + i] += deep * (f32(0.25) * buf[WAVE_N + i] - buf[VY + i] / down * f32(0.75))
+
+
+@kernel
+def _through(buf: F32, sky: np.float32, sun: np.float32, towards: F32) -> None:
+    """One channel, N: bed seen through the water, the water's own colour in V, what dims it in U; the mirrored sky."""
+    sx, sy, flat = towards[0], towards[1], towards[2]
+    for i in range(B):
+        v = buf[VX + i] * buf[WAVE_E + i] + buf[VY + i] * buf[WAVE_N + i]
+        facing = buf[WAVE_E + i] * sx + buf[WAVE_N + i] * sy
+        up = max(buf[VZ + i] - v, f32(0.02))
+        mirror = f32(0.02) + f32(0.98) * (F1 - up) * (F1 - up) * (F1 - up) * (F1 - up) * (F1 - up)
+        low = F1 - min(up, F1)
+        above = sky * buf[SKY + i] * (F1 + f32(2.5) * low * low - f32(8.0) * facing)
+        lit = sun * flat * (f32(0.25) + f32(0.75) * buf[SUN + i]) + sky * buf[SKY + i]
+        through = fading(max(buf[DEPTH + i], F0) * buf[U + i] * (F1 + F1 / max(buf[VZ + i], f32(0.3))) * f32(0.5))
+        body = buf[V + i] * max(F1 - f32(2.5) * facing, f32(0.3))
+        seen = (f32(0.7) * buf[N + i] * through + body * (F1 - through)) * lit
+        wet = seen * (F1 - mirror) + mirror * max(above, F0)
+        buf[N + i] = wet if buf[WATER + i] > F0 else buf[N + i]
+
+
+@kernel
+def water_light(buf: F32, sun: F64) -> None:
+    """Replace the reflectance of wet pixels by the light they send; `sun`: direction, colour, sky colour."""
+    towards = sun[:3].astype(np.float32)
+    for k, (body, dull, colour) in enumerate(((BODY_R, DULL_R, RED), (BODY_G, DULL_G, GREEN), (BODY_B, DULL_B, BLUE))):
+        copy(buf, body, V)
+        copy(buf, dull, U)
+        copy(buf, colour, N)
+        _through(buf, f32(sun[6 + k]), f32(sun[3 + k]), towards)
+        copy(buf, N, colour)
+    _glints(buf, f32(sun[0]), f32(sun[1]), f32(sun[2]))
+
+
+@kernel
+def _glints(buf: F32, sx: np.float32, sy: np.float32, sz: np.float32) -> None:
+    """Add the sun's mirror image where a wave tilts far enough (Cox and Munk, 1954, with the waves that are seen)."""
+    for i in range(B):
+        hx, hy, hz = buf[VX + i] + sx, buf[VY + i] + sy, max(buf[VZ + i] + sz, f32(0.05))
+        ex, ey = hx / hz + buf[WAVE_E + i], hy / hz + buf[WAVE_N + i]
+        var = f32(2.0) * buf[WAVE_VAR + i]
+        chance = fading((ex * ex + ey * ey) / var) / (f32(math.pi) * var)
+        glint = f32(0.0157) * chance / max(buf[VZ + i], f32(0.1)) * buf[SUN + i]
+        glint = min(glint, f32(30.0)) * buf[WATER + i]
+        buf[RED + i] += glint
+        buf[GREEN + i] += glint
+        buf[BLUE + i] += glint
+
+
+@kernel
+def scum(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
+    """Cover part of the water with algae or foam that the wind drives slowly: it moves from picture to picture."""
+    copy(buf, X, TX)
+    copy(buf, Y, TY)
+    fill(buf, CLOUD, 0.0)
+    for k, wavelength in enumerate((4.0, 1.1, 0.3)):
+        noise_at(buf, base, wavelength, 0.8, 0.6, seed + k, -0.02 * wind[0] * time, -0.02 * wind[1] * time)
+        for i in range(B):
+            buf[CLOUD + i] += (f32(0.8) - f32(0.15) * f32(k)) * buf[N + i]
+    for i in range(B):
+        share = buf[SCUM + i] * buf[WATER + i]
+        there = smoothstep(F0, f32(0.25), buf[CLOUD + i] + share - f32(2.5)) if share > F0 else F0
+        light = (f32(0.35) + f32(0.6) * buf[SUN + i]) * (F1 + f32(0.2) * buf[N + i])
+        buf[RED + i] += there * (f32(0.20) * light - buf[RED + i])
+        buf[GREEN + i] += there * (f32(0.24) * light - buf[GREEN + i])
+        buf[BLUE + i] += there * (f32(0.09) * light - buf[BLUE + i])

@@ -1,0 +1,286 @@
+"""A simulated flight as a folder: formats/flight-log.md, truth included."""
+
+from __future__ import annotations
+
+import errno
+import math
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+import rasterio
+import yaml
+from numpy.typing import NDArray
+from rasterio.windows import Window
+
+from alight.geometry import Pose, quaternion_from_matrix
+from alight.records import U8, Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
+from alight_sim.flight import SimulatedFlight
+
+EARTH_RADIUS = 6371008.8  # metres, mean
+BAND = 512  # rows of a raster at a time: a multiple of its tiles
+JPEG_QUALITY = 90  # what small cameras write
+NAV_COLUMNS = (
+    "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
+    "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,sigma_ve,sigma_vn,sigma_vu"
+)
+IMU_COLUMNS = (
+    "timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
+    "a_RS_S_x [m s^-2],a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]"
+)
+TRUTH_COLUMNS = (
+    "timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [],"
+    " v_RS_R_x [m s^-1], v_RS_R_y [m s^-1], v_RS_R_z [m s^-1], b_w_RS_S_x [rad s^-1], b_w_RS_S_y [rad s^-1],"
+    " b_w_RS_S_z [rad s^-1], b_a_RS_S_x [m s^-2], b_a_RS_S_y [m s^-2], b_a_RS_S_z [m s^-2]"
+)
+SCENE_USED = "scene-used.yaml"  # `alight simulate` of it with the same seed makes the same flight
+SECTIONS = ("origin", "light", "traffic", "flight", "imaging", "sensors", "faults")
+EXPOSURE_COLUMNS = "true time [ns],stamp [ns],arrival [ns]"
+
+Progress = Callable[[int, int], None]  # exposures done, exposures in all
+
+
+def write(
+    flight: SimulatedFlight,
+    out: Path,
+    progress: Progress | None = None,
+    *,
+    image: Literal["jpg", "png"] = "jpg",
+    overwrite: bool = False,
+) -> None:
+    """Write the flight as a folder, whole or not at all: it gets its name when everything is in it.
+
+    Raises:
+        OutputError: the folder exists and is not empty (and not `overwrite` of a simulated flight), or cannot be
+            written.
+    """
+    _refuse(out, overwrite)
+    part = out.with_name(f".{out.name}.tmp")
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        _write_sensors(flight, part / "mav0")
+        _write_streams(flight, part / "mav0", image, progress)
+        _write_truth(flight, part / "truth")
+        shutil.rmtree(out, ignore_errors=True)
+        os.replace(part, out)
+    except OSError as e:
+        full = e.errno in (errno.ENOSPC, errno.EDQUOT)
+        why = "the disk is full; free some space" if full else f"cannot be written ({e.strerror or e}); mend that"
+        raise OutputError(f"{out}: {why} or choose another folder with --out") from e
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _refuse(out: Path, overwrite: bool) -> None:
+    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+        return
+    simulated = (out / "truth" / "scene.yaml").is_file()
+    if not (overwrite and simulated):
+        raise OutputError(f"{out}: exists already; choose another folder with --out")
+
+
+# -- calibration
+
+
+def _dump(path: Path, tree: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, width=110), encoding="utf-8")
+
+
+def _transform(pose: Pose) -> dict[str, Any]:
+    return {"cols": 4, "rows": 4, "data": [float(v) for v in pose.matrix.ravel()]}
+
+
+def _camera_yaml(cam: RigCamera, rate_hz: float) -> dict[str, Any]:
+    lens = cam.camera
+    return {
+        "sensor_type": "camera",
+        "comment": cam.name,
+        "T_BS": _transform(cam.body_from_cam),
+        "rate_hz": rate_hz,
+        "resolution": [lens.width, lens.height],
+        "camera_model": "pinhole",
+        "intrinsics": [lens.fu, lens.fv, lens.cu, lens.cv],
+        "distortion_model": lens.model,
+        "distortion_coefficients": list(lens.distortion),
+    }
+
+
+def _write_sensors(flight: SimulatedFlight, root: Path) -> None:
+    for cam in flight.rig.cameras:
+        _dump(root / cam.name / "sensor.yaml", _camera_yaml(cam, flight.rate_hz))
+        (root / cam.name / "data").mkdir()
+    local, imu = flight.local, flight.imu
+    origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
+    _dump(root / "nav0" / "sensor.yaml", {"sensor_type": "nav", "rate_hz": flight.nav.rate_hz, "origin": origin})
+    numbers = {"rate_hz": imu.rate_hz} | imu.densities
+    _dump(root / "imu0" / "sensor.yaml", {"sensor_type": "imu", "T_BS": _transform(Pose()), **numbers})
+    _dump(
+        root / "state_groundtruth_estimate0" / "sensor.yaml",
+        {"sensor_type": "visual-inertial", "comment": "simulated truth of the body frame", "T_BS": _transform(Pose())},
+    )
+
+
+# -- streams
+
+
+def _table(path: Path, header: str, rows: Iterable[str]) -> None:
+    path.write_text("\n".join([f"#{header}", *rows]) + "\n", encoding="utf-8")
+
+
+def _join(t_ns: int, fields: Iterable[str]) -> str:
+    return ",".join([str(t_ns), *fields])
+
+
+def _nav_row(flight: SimulatedFlight, s: NavSample) -> str:
+    place = ["", "", ""]
+    if s.position_world is not None:
+        lat, lon, height = flight.local.to_geodetic(np.asarray(s.position_world))
+        place = [f"{float(lat):.10f}", f"{float(lon):.10f}", f"{float(height):.4f}"]
+    turn = [f"{v:.9f}" for v in quaternion_from_matrix(np.asarray(s.world_from_body))]
+    fields = [*place, *turn]
+    for values in (s.velocity_world, s.angular_velocity_body, s.sigma_position, s.sigma_attitude, s.sigma_velocity):
+        fields += ["", "", ""] if values is None else [f"{v:.6f}" for v in values]
+    return _join(s.t_ns, fields)
+
+
+def _imu_row(s: ImuSample) -> str:
+    return _join(s.t_ns, [f"{v:.9f}" for v in (*s.angular_velocity_body, *s.specific_force_body)])
+
+
+def _truth_rows(flight: SimulatedFlight) -> Iterable[str]:
+    gyro, accel = flight.biases
+    times, poses = flight.truth_trajectory
+    latest = np.clip(np.searchsorted(flight.imu_times, times), 0, len(gyro) - 1)
+    velocities = flight.trajectory.velocity_world(flight.since(times))
+    for t, k, pose, velocity in zip(times, latest, poses, velocities, strict=True):
+        numbers = [*pose.translation, *pose.quaternion, *velocity, *gyro[k], *accel[k]]
+        yield _join(int(t), [f"{v:.10f}" for v in numbers])
+
+
+def _encode(image: U8, kind: str) -> bytes:
+    options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if kind == "jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 3]
+    return bytes(cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), options)[1])
+
+
+def _write_streams(flight: SimulatedFlight, root: Path, image: str, progress: Progress | None) -> None:
+    nav, imu, done = [], [], 0
+    names = file_names(flight)
+    for event in flight.events():
+        if isinstance(event, NavSample):
+            nav.append(_nav_row(flight, event))
+        elif isinstance(event, ImuSample):
+            imu.append(_imu_row(event))
+        else:
+            _write_frame(flight, root, event, f"{names[flight.exposures.order[done]]}.{image}")
+            done += 1
+            if progress is not None:
+                progress(done, flight.length)
+    _table(root / "nav0" / "data.csv", NAV_COLUMNS, nav)
+    _table(root / "imu0" / "data.csv", IMU_COLUMNS, imu)
+    rows = [_join(int(t), [f"{name}.{image}"]) for t, name in zip(flight.exposures.stamp_ns, names, strict=True)]
+    for cam in flight.rig.cameras:  # a lost picture has its row and no file
+        _table(root / cam.name / "data.csv", "timestamp [ns],filename", rows)
+    _table(root / "state_groundtruth_estimate0" / "data.csv", TRUTH_COLUMNS, _truth_rows(flight))
+
+
+def file_names(flight: SimulatedFlight) -> list[str]:
+    """One a exposure: its stamp, and a number where that is repeated."""
+    stamps = flight.exposures.stamp_ns.tolist()
+    first = {t: k for k, t in reversed(list(enumerate(stamps)))}
+    return [str(t) if first[t] == k else f"{t}-{k - first[t]}" for k, t in enumerate(stamps)]
+
+
+def _write_frame(flight: SimulatedFlight, root: Path, frame: Frame, name: str) -> None:
+    for cam, picture in zip(flight.rig.cameras, frame.images, strict=True):
+        if picture is not None:
+            (root / cam.name / "data" / name).write_bytes(_encode(picture, Path(name).suffix[1:]))
+
+
+# -- truth
+
+
+def _write_truth(flight: SimulatedFlight, root: Path) -> None:
+    root.mkdir()
+    truth, local = flight.truth, flight.local
+    east, north = truth.grid.xy()
+
+    def height(rows: slice) -> NDArray[Any]:
+        fall = (east[None] ** 2 + north[rows, None] ** 2) / (2 * EARTH_RADIUS)  # the ellipsoid, from the tangent plane
+        return np.asarray((local.height + truth.height[rows] + fall).astype(np.float32))
+
+    _raster(flight, root / "dem.tif", height, "float32", math.nan)
+    _raster(flight, root / "class.tif", lambda rows: truth.label[rows], "uint8", 0)
+    columns = EXPOSURE_COLUMNS + "".join(f",{c.name}" for c in flight.rig.cameras)
+    _table(root / "exposures.csv", columns, _exposure_rows(flight))
+    if flight.repeatable:
+        _dump(root / SCENE_USED, flight.scene.model_dump(mode="json"))
+    _dump(root / "scene.yaml", scene_yaml(flight))
+
+
+def _raster(flight: SimulatedFlight, path: Path, rows: Callable[[slice], NDArray[Any]], dtype: str, no: float) -> None:
+    """Write a raster band by band, so that a large world does not need its copies in memory."""
+    grid = flight.truth.grid
+    profile = {
+        "driver": "GTiff", "height": grid.rows, "width": grid.cols, "count": 1, "dtype": dtype, "nodata": no,
+        "crs": flight.local.crs, "transform": rasterio.Affine(*grid.transform),
+        "compress": "deflate", "tiled": True, "blockxsize": 256, "blockysize": 256,
+    }  # fmt: skip
+    with rasterio.open(path, "w", **profile) as dataset:
+        for start in range(0, grid.rows, BAND):
+            count = min(BAND, grid.rows - start)
+            dataset.write(rows(slice(start, start + count)), 1, window=Window(0, start, grid.cols, count))
+
+
+def _exposure_rows(flight: SimulatedFlight) -> Iterable[str]:
+    x = flight.exposures
+    for k in range(len(x.true_ns)):
+        yield _join(int(x.true_ns[k]), [str(x.stamp_ns[k]), str(x.arrival_ns[k]), *(str(int(s)) for s in x.seen[k])])
+
+
+def scene_yaml(flight: SimulatedFlight) -> dict[str, Any]:
+    """What truth/scene.yaml says: the scene, the flight, what went wrong, and how much of the ground is safe."""
+    world, truth = flight.world, flight.truth
+    share = np.bincount(truth.label.ravel(), minlength=len(Terrain)) / truth.label.size
+    return {
+        "name": world.name,
+        "seed": flight.seed,
+        "description": world.description,
+        "sun": _sun(flight),
+        "duration_s": round(flight.seconds, 3),
+        "frames": flight.length,
+        "lost": {k: n for k, n in flight.counts.items() if k != "exposures"},
+        "seen_m": dict(zip(("west", "south", "east", "north"), (round(v, 3) for v in flight.seen), strict=True)),
+        "dem_cell_m": truth.grid.cell,
+        "class_fraction": {kind.name.lower(): round(float(share[kind]), 4) for kind in Terrain},
+        "safety": _safety(flight),
+        **{k: v for k, v in flight.scene.model_dump(mode="json").items() if k in SECTIONS},
+        "true_rig": {c.name: _camera_yaml(c, flight.rate_hz) for c in flight.true_rig.cameras},
+    }
+
+
+def _sun(flight: SimulatedFlight) -> dict[str, float]:
+    sun = flight.world.sun
+    return {
+        "azimuth_deg": round(math.degrees(sun.azimuth), 3),
+        "elevation_deg": round(math.degrees(sun.elevation), 3),
+    }
+
+
+def _safety(flight: SimulatedFlight) -> dict[str, Any]:
+    lander = flight.scene.lander.footprint
+    return {
+        "lander": {
+            "footprint_radius_m": lander.radius,
+            "max_slope_deg": round(math.degrees(lander.max_slope), 6),
+            "max_roughness_m": lander.max_roughness,
+            "classes": [int(k) for k in lander.classes],
+            "rule": "every cell centre within the radius: allowed class; least-squares plane of the disc: slope "
+            "and largest deviation within the limits",
+        },
+        "safe_fraction": round(float(flight.truth.safe(lander).mean()), 6),
+    }

@@ -1,0 +1,126 @@
+"""Where to fly: the patterns of a flight plan, as lines of way-points."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from alight.records import F64
+from alight_sim.section import Section
+from alight_sim.vehicle import Air, Limits
+
+Pattern = Literal["transect", "lawn_mower", "spiral", "descent", "hover", "waypoints"]
+Place = tuple[float, float, float]
+ARC = 1.0  # metres between the points of a curve
+
+
+class FlightPlan(Section):
+    """A flight: `height: 40` alone is a fine one."""
+
+    pattern: Pattern = Field("transect", description="what to fly; `waypoints` where those are given")
+    height: float = Field(40.0, gt=0, description="metres above what `above` says, at the start")
+    above: Literal["ground", "origin"] = Field(
+        "ground", description="heights count from the ground under the start, or from the world's origin"
+    )
+    speed: float = Field(5.0, gt=0, le=60.0, description="m/s, cruise; slower in corners and when climbing or sinking")
+    duration: float = Field(8.0, gt=0, description="s of a transect or a hover")
+    centre: tuple[float, float] = Field((0.0, 0.0), description="east, north of the pattern's middle, metres")
+    course_deg: float = Field(84.3, description="degrees clockwise from north: of the transect, the lines, the descent")
+    length: float | None = Field(
+        None,
+        ge=0,
+        description="metres: of a lawn mower's lines (40), over ground in a descent (a third of the height lost)",
+    )
+    lines: int = Field(4, ge=1, le=1000, description="lines of a lawn mower")
+    spacing: float | None = Field(
+        None, gt=0, description="metres between the lines or the turns of a spiral (0.3 of the height)"
+    )
+    turns: float = Field(2.0, gt=0, le=1000, description="turns of a spiral, outwards")
+    end_height: float = Field(5.0, gt=0, description="metres, where a descent ends; counts like `height`")
+    waypoints: tuple[Place, ...] | None = Field(
+        None, description="east, north, height: metres; heights count like `height`"
+    )
+    heading_deg: float | None = Field(
+        None, description="degrees clockwise from north, held; without it the nose follows the course"
+    )
+    vehicle: Literal["multirotor", "helicopter"] = Field("multirotor", description="what flies")
+    limits: Limits = Field(Limits(), description="what the vehicle does at most")
+    air: Air = Field(Air(), description="the wind that it flies in")
+
+    @model_validator(mode="after")
+    def _agree(self) -> FlightPlan:
+        if self.pattern == "waypoints" and not self.waypoints:
+            raise ValueError("pattern: waypoints needs waypoints: [[east, north, height], ...]")
+        if self.pattern == "descent" and self.end_height >= self.height:
+            raise ValueError(
+                f"a descent ends below its start: end_height {self.end_height:g} >= height {self.height:g}"
+            )
+        return self
+
+    @property
+    def kind(self) -> Pattern:
+        """The pattern; way-points given say it themselves."""
+        return "waypoints" if self.waypoints else self.pattern
+
+    @property
+    def rolling(self) -> bool:
+        """A transect begins and ends at full speed: it is a piece of a longer flight."""
+        return self.kind == "transect"
+
+    @property
+    def heading(self) -> float | None:
+        """Rad counter-clockwise from east, held; None: along the course. Where there is no course it is held."""
+        if self.heading_deg is not None:
+            return math.radians(90.0 - self.heading_deg)
+        return math.radians(90.0 - self.course_deg) if self.kind in ("hover", "descent") else None
+
+
+def line(plan: FlightPlan) -> F64:
+    """(N, 3) way-points: east, north and height as the plan counts it, metres; one alone is a hover."""
+    if plan.waypoints:
+        return np.array(plan.waypoints, dtype=np.float64)
+    flat = {
+        "transect": _transect, "lawn_mower": _lawn_mower, "spiral": _spiral, "descent": _descent, "hover": _hover,
+    }[plan.kind](plan)  # fmt: skip
+    course = math.radians(plan.course_deg)
+    along, right = np.array([math.sin(course), math.cos(course)]), np.array([math.cos(course), -math.sin(course)])
+    places = np.array(plan.centre) + flat[:, :1] * along + flat[:, 1:2] * right
+    return np.column_stack([places, flat[:, 2]])
+
+
+def _transect(plan: FlightPlan) -> F64:
+    half = 0.5 * plan.duration * plan.speed
+    return np.array([[-half, 0.0, plan.height], [half, 0.0, plan.height]])
+
+
+def _lawn_mower(plan: FlightPlan) -> F64:
+    half, gap = 0.5 * (plan.length or 40.0), plan.spacing or 0.3 * plan.height
+    out = []
+    for k in range(plan.lines):
+        side = gap * (k - 0.5 * (plan.lines - 1))
+        ends = (-half, half) if k % 2 == 0 else (half, -half)
+        out += [[end, side, plan.height] for end in ends]
+    return np.array(out)
+
+
+def _spiral(plan: FlightPlan) -> F64:
+    """Archimedes': the radius grows with the angle; points a metre apart."""
+    gap = (plan.spacing or 0.3 * plan.height) / (2.0 * math.pi)
+    last = 2.0 * math.pi * plan.turns
+    fine = np.linspace(0.0, last, max(int(200 * plan.turns), 50))
+    arc = np.concatenate([[0.0], np.cumsum(gap * np.hypot(1.0, 0.5 * (fine[1:] + fine[:-1])) * np.diff(fine))])
+    angle = np.interp(np.linspace(0.0, arc[-1], max(int(arc[-1] / ARC), 2) + 1), arc, fine)
+    return np.column_stack([gap * angle * np.cos(angle), gap * angle * np.sin(angle), np.full(len(angle), plan.height)])
+
+
+def _descent(plan: FlightPlan) -> F64:
+    lost = plan.height - plan.end_height
+    half = 0.5 * (lost / 3.0 if plan.length is None else plan.length)
+    return np.array([[-half, 0.0, plan.height], [half, 0.0, plan.end_height]])
+
+
+def _hover(plan: FlightPlan) -> F64:
+    return np.array([[0.0, 0.0, plan.height]])

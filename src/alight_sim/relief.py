@@ -1,0 +1,58 @@
+"""The lie of the land: a slope and fractal relief, evaluated at any place."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from alight.records import F64
+from alight_sim.kernels.layers import DUNES, HILLS, RIDGES, add_fractal, add_fractal_here
+from alight_sim.section import Section
+
+FORMS = {"hills": HILLS, "ridges": RIDGES, "dunes": DUNES}
+FEW = 8192  # places that one thread sees to sooner than many
+
+
+class FractalRelief(Section):
+    """Ups and downs between two wavelengths."""
+
+    height: float = Field(0.4, ge=0.0, le=200.0, description="metres, standard deviation")
+    longest: float = Field(40.0, gt=0.0, le=5000.0, description="metres, longest wavelength")
+    shortest: float = Field(4.0, gt=0.0, description="metres, shortest wavelength")
+    fall: float = Field(1.5, ge=0.0, le=4.0, description="amplitude goes with wavelength to this power: 0 is jagged")
+    form: Literal["hills", "ridges", "dunes"] = Field("hills", description="hills | ridges (creased) | dunes (long)")
+
+    def octaves(self) -> tuple[F64, F64]:
+        """Wavelengths and standard deviations, longest first."""
+        return octaves(self.height, self.longest, self.shortest, self.fall)
+
+    def add(self, x: F64, y: F64, seed: int, out: F64) -> None:
+        """Add this relief at places (R, C) to heights (R, C)."""
+        if self.height > 0.0:
+            _add(x, y, self.octaves(), FORMS[self.form], seed, out)
+
+
+def _add(x: F64, y: F64, waves: tuple[F64, F64], form: int, seed: int, out: F64) -> None:
+    kernel = add_fractal if x.size > FEW else add_fractal_here
+    kernel(x, y, *waves, form, seed, out)
+
+
+def octaves(deviation: float, longest: float, shortest: float, fall: float) -> tuple[F64, F64]:
+    """Wavelengths halved from `longest` down to `shortest` and their amplitudes, of total `deviation`."""
+    count = max(1, 1 + math.floor(math.log2(max(longest / shortest, 1.0)) + 1e-9))
+    wavelengths = longest * 0.5 ** np.arange(count, dtype=np.float64)
+    amplitudes = wavelengths**fall
+    return wavelengths, deviation * amplitudes / math.sqrt(float((amplitudes**2).sum()))
+
+
+def noise(x: F64, y: F64, seed: int, longest: float, shortest: float, fall: float = 1.0) -> F64:
+    """A field of unit deviation at places of any shape."""
+    if x.size == 0:
+        return np.zeros(x.shape)
+    east, north = (np.ascontiguousarray(v).reshape(len(v), -1) for v in (x, y))
+    out = np.zeros(east.shape)
+    _add(east, north, octaves(1.0, longest, shortest, fall), HILLS, seed, out)
+    return out.reshape(x.shape)

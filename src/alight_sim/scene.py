@@ -1,0 +1,179 @@
+"""The scene file: one YAML file says what the world is made of; every section and every key may be left out."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import Field, ValidationError
+
+from alight.geometry import LocalFrame
+from alight.records import F64, InputError
+from alight_sim.exposure import Imaging
+from alight_sim.faults import Faults
+from alight_sim.light import Light
+from alight_sim.looks import Look
+from alight_sim.movers import Traffic
+from alight_sim.patterns import FlightPlan
+from alight_sim.rasters import SceneRaster
+from alight_sim.relief import FractalRelief
+from alight_sim.rigs import RigModel
+from alight_sim.section import Section
+from alight_sim.sensors import Sensors
+from alight_sim.things import Thing
+from alight_sim.things.base import UNTINTED, CoverName, LookName, Tint
+from alight_sim.truth import TrueLander
+
+FOLDER = Path(__file__).parent / "scenes"
+
+
+class Origin(Section):
+    """Where on Earth the world lies."""
+
+    latitude: float = Field(47.6213, ge=-89.0, le=89.0, description="degrees, WGS84")
+    longitude: float = Field(13.4127, ge=-180.0, le=180.0, description="degrees, WGS84")
+    height: float = Field(512.0, ge=-500.0, le=9000.0, description="metres above the ellipsoid, of the zero of heights")
+
+    @property
+    def local(self) -> LocalFrame:
+        """East, north, up from here."""
+        return LocalFrame(self.latitude, self.longitude, self.height)
+
+
+class SceneGround(Section):
+    """What the world is made of: relief first, then the layers in their order; or a raster of your own."""
+
+    size: tuple[float, float] = Field((120.0, 120.0), description="[east, north] metres about the origin, with truth")
+    cell: float = Field(0.1, ge=0.05, le=0.2, description="metres")
+    cover: CoverName = Field("short_grass", description="class of the ground where no layer says otherwise")
+    look: LookName = Field(Look.BY_CLASS, description="look of that ground; without it that of its class")
+    tint: Tint = Field(UNTINTED, description="factor on its reflectance: a number or [red, green, blue]")
+    slope_deg: float = Field(0.0, ge=0.0, le=60.0, description="of the whole ground")
+    downhill_deg: float = Field(180.0, description="where the slope falls to, clockwise from north")
+    relief: tuple[FractalRelief, ...] = Field(
+        (FractalRelief(), FractalRelief(height=0.012, longest=3.0, shortest=0.2, fall=0.8)),
+        description="ups and downs, added up",
+    )
+    layers: tuple[Thing, ...] = Field((), description="things, each with `thing: name`; later ones lie over earlier")
+    raster: SceneRaster | None = Field(None, description="a height raster of your own instead of relief and layers")
+
+    def fall(self, x: F64, y: F64) -> F64:
+        """Heights of the slope at places."""
+        steep, towards = math.tan(math.radians(self.slope_deg)), math.radians(self.downhill_deg)
+        return np.asarray(-steep * (math.sin(towards) * x + math.cos(towards) * y))
+
+    @cached_property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, south, east, north: whole cells about the origin."""
+        half = [max(1, round(0.5 * s / self.cell)) * self.cell for s in self.size]
+        return -half[0], -half[1], half[0], half[1]
+
+
+class Scene(Section):
+    """One world to fly over, and how to fly it."""
+
+    name: str = Field("scene", description="what it is called")
+    description: str = Field("", description="one sentence for people")
+    origin: Origin = Field(Origin(), description="where on Earth")
+    ground: SceneGround = Field(SceneGround(), description="relief and things")
+    light: Light = Field(Light(), description="sun, sky, haze, clouds, wind at the ground")
+    traffic: tuple[Traffic, ...] = Field((), description="cars that drive: [{path: [[east, north], ...]}, ...]")
+    rig: RigModel = Field(RigModel(), description="the cameras: a name, or cameras of your own")
+    imaging: Imaging = Field(Imaging(), description="what lens and sensor make of the light")
+    faults: Faults = Field(Faults(), description="what goes wrong between shutter and log")
+    flight: FlightPlan = Field(FlightPlan(), description="where to fly, and with what")
+    sensors: Sensors = Field(Sensors(), description="GPS/INS and IMU")
+    lander: TrueLander = Field(TrueLander(), description="for whom the truth says what is safe")
+
+
+def built_in() -> dict[str, Path]:
+    """The packaged scenes by name."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene file; rasters in it are found beside it.
+
+    Raises:
+        InputError: not readable, not YAML, or a key or value that a scene does not know.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as e:
+        raise InputError(
+            f"{path}: cannot be read ({e.strerror}); name a scene file or one of: {', '.join(built_in())}"
+        ) from e
+    except UnicodeDecodeError as e:
+        raise InputError(f"{path}: is not text; a scene is a YAML file") from e
+    except yaml.YAMLError as e:
+        mark = getattr(e, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark is not None else ""
+        raise InputError(f"{path}: is not YAML{where}: {getattr(e, 'problem', e)}; mend the indentation there") from e
+    if tree is None:
+        tree = {}
+    if not isinstance(tree, dict):
+        raise InputError(f"{path}: holds a {type(tree).__name__}; a scene is a list of keys: ground, light, flight ...")
+    return parse_scene({"name": path.stem} | tree, str(path), path.parent)
+
+
+def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None) -> Scene:
+    """A scene out of plain values. `where`: what an error names; `folder`: where its rasters are looked for."""
+    try:
+        return Scene.model_validate(tree, context={"folder": folder})
+    except ValidationError as e:
+        raise InputError(f"{where}: {explain(e)}") from e
+
+
+def explain(error: ValidationError) -> str:
+    """The first thing wrong with a scene, in one line: the key, and what it may be."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    key = ".".join(str(k + 1) if isinstance(k, int) else str(k) for k in first["loc"])
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"{key}: there is no such key; {_known(first['loc'])}{more}"
+    if first["type"].startswith("union_tag"):
+        return f"{key}: {_tag(first)}{more}"
+    message = first["msg"].removeprefix("Value error, ")
+    return f"{key}: {message[0].lower()}{message[1:]}, not {first.get('input')!r:.60}{more}"
+
+
+def _tag(problem: Any) -> str:
+    context = problem.get("ctx", {})
+    names = context.get("expected_tags") or ", ".join(f"'{k}'" for k in things())
+    said = f"no thing is called {context['tag']!r}" if "tag" in context else "a layer needs `thing: name`"
+    return f"{said}; use one of: {str(names).replace(chr(39), '')}"
+
+
+def _known(loc: tuple[int | str, ...]) -> str:
+    """The keys of the section that a wrong key stands in."""
+    section: Any = Scene
+    kinds = things()
+    for part in loc[:-1]:
+        if isinstance(part, str) and part in kinds:
+            section = kinds[part]
+        elif isinstance(part, str) and part in getattr(section, "model_fields", {}):
+            section = _inner(section.model_fields[part].annotation)
+    fields = getattr(section, "model_fields", {})
+    return f"use one of: {', '.join(fields)}" if fields else "leave it out"
+
+
+def _inner(annotation: Any) -> Any:
+    """The section that a field holds, out of tuples and options."""
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return annotation
+    for part in getattr(annotation, "__args__", ()):
+        found = _inner(part)
+        if found is not None:
+            return found
+    return None
+
+
+def things() -> dict[str, type[Section]]:
+    """The things that layers may be made of, by name."""
+    union = Thing.__args__[0]
+    return {kind.model_fields["thing"].annotation.__args__[0]: kind for kind in union.__args__}

@@ -1,0 +1,41 @@
+"""The things that a scene's ground may be made of, by the names that a person writes in `layers`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from alight_sim.things.base import Layer, Scattered, Sheet
+from alight_sim.things.built import Cars, Crates, Houses, Parking
+from alight_sim.things.cover import Fields, Patches, TallGrass
+from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, Water
+from alight_sim.things.lines import Hedges, Roads, Walls
+from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
+
+Thing = Annotated[
+    Roughness
+    | Terraces
+    | Craters
+    | Ponds
+    | Water
+    | Pads
+    | Patches
+    | TallGrass
+    | Fields
+    | Roads
+    | Walls
+    | Hedges
+    | Rocks
+    | Trees
+    | Shrubs
+    | Mounds
+    | Houses
+    | Cars
+    | Crates
+    | Logs
+    | Parking,
+    Field(discriminator="thing"),
+]
+
+__all__ = ["Layer", "Scattered", "Sheet", "Thing"]

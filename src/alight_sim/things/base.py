@@ -1,0 +1,217 @@
+"""What all things of a scene share: the sheet that they are drawn on, and how they are scattered over a world."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
+
+from alight.records import F32, F64, U8, Terrain
+from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
+from alight_sim.looks import Look
+from alight_sim.section import Section
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+Mask = NDArray[np.bool_]
+Box = tuple[float, float, float, float]  # west, south, east, north, metres
+CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "rock", "paved", "structure"]
+Places = tuple[tuple[float, float], ...]
+Factor = Annotated[float, Field(ge=0.0, le=20.0)]
+UNTINTED = (1.0, 1.0, 1.0)
+
+
+def _look(value: Any) -> Any:
+    if isinstance(value, str) and value.upper() in Look.__members__:
+        return Look[value.upper()]
+    if isinstance(value, Look):
+        return value
+    raise ValueError(f"must be one of: {', '.join(k.lower() for k in Look.__members__)}")
+
+
+def _triple(value: Any) -> Any:
+    return (value, value, value) if isinstance(value, int | float) else value
+
+
+LookName = Annotated[Look, BeforeValidator(_look), PlainSerializer(lambda look: look.name.lower(), when_used="json")]
+Tint = Annotated[tuple[Factor, Factor, Factor], BeforeValidator(_triple)]
+
+
+def _pair(value: Any) -> Any:
+    return (value, value) if isinstance(value, int | float) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 < value[0] <= value[1]:
+        raise ValueError("must be one number or [smallest, largest], above 0")
+    return value
+
+
+Between = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)]
+
+
+def terrain_named(name: str) -> Terrain:
+    """The class of this name."""
+    return Terrain[name.upper()]
+
+
+@dataclass(eq=False)
+class Sheet:
+    """Places (R, C) with the layers under construction; things change them in place.
+
+    `ground` is the solid ground, `height` the topmost surface: what covers and what stands raises only that.
+    """
+
+    x: F64
+    y: F64
+    ground: F64
+    height: F64
+    label: U8
+    depth: F64  # of water
+    look: U8  # codes of Look
+    tint: F32  # (R, C, 3) factor on the look's reflectance
+    cell: float  # metres between the places of a tile; 0: single places
+    notes: dict[int, Any] = field(default_factory=dict)  # what a layer's shaping leaves for its covering
+
+    @classmethod
+    def blank(cls, x: F64, y: F64, label: Terrain, cell: float = 0.0) -> Sheet:
+        """Flat ground of one class."""
+        zero = np.zeros(x.shape)
+        labels = np.full(x.shape, label, np.uint8)
+        looks, tint = np.zeros(x.shape, np.uint8), np.ones((*x.shape, 3), np.float32)
+        return cls(x, y, zero, zero, labels, zero.copy(), looks, tint, cell)
+
+    @property
+    def box(self) -> Box:
+        """What the places span, a cell more on every side: things cover cells whose centres they do not reach."""
+        near = self.cell
+        return (
+            float(self.x.min()) - near, float(self.y.min()) - near,
+            float(self.x.max()) + near, float(self.y.max()) + near,
+        )  # fmt: skip
+
+    def near(self, east: float, north: float, reach: float) -> tuple[Any, F64, F64]:
+        """Index of the places in a square about a place, and their east and north from there, metres."""
+        if self.cell > 0.0:
+            cols = np.nonzero(np.abs(self.x[0] - east) < reach)[0]
+            rows = np.nonzero(np.abs(self.y[:, 0] - north) < reach)[0]
+            index: Any = (_run(rows), _run(cols))
+        else:
+            index = np.nonzero((np.abs(self.x - east) < reach) & (np.abs(self.y - north) < reach))
+        return index, self.x[index] - east, self.y[index] - north
+
+    def paint(
+        self, index: Any, mask: Mask, kind: Terrain | None, look: Look = Look.BY_CLASS, tint: Sequence[float] = UNTINTED
+    ) -> None:
+        """Give the masked places of an index a class and a look; no class: that of the ground stays."""
+        for layer, value in ((self.label, kind), (self.look, look), (self.tint, tint)):
+            if value is None:
+                continue
+            part = layer[index]
+            part[mask] = value
+            if part.base is None:  # picked one by one: a copy
+                layer[index] = part
+
+
+def _run(found: NDArray[np.intp]) -> slice:
+    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
+
+
+def ramp(low: float, high: float, x: F64) -> F64:
+    """Smooth step from 0 at `low` to 1 at `high`."""
+    t = np.clip((x - low) / (high - low), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))
+
+
+class Layer(Section):
+    """One kind of thing. All shape the solid ground first, then all cover it, then all stand on it."""
+
+    def shape(self, sheet: Sheet, lay: Lay) -> None:
+        """Change the solid ground."""
+
+    def cover(self, sheet: Sheet, lay: Lay) -> None:
+        """Raise the surface above the solid ground."""
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Stamp what stands."""
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """By how much the layer lowers and raises the ground at most, metres."""
+        return 0.0, 0.0
+
+
+class Scattered(Layer):
+    """Things at named places, or so many a hectare at random."""
+
+    at: Places = Field((), description="[[east, north], ...] metres from the origin")
+    per_hectare: float = Field(0.0, ge=0.0, le=20000.0, description="how many a hectare, at random places")
+    upon: tuple[CoverName, ...] = Field(
+        ("bare", "short_grass"), description="classes of ground where random ones may stand; those of `at` always do"
+    )
+    within: Box | None = Field(None, description="[west, south, east, north]: random ones stand only in this box")
+    apart: bool = Field(False, description="random ones keep clear of the things of earlier layers that are apart too")
+    clump: float = Field(1.0, gt=0.0, le=1.0, description="share of the ground, in patches, that random ones keep to")
+    clump_size: float = Field(15.0, gt=0.5, le=1000.0, description="metres, of those patches")
+
+    @property
+    def largest(self) -> float:
+        """Metres from a thing's centre to its farthest part."""
+        raise NotImplementedError
+
+    @property
+    def founded(self) -> bool:
+        """True: its base is the highest ground under it."""
+        return False
+
+    def draw(self, rng: np.random.Generator, things: F64) -> None:
+        """Fill the columns of things (N, COLUMNS) whose places are drawn."""
+        raise NotImplementedError
+
+    def parts(self, rng: np.random.Generator, things: F64) -> F64:
+        """What is stamped for things that have found their place: themselves."""
+        return things
+
+
+def blank_things(places: F64) -> F64:
+    """(N, COLUMNS) with places (N, 2)."""
+    things = np.zeros((len(places), COLUMNS))
+    things[:, [EAST, NORTH]] = places
+    return things
+
+
+def overlapping(things: F64, box: Box) -> F64:
+    """Those that reach into a box."""
+    west, south, east, north = box
+    e, n, reach = things[:, EAST], things[:, NORTH], things[:, REACH]
+    near = (e + reach >= west) & (e - reach <= east) & (n + reach >= south) & (n - reach <= north)
+    return np.asarray(things[near])
+
+
+def power_law(rng: np.random.Generator, between: Between, exponent: float, count: int) -> F64:
+    """Sizes whose number above a size goes with the size to the power -exponent."""
+    low, high = between
+    u = rng.random(count)
+    if low == high:
+        return np.full(count, low)
+    if exponent < 1e-9:
+        return np.asarray(low * (high / low) ** u)
+    a, b = low**-exponent, high**-exponent
+    return np.asarray((a - u * (a - b)) ** (-1.0 / exponent))
+
+
+def covered(inside: F64, cell: float) -> F64:
+    """Share of a cell that lies inside an edge, `inside` metres from its centre: heights by it make straight edges."""
+    return np.clip(inside / max(cell, 1e-6) + 0.5, 0.0, 1.0)
+
+
+def along_and_across(dx: F64, dy: F64, turn: float) -> tuple[F64, F64]:
+    """Coordinates along and across a direction, counter-clockwise from east."""
+    c, s = math.cos(turn), math.sin(turn)
+    return np.asarray(c * dx + s * dy), np.asarray(c * dy - s * dx)

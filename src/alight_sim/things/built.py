@@ -1,0 +1,270 @@
+"""Things that people put there: houses, cars, crates and litter."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field
+
+from alight.records import F64, Terrain
+from alight_sim.kernels import stamps
+from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
+from alight_sim.looks import Look
+from alight_sim.things.base import (
+    Between,
+    CoverName,
+    Layer,
+    LookName,
+    Mask,
+    Places,
+    Scattered,
+    Sheet,
+    Tint,
+    along_and_across,
+    blank_things,
+    overlapping,
+    ramp,
+    terrain_named,
+)
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+Generator = np.random.Generator
+PAINTS: tuple[Tint, ...] = (
+    (0.9, 0.9, 0.87), (0.45, 0.46, 0.48), (0.13, 0.13, 0.14), (0.04, 0.04, 0.045), (0.5, 0.04, 0.03),
+    (0.04, 0.09, 0.35), (0.16, 0.24, 0.16), (0.6, 0.5, 0.25),
+)  # fmt: skip
+ROOFS: tuple[Tint, ...] = ((1.0, 1.0, 1.0), (0.8, 0.75, 0.75), (1.15, 1.1, 1.0), (0.65, 0.7, 0.75))
+LITTER: tuple[Tint, ...] = ((0.8, 0.6, 0.35), (1.0, 1.0, 1.0), (0.08, 0.2, 0.55), (0.4, 0.3, 0.15), (0.15, 0.15, 0.15))
+
+
+def stamp(sheet: Sheet, things: F64, kind: int) -> None:
+    """Put boxes on the sheet."""
+    if len(things):
+        stamps.stamp_boxes(
+            sheet.x[0], sheet.y[:, 0], sheet.cell, things, kind, Terrain.STRUCTURE,
+            sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint,
+        )  # fmt: skip
+
+
+class Boxes(Scattered):
+    """What has vertical sides."""
+
+    turn_deg: float | None = Field(None, description="of the long side, counter-clockwise from east; none: at random")
+    tints: tuple[Tint, ...] = Field((), description="factors [[red, green, blue], ...] on the look, to draw from")
+    apart: bool = Field(True, description="random ones keep clear of the things of earlier layers that are apart too")
+
+    @property
+    def founded(self) -> bool:
+        """Stands on the highest ground under it."""
+        return True
+
+    def turns(self, rng: Generator, count: int) -> F64:
+        """Random turns, or the one asked for; drawn in any case, so that the rest stays."""
+        turns = rng.uniform(0.0, 2.0 * math.pi, count)
+        return turns if self.turn_deg is None else np.full(count, math.radians(self.turn_deg))
+
+    def paint(self, rng: Generator, things: F64, look: Look, otherwise: tuple[Tint, ...]) -> None:
+        """Draw a tint for each."""
+        palette = np.array(self.tints or otherwise)
+        things[:, RED : BLUE + 1] = palette[rng.integers(len(palette), size=len(things))]
+        things[:, LOOK] = look
+
+    def boxes(self, sheet: Sheet, lay: Lay, kind: int) -> None:
+        """Stamp all that reach the sheet."""
+        stamp(sheet, lay.things(sheet.box), kind)
+
+
+class Houses(Boxes):
+    """Houses with a gable, hip or flat roof and a chimney."""
+
+    thing: Literal["houses"]
+    length: Between = Field((8.0, 12.0), description="metres along the ridge")
+    width: Between = Field((6.0, 8.0), description="metres across")
+    walls: Between = Field((2.8, 5.5), description="metres to the eaves")
+    roof: Literal["gable", "hip", "flat"] = Field("gable", description="gable | hip | flat (with a parapet)")
+    look: LookName = Field(Look.ROOF_TILES, description="of a pitched roof: roof_tiles | roof_slate | roof_metal")
+    pitch_deg: float = Field(40.0, gt=0.0, le=60.0, description="slope of the roof")
+
+    @property
+    def largest(self) -> float:
+        """Half the diagonal."""
+        return 0.5 * math.hypot(self.length[1], self.width[1])
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Walls, roof, chimney."""
+        return 0.0, self.walls[1] + 0.5 * self.width[1] * math.tan(math.radians(self.pitch_deg)) + 0.5
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A plan, the walls and a roof of one colour."""
+        n = len(things)
+        things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
+        things[:, TOP], things[:, TURN] = rng.uniform(*self.walls, n), self.turns(rng, n)
+        things[:, EXTRA] = 0.4 if self.roof == "flat" else math.tan(math.radians(self.pitch_deg))
+        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        self.paint(rng, things, Look.FLAT_ROOF if self.roof == "flat" else self.look, ROOFS)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Walls and roofs."""
+        self.boxes(sheet, lay, {"gable": stamps.GABLE, "hip": stamps.HIP, "flat": stamps.FLAT}[self.roof])
+
+
+class Cars(Boxes):
+    """Parked cars."""
+
+    thing: Literal["cars"]
+    length: Between = Field((3.7, 4.9), description="metres")
+    width: Between = Field((1.65, 1.9), description="metres")
+    height: Between = Field((1.4, 1.75), description="metres")
+    upon: tuple[CoverName, ...] = Field(("paved", "bare"), description="classes of ground where random ones may stand")
+
+    @property
+    def largest(self) -> float:
+        """Half the diagonal."""
+        return 0.5 * math.hypot(self.length[1], self.width[1])
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest."""
+        return 0.0, self.height[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A size and a paint."""
+        n = len(things)
+        things[:, HALF_U], things[:, HALF_V] = 0.5 * rng.uniform(*self.length, n), 0.5 * rng.uniform(*self.width, n)
+        things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
+        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        self.paint(rng, things, Look.PAINT, PAINTS)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Bodies and cabins."""
+        self.boxes(sheet, lay, stamps.CAR)
+
+
+class Crates(Boxes):
+    """Crates, pallets, beams, posts, litter: boxes in many colours."""
+
+    thing: Literal["crates"]
+    size: Between = Field((0.3, 1.2), description="metres, of the long side")
+    width: Between | None = Field(None, description="metres, of the short side; without it as `size`: beams, posts")
+    height: Between = Field((0.15, 1.0), description="metres")
+    upon: tuple[CoverName, ...] = Field(
+        ("bare", "short_grass", "paved"), description="classes of ground for random ones"
+    )
+
+    @property
+    def largest(self) -> float:
+        """Half the diagonal."""
+        return 0.71 * max(self.size[1], self.width[1] if self.width else 0.0)
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest."""
+        return 0.0, self.height[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """Two sides and a height."""
+        n = len(things)
+        things[:, HALF_U] = 0.5 * rng.uniform(*self.size, n)
+        things[:, HALF_V] = 0.5 * rng.uniform(*(self.width or self.size), n)
+        things[:, TOP], things[:, TURN] = rng.uniform(*self.height, n), self.turns(rng, n)
+        things[:, REACH] = np.hypot(things[:, HALF_U], things[:, HALF_V])
+        self.paint(rng, things, Look.PAINT, LITTER)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Flat tops."""
+        self.boxes(sheet, lay, stamps.FLAT)
+
+
+class Parking(Layer):
+    """A parking ground: level, with rows of marked bays, some with a car in them."""
+
+    thing: Literal["parking"]
+    at: Places = Field(min_length=1, description="[[east, north], ...] metres, middles of the grounds")
+    size: tuple[float, float] = Field((40.0, 32.0), description="metres [along the rows, across]")
+    turn_deg: float = Field(0.0, description="of the rows, counter-clockwise from east")
+    full: float = Field(0.5, ge=0.0, le=1.0, description="share of the bays with a car")
+    bay: tuple[float, float] = Field((2.5, 5.0), description="metres [width, length] of a bay")
+    lane: float = Field(6.0, ge=0.0, le=50.0, description="metres between two rows")
+    bank: float = Field(2.0, ge=0.0, le=100.0, description="metres over which it blends into the ground")
+    kind: CoverName = Field("paved", description="class")
+    look: LookName = Field(Look.ASPHALT, description="look")
+    marked: bool = Field(True, description="lines between the bays")
+    car: Cars = Field(Cars(thing="cars"), description="what stands there")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """A car."""
+        return 0.0, self.car.height[1]
+
+    def shape(self, sheet: Sheet, lay: Lay) -> None:
+        """Level, pave and mark."""
+        for east, north, level in lay.keep("grounds", lambda: self._grounds(lay)):
+            index, dx, dy = sheet.near(east, north, 0.5 * math.hypot(*self.size) + self.bank)
+            u, v = along_and_across(dx, dy, math.radians(self.turn_deg))
+            outside = np.maximum(np.abs(u) - 0.5 * self.size[0], np.abs(v) - 0.5 * self.size[1])
+            blend = ramp(0.0, max(self.bank, 1e-9), outside)
+            sheet.ground[index] = level + blend * (sheet.ground[index] - level)
+            sheet.paint(index, outside <= 0.0, terrain_named(self.kind), self.look)
+            if self.marked:
+                sheet.tint[index] *= np.where(self._marks(u, v), 3.0, 1.0)[..., None].astype(np.float32)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Cars, neatly or not."""
+        things = overlapping(lay.keep("cars", lambda: self._cars(lay)), sheet.box)
+        stamp(sheet, things, stamps.CAR)
+
+    def _grounds(self, lay: Lay) -> F64:
+        """(N, 3) middle and level of each."""
+        places = np.array(self.at)
+        return np.column_stack([places, lay.before(places[:, :1], places[:, 1:]).ground])
+
+    @property
+    def _pitch(self) -> float:
+        return 2.0 * self.bay[1] + self.lane
+
+    def _marks(self, u: F64, v: F64) -> Mask:
+        """Lines 10 cm wide between the bays, double rows back to back."""
+        width, length = self.bay
+        count = math.floor(self.size[0] / width)
+        across = np.abs(v / self._pitch - np.floor(v / self._pitch) - 0.5) * self._pitch
+        line = np.abs(u / width - np.floor(u / width + 0.5)) * width < 0.05
+        inside = (np.abs(u) <= 0.5 * count * width + 0.05) & (np.abs(v) <= 0.5 * self.size[1])
+        return np.asarray(inside & (across <= length) & (line | (across < 0.05)))
+
+    def _cars(self, lay: Lay) -> F64:
+        """All of them, in their bays."""
+        rng = np.random.default_rng([lay.seed, 7])
+        width, length = self.bay
+        columns = np.arange(math.floor(self.size[0] / width)) - 0.5 * math.floor(self.size[0] / width) + 0.5
+        rows = np.arange(-100, 101) + 0.5
+        lines = np.concatenate([rows * self._pitch + side * 0.5 * length for side in (-1, 1)])
+        lines = lines[np.abs(lines) <= 0.5 * self.size[1] - 0.4 * length]
+        u, v = (a.ravel() for a in np.meshgrid(columns * width, lines))
+        found = []
+        for east, north, level in lay.keep("grounds", lambda: self._grounds(lay)):
+            there = rng.random(len(u)) < self.full
+            dx, dy = along_and_across(u[there], v[there], -math.radians(self.turn_deg))
+            things = blank_things(
+                np.column_stack([east + dx, north + dy]) + rng.normal(0.0, 0.12, (int(there.sum()), 2))
+            )
+            self.car.draw(rng, things)
+            backwards = rng.integers(2, size=len(things)) * math.pi
+            things[:, TURN] = math.radians(self.turn_deg + 90.0) + backwards + rng.normal(0.0, 0.03, len(things))
+            things[:, LEVEL] = level
+            found.append(things)
+        return self._off_pads(lay, np.concatenate(found))
+
+    @staticmethod
+    def _off_pads(lay: Lay, cars: F64) -> F64:
+        """Without those that would stand where a later layer keeps the ground free."""
+        for other in lay.stack.lays[lay.index + 1 :]:
+            if isinstance(other.layer, Scattered) and other.layer.apart:
+                for east, north in other.layer.at:
+                    away = np.hypot(cars[:, EAST] - east, cars[:, NORTH] - north)
+                    cars = cars[away > other.layer.largest + cars[:, HALF_U]]
+        return cars

@@ -1,0 +1,193 @@
+"""What covers the ground: patches of another class, tall grass, crops in rows."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from alight.records import F64, Terrain
+from alight_sim.looks import Look
+from alight_sim.relief import noise
+from alight_sim.things.base import (
+    UNTINTED,
+    Box,
+    CoverName,
+    Layer,
+    LookName,
+    Mask,
+    Sheet,
+    Tint,
+    along_and_across,
+    ramp,
+    terrain_named,
+)
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+
+class Outline(Layer):
+    """What covers a share of the ground, in patches by noise."""
+
+    share: float = Field(0.15, ge=0.0, le=1.0, description="of the ground that may be covered")
+    size: float = Field(10.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
+    look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
+    tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
+    upon: tuple[CoverName, ...] = Field(("short_grass",), description="classes of ground that may be covered")
+    within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
+
+    def excess(self, sheet: Sheet, lay: Lay) -> F64:
+        """How far the noise is above the threshold that leaves `share`, in deviations; negative outside."""
+        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
+        excess = field - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
+        open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
+        if self.within is not None:
+            west, south, east, north = self.within
+            open_ground &= (sheet.x >= west) & (sheet.x <= east) & (sheet.y >= south) & (sheet.y <= north)
+        return np.where(open_ground, excess, -1.0)
+
+
+class Patches(Outline):
+    """Patches of another class or look: open earth, wet patches, gravel, snow."""
+
+    thing: Literal["patches"]
+    kind: CoverName | None = Field("bare", description="class; null: that of the ground, only the look changes")
+
+    def shape(self, sheet: Sheet, lay: Lay) -> None:
+        """Change the class."""
+        mask = self.excess(sheet, lay) > 0.0
+        sheet.paint(..., mask, terrain_named(self.kind) if self.kind is not None else None, self.look, self.tint)
+
+
+class TallGrass(Outline):
+    """Grass, reed or weeds in tufts, in patches or everywhere (share: 1)."""
+
+    thing: Literal["tall_grass"]
+    share: float = Field(0.28, ge=0.0, le=1.0, description="of the ground that may be covered")
+    size: float = Field(14.0, gt=0.1, le=1000.0, description="metres, the longest waves of the outline")
+    height: float = Field(0.55, gt=0.0, le=4.0, description="metres, tallest tufts")
+    shallower: float = Field(0.3, ge=0.0, le=5.0, description="metres of water that it still grows in, where `upon` it")
+    tuft: float = Field(0.3, gt=0.02, le=5.0, description="metres from tuft to tuft")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest."""
+        return 0.0, 1.4 * self.height
+
+    def cover(self, sheet: Sheet, lay: Lay) -> None:
+        """Tufts, lower at the rim of a patch."""
+        excess = self.excess(sheet, lay)
+        mask = (excess > 0.0) & (sheet.height <= sheet.ground) & (sheet.depth <= self.shallower)
+        tufts = self._lie(sheet, lay)
+        rim = ramp(0.0, 0.25, excess)
+        blades = self.height * rim * np.clip(0.45 + 0.22 * tufts, 0.04, 1.0)
+        sheet.height[mask], sheet.depth[mask] = (sheet.ground + blades)[mask], 0.0
+        sheet.paint(..., mask, Terrain.TALL_VEGETATION, self.look, self.tint)
+
+    def _lie(self, sheet: Sheet, lay: Lay) -> F64:
+        """Of unit deviation: tufts, in swathes that the wind laid, streaks along them."""
+        bend = noise(sheet.x, sheet.y, lay.seed + 32, 30.0 * self.tuft, 10.0 * self.tuft)
+        u, v = along_and_across(sheet.x, sheet.y, lay.seed % 628 * 0.01)
+        swathe = noise(u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 33, 12.0 * self.tuft, 4.0 * self.tuft, 0.5)
+        streak = noise(0.6 * u, 2.0 * v + 3.0 * self.tuft * bend, lay.seed + 34, self.tuft, 0.3 * self.tuft, 0.2)
+        tufts = noise(sheet.x, sheet.y, lay.seed + 31, 2.0 * self.tuft, 0.4 * self.tuft, 0.4)
+        return 0.5 * swathe + 0.55 * streak + 0.67 * tufts
+
+
+class Crop(Layer):
+    """What grows in one parcel of the fields."""
+
+    kind: CoverName = Field("tall_vegetation", description="class of the plants, or of the ground where height is 0")
+    soil: CoverName = Field("bare", description="class between the rows")
+    height: float = Field(0.0, ge=0.0, le=4.0, description="metres, of the plants")
+    spacing: float = Field(0.75, gt=0.05, le=20.0, description="metres from row to row")
+    width: float = Field(0.5, ge=0.0, le=1.0, description="share of the spacing that the plants cover")
+    ridge: float = Field(0.0, ge=0.0, le=1.0, description="metres from furrow to ridge")
+    look: LookName = Field(Look.BY_CLASS, description="of the plants; without it that of the class")
+    soil_look: LookName = Field(Look.BY_CLASS, description="between the rows")
+    tint: Tint = Field(UNTINTED, description="factor on the plants' reflectance: a number or [red, green, blue]")
+
+
+CROPS = (
+    Crop(kind="bare", spacing=0.9, width=1.0, ridge=0.18, look=Look.SOIL, soil_look=Look.SOIL),  # ploughed
+    Crop(kind="short_grass", soil="short_grass", spacing=6.0, look=Look.LAWN),  # mown in strips
+    Crop(kind="tall_vegetation", height=0.8, spacing=0.3, width=1.0, look=Look.CROP, tint=(1.6, 1.3, 0.9)),  # wheat
+    Crop(kind="tall_vegetation", height=1.9, width=0.6, look=Look.CROP),  # maize
+    Crop(kind="bare", spacing=0.3, ridge=0.05, look=Look.STUBBLE, soil_look=Look.SOIL),
+    Crop(kind="tall_vegetation", height=0.45, width=0.7, ridge=0.2, look=Look.CROP, soil_look=Look.SOIL),  # potatoes
+)
+
+
+class Fields(Layer):
+    """A patchwork of parcels with crops in rows, strips of grass between them; or one field in a box."""
+
+    thing: Literal["fields"]
+    parcel: tuple[float, float] = Field((60.0, 35.0), description="metres [along, across]; the rows run along")
+    turn_deg: float = Field(20.0, description="of the rows, counter-clockwise from east")
+    border: float = Field(1.5, ge=0.0, le=50.0, description="metres of grass between two parcels")
+    crops: tuple[Crop, ...] = Field(CROPS, min_length=1, description="what grows, drawn for each parcel")
+    upon: tuple[CoverName, ...] = Field(("short_grass", "bare"), description="classes of ground that are farmed")
+    within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Ridges and plants."""
+        return max(c.ridge for c in self.crops), max(c.ridge + 1.4 * c.height for c in self.crops)
+
+    def shape(self, sheet: Sheet, lay: Lay) -> None:
+        """Furrows, and classes where nothing grows tall."""
+        which, across = sheet.notes[lay.index] = self._parcels(sheet, lay)
+        for k, crop in enumerate(self.crops):
+            mask = which == k
+            if not mask.any():
+                continue
+            phase = across / crop.spacing
+            sheet.ground[mask] += (0.5 * crop.ridge * np.cos(2.0 * math.pi * phase))[mask]
+            planted = mask & self._in_row(crop, phase)
+            sheet.paint(..., mask, terrain_named(crop.soil), crop.soil_look)
+            if crop.height == 0.0:
+                sheet.paint(..., planted, terrain_named(crop.kind), crop.look, crop.tint)
+
+    def cover(self, sheet: Sheet, lay: Lay) -> None:
+        """Plants."""
+        which, across = sheet.notes[lay.index]
+        for k, crop in enumerate(self.crops):
+            if crop.height == 0.0 or not (which == k).any():
+                continue
+            gap = noise(sheet.x, sheet.y, lay.seed + 7, 0.5, 0.15, 0.3)
+            mask = (which == k) & self._in_row(crop, across / crop.spacing + 0.06 * gap) & (gap > -2.2)
+            mask &= sheet.height <= sheet.ground
+            mask &= noise(sheet.x, sheet.y, lay.seed + 8, 5.0, 0.4, 0.5) > -1.7  # where nothing came up
+            grown = 0.8 + 0.12 * gap + 0.08 * noise(sheet.x, sheet.y, lay.seed + 9, 15.0, 4.0)
+            sheet.height[mask] = (sheet.ground + crop.height * np.clip(grown, 0.2, 1.3))[mask]
+            sheet.paint(..., mask, terrain_named(crop.kind), crop.look, crop.tint)
+
+    @staticmethod
+    def _in_row(crop: Crop, phase: F64) -> Mask:
+        return np.asarray(np.abs(phase - np.floor(phase + 0.5)) <= 0.5 * crop.width)
+
+    def _parcels(self, sheet: Sheet, lay: Lay) -> tuple[NDArray[np.int64], F64]:
+        """Which crop grows at each place (-1: none), and metres across the rows."""
+        u, v = along_and_across(sheet.x, sheet.y, math.radians(self.turn_deg))
+        # nobody drives quite straight
+        v = v + 0.6 * noise(sheet.x, sheet.y, lay.seed + 3, 90.0, 40.0) + 0.05 * noise(u, v, lay.seed + 4, 9.0, 2.0)
+        j = np.floor(v / self.parcel[1]).astype(np.int64)
+        shifted = u / self.parcel[0] + 0.37 * j
+        i = np.floor(shifted).astype(np.int64)
+        edge_u = (0.5 - np.abs(shifted - i - 0.5)) * self.parcel[0]
+        edge_v = (0.5 - np.abs(v / self.parcel[1] - j - 0.5)) * self.parcel[1]
+        which = lay.choose(i, j, len(self.crops))
+        farmed = (np.minimum(edge_u, edge_v) > 0.5 * self.border) & self._open(sheet)
+        return np.where(farmed, which, -1), v
+
+    def _open(self, sheet: Sheet) -> Mask:
+        open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
+        if self.within is not None:
+            west, south, east, north = self.within
+            open_ground &= (sheet.x >= west) & (sheet.x <= east) & (sheet.y >= south) & (sheet.y <= north)
+        return open_ground

@@ -1,0 +1,232 @@
+"""Things along lines: roads, tracks and ruts, walls, hedges."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from alight.records import F64, Terrain
+from alight_sim.kernels.layers import along_line
+from alight_sim.looks import Look
+from alight_sim.relief import noise
+from alight_sim.things.base import (
+    UNTINTED,
+    CoverName,
+    Layer,
+    LookName,
+    Mask,
+    Places,
+    Sheet,
+    Tint,
+    covered,
+    ramp,
+    terrain_named,
+)
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+PIECE = 2.0  # metres between the places where a road takes the ground's height
+SMOOTH = 5  # pieces either way over which a road evens the ground out
+WHITE = 3.2  # how much brighter paint is than asphalt
+
+
+def _line(value: Places) -> Places:
+    if len(value) < 2 or min(np.hypot(*np.diff(np.array(value), axis=0).T)) <= 0.0:
+        raise ValueError("needs two places or more, each apart from the one before")
+    return value
+
+
+Line = Annotated[Places, AfterValidator(_line)]
+
+
+def pieces(path: Places, length: float) -> F64:
+    """(N, 4) east, north, metres along, 0: the path cut into pieces of about `length`."""
+    corners = np.array(path)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+    cuts = np.linspace(0.0, along[-1], max(2, round(along[-1] / length) + 1))
+    s = np.union1d(along, cuts)
+    return np.column_stack(
+        [np.interp(s, along, corners[:, 0]), np.interp(s, along, corners[:, 1]), s, np.zeros(len(s))]
+    )
+
+
+class Lined(Layer):
+    """What follows a path."""
+
+    path: Line = Field(description="[[east, north], ...] metres from the origin")
+
+    def reach(self) -> float:
+        """Metres aside that it changes."""
+        raise NotImplementedError
+
+    def line(self, lay: Lay) -> F64:
+        """(N, 4) east, north, along, height."""
+        return pieces(self.path, 1e9)
+
+    def ways(self, sheet: Sheet, lay: Lay) -> F64 | None:
+        """(R, C, 3) aside, along, height of the line there; None: the line does not come near."""
+        west, south, east, north = sheet.box
+        line, reach = lay.keep("line", lambda: self.line(lay)), self.reach()
+        low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
+        near = (high[:, 0] > west - reach) & (low[:, 0] < east + reach)
+        near &= (high[:, 1] > south - reach) & (low[:, 1] < north + reach)
+        if not near.any():
+            return None
+        found = np.flatnonzero(near)
+        out = np.empty((*sheet.x.shape, 3))
+        # a run without holes: a piece between two near ones does no harm
+        along_line(sheet.x, sheet.y, line[found[0] : found[-1] + 2], reach, out)
+        return out
+
+
+class Roads(Lined):
+    """A road, a track or a foot-path: levelled across, even along, with marks or ruts."""
+
+    thing: Literal["road"]
+    width: float = Field(5.0, gt=0.0, le=60.0, description="metres")
+    kind: CoverName = Field("paved", description="class")
+    look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
+    tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
+    level: bool = Field(True, description="level the ground across and even it out along; false: only colour it")
+    bank: float = Field(2.0, ge=0.0, le=30.0, description="metres over which it blends into the ground")
+    kerb: float = Field(0.0, ge=-0.5, le=1.0, description="metres that the surface is above the ground beside it")
+    ragged: float = Field(0.02, ge=0.0, le=0.5, description="wandering of its edges over the width")
+    marks: Literal["none", "dashed", "edges"] = Field("none", description="none | dashed | edges (with a dashed line)")
+    ruts: float = Field(0.0, ge=0.0, le=0.5, description="metres, depth of two wheel tracks")
+    grass_between: bool = Field(False, description="grass between the wheel tracks")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Ruts and kerb."""
+        return self.ruts + max(-self.kerb, 0.0) + 0.5, max(self.kerb, 0.0) + 0.5
+
+    def reach(self) -> float:
+        """Half the width and the bank."""
+        return 0.5 * self.width * (1.0 + 4.0 * self.ragged) + self.bank + 0.1
+
+    def line(self, lay: Lay) -> F64:
+        """With the ground's heights, evened out."""
+        line = pieces(self.path, PIECE)
+        heights = lay.before(line[:, :1], line[:, 1:2]).ground[:, 0]
+        padded = np.pad(heights, SMOOTH, mode="edge")
+        line[:, 3] = np.convolve(padded, np.full(2 * SMOOTH + 1, 1.0 / (2 * SMOOTH + 1)), "valid")
+        return line
+
+    def shape(self, sheet: Sheet, lay: Lay) -> None:
+        """Level, colour, mark, rut."""
+        ways = self.ways(sheet, lay)
+        if ways is None:
+            return
+        aside, along, height = ways[..., 0], ways[..., 1], ways[..., 2]
+        away, half = np.abs(aside), np.full(aside.shape, 0.5 * self.width)
+        if self.ragged > 0.0:
+            half *= 1.0 + self.ragged * noise(sheet.x, sheet.y, lay.seed, 4.0, 0.25, 0.5)
+        dry = sheet.label != Terrain.WATER
+        inside = (away < half) & dry
+        if self.level:
+            blend = ramp(0.0, max(self.bank, 1e-9), away - half)
+            sheet.ground[:] = np.where(
+                dry & (away < self.reach()), height + blend * (sheet.ground - height), sheet.ground
+            )
+        sheet.ground += np.where(dry, self.kerb * covered(half - away, sheet.cell), 0.0)
+        sheet.paint(..., inside, terrain_named(self.kind), self.look, self.tint)
+        self._marks(sheet, inside, aside, along)
+        if self.ruts > 0.0:
+            self._ruts(sheet, lay, inside, away)
+
+    def _marks(self, sheet: Sheet, inside: Mask, aside: F64, along: F64) -> None:
+        if self.marks == "none":
+            return
+        white = (np.abs(aside) < 0.07) & (along % 9.0 < 3.0)
+        if self.marks == "edges":
+            white |= np.abs(np.abs(aside) - 0.5 * self.width + 0.25) < 0.07
+        sheet.tint[white & inside] *= WHITE
+
+    def _ruts(self, sheet: Sheet, lay: Lay, inside: Mask, away: F64) -> None:
+        gauge = min(0.78, 0.3 * self.width) + 0.08 * noise(sheet.x, sheet.y, lay.seed + 5, 8.0, 2.0)
+        groove = np.maximum(1.0 - ((away - gauge) / 0.28) ** 2, 0.0)
+        depth = self.ruts * (0.8 + 0.3 * noise(sheet.x, sheet.y, lay.seed + 6, 4.0, 0.5))
+        sheet.ground -= np.where(inside, depth * groove, 0.0)
+        if self.grass_between:
+            green = inside & (away < gauge - 0.25)
+            sheet.paint(..., green, Terrain.SHORT_GRASS)
+
+
+class Walls(Lined):
+    """A wall or a fence with vertical sides, at least one cell thick."""
+
+    thing: Literal["wall"]
+    height: float = Field(1.8, gt=0.0, le=50.0, description="metres above the ground")
+    thickness: float = Field(0.3, gt=0.0, le=20.0, description="metres")
+    posts: float = Field(0.0, ge=0.0, le=50.0, description="metres from post to post: only they stand; 0: all of it")
+    gap: tuple[float, float] | None = Field(None, description="[from, to] metres along it that stay open: a gate")
+    look: LookName = Field(Look.WALL, description="look")
+    tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Its height."""
+        return 0.0, self.height
+
+    def reach(self) -> float:
+        """Half its thickness."""
+        return max(0.5 * self.thickness, 0.2) + 0.1
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Raise the cells whose centres it covers."""
+        ways = self.ways(sheet, lay)
+        if ways is None:
+            return
+        # a thin one keeps its height instead of a straight edge; half a cell either side lets no ray through
+        within = max(0.5 * self.thickness, 0.5001 * sheet.cell) - np.abs(ways[..., 0])
+        thin = self.thickness < 3.0 * sheet.cell
+        share = (within >= 0.0).astype(np.float64) if thin else covered(within, sheet.cell)
+        inside = share > 0.0
+        if self.gap is not None:
+            inside &= (ways[..., 1] < self.gap[0]) | (ways[..., 1] > self.gap[1])
+        if self.posts > 0.0:
+            inside &= np.abs(ways[..., 1] % self.posts - 0.5 * self.posts) <= max(
+                0.5 * self.thickness, 0.6 * sheet.cell
+            )
+        rise = share * (sheet.ground + self.height - sheet.height)
+        inside &= rise > 0.0
+        sheet.height[inside] += rise[inside]
+        inside &= share >= 0.5
+        sheet.depth[inside] = 0.0
+        sheet.paint(..., inside, Terrain.STRUCTURE, self.look, self.tint)
+
+
+class Hedges(Lined):
+    """A hedge: tall vegetation with a ragged outline and top."""
+
+    thing: Literal["hedge"]
+    height: float = Field(1.8, gt=0.0, le=10.0, description="metres")
+    width: float = Field(1.5, gt=0.0, le=20.0, description="metres")
+    gap: tuple[float, float] | None = Field(None, description="[from, to] metres along it that stay open: a gate")
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """Top and clumps."""
+        return 0.0, 1.5 * self.height
+
+    def reach(self) -> float:
+        """Half its width, raggedness included."""
+        return 0.9 * self.width + 0.1
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """A row of clumps."""
+        ways = self.ways(sheet, lay)
+        if ways is None:
+            return
+        clumps = noise(sheet.x, sheet.y, lay.seed, 0.9, 0.15, 0.4)
+        r = 2.0 * np.abs(ways[..., 0]) / self.width * (1.0 + 0.13 * clumps)
+        top = sheet.ground + self.height * (0.45 + 0.55 * np.sqrt(np.maximum(1.0 - r * r, 0.0)) + 0.07 * clumps)
+        inside = (r < 1.0) & (top > sheet.height)
+        if self.gap is not None:
+            inside &= (ways[..., 1] < self.gap[0]) | (ways[..., 1] > self.gap[1])
+        sheet.height[inside] = top[inside]
+        sheet.depth[inside] = 0.0
+        sheet.paint(..., inside, Terrain.TALL_VEGETATION, Look.BUSH)

@@ -1,0 +1,261 @@
+"""Things that stand: rocks, trees, shrubs, mounds, houses, cars, crates."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field
+
+from alight.records import F64, Terrain
+from alight_sim.kernels import stamps
+from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
+from alight_sim.looks import Look
+from alight_sim.things.base import (
+    UNTINTED,
+    Between,
+    CoverName,
+    LookName,
+    Scattered,
+    Sheet,
+    Tint,
+    power_law,
+    terrain_named,
+)
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+Generator = np.random.Generator
+PLANTABLE: tuple[CoverName, ...] = ("bare", "short_grass", "tall_vegetation")
+
+
+class Dome(Scattered):
+    """What is roundish."""
+
+    look: LookName = Field(Look.BY_CLASS, description="look; without it that of the class")
+    tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
+    shades: float = Field(0.25, ge=0.0, le=1.0, description="how much one differs from the next in brightness")
+
+    def paint(self, rng: Generator, things: F64) -> None:
+        """A look, and a brightness for each."""
+        shade = np.exp(0.5 * self.shades * rng.standard_normal(len(things)))
+        things[:, RED : BLUE + 1] = np.array(self.tint) * shade[:, None]
+        things[:, LOOK] = self.look
+
+    def domes(
+        self, sheet: Sheet, lay: Lay, kind: int, look: tuple[float, float, float, float], shape: int, rooted: bool
+    ) -> None:
+        """Stamp all that reach the sheet."""
+        things = lay.things(sheet.box)
+        if len(things):
+            stamps.stamp_domes(
+                sheet.x[0], sheet.y[:, 0], sheet.cell, things, np.array(look), shape, kind, rooted, lay.seed,
+                sheet.ground, sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint,
+            )  # fmt: skip
+
+
+def drawn_evenly(rng: Generator, between: Between, count: int) -> F64:
+    """Evenly drawn numbers."""
+    return np.asarray(rng.uniform(*between, count))
+
+
+class Rocks(Dome):
+    """Rocks and boulders, half buried: many small, few large."""
+
+    thing: Literal["rocks"]
+    radius: Between = Field((0.2, 0.9), description="metres, [smallest, largest]; stones below 2 cells are not heights")
+    exponent: float = Field(
+        2.0, ge=0.0, le=6.0, description="the number above a radius goes with it to the power -this"
+    )
+    flatness: Between = Field((0.5, 0.9), description="height above the ground over the radius")
+    upon: tuple[CoverName, ...] = Field(PLANTABLE, description="classes of ground where random ones may lie")
+
+    @property
+    def largest(self) -> float:
+        """Ragged rim included."""
+        return 1.3 * self.radius[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A radius of the power law, a turn, a squash."""
+        n = len(things)
+        radius = power_law(rng, self.radius, self.exponent, n)
+        things[:, TURN] = rng.uniform(0.0, math.pi, n)
+        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.6, 1.0, n)
+        things[:, TOP] = radius * drawn_evenly(rng, self.flatness, n)
+        things[:, EXTRA] = 0.06 * radius
+        things[:, REACH] = 1.3 * radius
+        self.paint(rng, things)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Hewn ellipsoids that follow the ground."""
+        self.domes(sheet, lay, Terrain.ROCK, (0.12, 1.0, 0.25, 0.06), stamps.ELLIPSOID, rooted=False)
+
+
+class Trees(Dome):
+    """Trees: crowns of clumps of leaves with holes between them; no view below."""
+
+    thing: Literal["trees"]
+    radius: Between = Field((1.6, 3.2), description="metres, of the crown")
+    height: Between | None = Field(None, description="metres; without it 1.7 to 2.6 times the radius")
+    form: Literal["round", "conifer", "bare"] = Field("round", description="round | conifer (a cone) | bare (twigs)")
+    upon: tuple[CoverName, ...] = Field(PLANTABLE, description="classes of ground where random ones may grow")
+    apart: bool = Field(True, description="random ones keep clear of the things of earlier layers that are apart too")
+
+    @property
+    def largest(self) -> float:
+        """Clumps and ragged rim included."""
+        return 1.5 * self.radius[1]
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest crown and its leaves."""
+        return 0.0, (self.height[1] if self.height else 2.6 * self.radius[1]) + 1.5
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A radius and a height."""
+        n = len(things)
+        radius, tall = drawn_evenly(rng, self.radius, n), rng.uniform(1.7, 2.6, n)
+        if self.height is not None:
+            tall = drawn_evenly(rng, self.height, n) / radius
+        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.85, 1.0, n)
+        things[:, TURN], things[:, TOP] = rng.uniform(0.0, math.pi, n), tall * radius
+        things[:, EXTRA], things[:, REACH] = 0.1, 1.3 * radius
+        self.paint(rng, things)
+
+    def parts(self, rng: Generator, things: F64) -> F64:
+        """The clumps of each crown: balls in the upper half of an ellipsoid, the smaller the lower."""
+        if self.form == "conifer" or not len(things):
+            return things
+        count = np.clip((4.0 + 3.0 * things[:, HALF_U]).astype(np.int64), 6, 24) * (3 if self.form == "bare" else 1)
+        out = np.repeat(things, count, axis=0)
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        n = len(out)
+        turn, lift = rng.uniform(0.0, 2.0 * math.pi, n), rng.uniform(-0.25, 1.0, n)
+        far = rng.uniform(0.45, 0.75, n)
+        lift[first], far[first] = 1.0, 0.62  # one clump is the top
+        aside = far * np.sqrt(1.0 - lift**2)
+        ball = out[:, HALF_U] * rng.uniform(0.28, 0.46, n) * (0.45 if self.form == "bare" else 1.0)
+        half = 0.36 * out[:, TOP]  # of the ellipsoid's height; its middle is so far below the top
+        out[:, EAST] += aside * out[:, HALF_U] * np.cos(turn)
+        out[:, NORTH] += aside * out[:, HALF_V] * np.sin(turn)
+        upper = np.minimum(half, 1.2 * ball)  # a clump is not much higher than wide
+        out[:, LEVEL] += out[:, TOP] - half + lift * (half - upper)
+        out[:, TOP], out[:, HALF_U] = upper, ball
+        out[:, HALF_V] = ball * rng.uniform(0.75, 1.0, n)
+        out[:, REACH] = 1.5 * ball
+        out[:, RED : BLUE + 1] *= np.exp(0.12 * rng.standard_normal(n))[:, None]
+        return out
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Clumps of leaves with ragged edges; conifers are cones."""
+        if self.form == "conifer":
+            self.domes(sheet, lay, Terrain.TREE, (0.12, 3.0, 0.5, 0.14), stamps.CONE, rooted=True)
+        else:
+            self.domes(sheet, lay, Terrain.TREE, (0.0, 1.0, 0.45, 0.17), stamps.ELLIPSOID, rooted=True)
+
+
+class Shrubs(Dome):
+    """Bushes, brambles, hedge plants: tall vegetation, ragged."""
+
+    thing: Literal["shrubs"]
+    radius: Between = Field((0.3, 1.2), description="metres")
+    exponent: float = Field(
+        1.0, ge=0.0, le=6.0, description="the number above a radius goes with it to the power -this"
+    )
+    tall: Between = Field((0.7, 1.4), description="height over radius")
+    upon: tuple[CoverName, ...] = Field(PLANTABLE, description="classes of ground where random ones may grow")
+
+    @property
+    def largest(self) -> float:
+        """Ragged rim included."""
+        return 1.5 * self.radius[1]
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest and its clumps."""
+        return 0.0, 1.5 * self.radius[1] * self.tall[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A radius of the power law and a height."""
+        n = len(things)
+        radius = power_law(rng, self.radius, self.exponent, n)
+        things[:, HALF_U], things[:, HALF_V] = radius, radius * rng.uniform(0.7, 1.0, n)
+        things[:, TURN] = rng.uniform(0.0, math.pi, n)
+        things[:, TOP] = radius * drawn_evenly(rng, self.tall, n)
+        things[:, EXTRA], things[:, REACH] = 0.12 * radius, 1.5 * radius
+        self.paint(rng, things)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Ragged domes that follow the ground."""
+        look = (0.2, 1.0, 0.35, 0.14)
+        self.domes(sheet, lay, Terrain.TALL_VEGETATION, look, stamps.ELLIPSOID, rooted=False)
+
+
+class Mounds(Dome):
+    """Molehills, tussocks, heaps of gravel, bales: low domes of the ground's own class or of one named."""
+
+    thing: Literal["mounds"]
+    radius: Between = Field((0.2, 0.6), description="metres")
+    height: Between = Field((0.08, 0.25), description="metres")
+    kind: CoverName | None = Field(None, description="class; without it that of the ground")
+    form: Literal["round", "cone", "drum"] = Field("round", description="round | cone | drum (a bale, a tank)")
+
+    @property
+    def largest(self) -> float:
+        """Ragged rim included."""
+        return 1.3 * self.radius[1]
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest."""
+        return 0.0, 1.3 * self.height[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A radius and a height."""
+        n = len(things)
+        radius = drawn_evenly(rng, self.radius, n)
+        things[:, HALF_U], things[:, HALF_V] = radius, radius
+        things[:, TOP], things[:, REACH] = drawn_evenly(rng, self.height, n), 1.3 * radius
+        things[:, EXTRA] = np.minimum(0.1 * things[:, TOP], 0.04)
+        self.paint(rng, things)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Domes that follow the ground."""
+        kind = -1 if self.kind is None else int(terrain_named(self.kind))
+        shape = {"round": stamps.ELLIPSOID, "cone": stamps.CONE, "drum": stamps.DRUM}[self.form]
+        ragged = 0.0 if self.form == "drum" else 0.07
+        self.domes(sheet, lay, kind, (0.1, 1.0 if ragged else 0.0, 0.2, ragged), shape, rooted=self.form == "drum")
+
+
+class Logs(Dome):
+    """Felled trunks and thick branches."""
+
+    thing: Literal["logs"]
+    length: Between = Field((2.0, 7.0), description="metres")
+    thickness: Between = Field((0.2, 0.6), description="metres")
+    look: LookName = Field(Look.SOIL, description="look of the bark")
+
+    @property
+    def largest(self) -> float:
+        """Half its length."""
+        return 0.6 * self.length[1]
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The thickest."""
+        return 0.0, 1.1 * self.thickness[1]
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A length, a thickness, a turn."""
+        n = len(things)
+        thick = drawn_evenly(rng, self.thickness, n)
+        things[:, HALF_U], things[:, HALF_V] = 0.5 * drawn_evenly(rng, self.length, n), 0.5 * thick
+        things[:, TOP], things[:, TURN] = thick, rng.uniform(0.0, math.pi, n)
+        things[:, REACH] = 1.2 * things[:, HALF_U]
+        self.paint(rng, things)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Long low domes."""
+        self.domes(sheet, lay, Terrain.TREE, (0.5, 0.0, 0.3, 0.0), stamps.ELLIPSOID, rooted=False)

@@ -1,0 +1,319 @@
+"""The ground in tiles, each a pure function of scene, seed and its place in the lattice of tiles."""
+
+from __future__ import annotations
+
+import math
+import threading
+import zlib
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import lru_cache
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.records import F32, F64, U8
+from alight_sim.kernels.stamps import EAST, LEVEL, NORTH, REACH
+from alight_sim.relief import FractalRelief, noise
+from alight_sim.things.base import Box, Layer, Mask, Scattered, Sheet, blank_things, overlapping, terrain_named
+
+if TYPE_CHECKING:
+    from alight_sim.scene import SceneGround
+
+SIDE = 256  # cells of a tile's side
+BLOCK = 25.6  # metres: things are scattered block by block, whatever the cell
+RING = 8  # places around a thing's foot where the ground is asked
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """SIDE x SIDE cells."""
+
+    height: F32  # metres above the origin
+    label: U8
+    depth: F32  # metres of water
+    look: U8  # codes of Look
+    tint: F32 | None  # (SIDE, SIDE, 3) factor on the look's reflectance; None: 1 everywhere
+
+    @property
+    def nbytes(self) -> int:
+        """Memory."""
+        parts = (self.height, self.label, self.depth, self.look, self.tint)
+        return sum(p.nbytes for p in parts if p is not None)
+
+
+class TileSource(Protocol):
+    """Where tiles come from."""
+
+    @property
+    def cell(self) -> float:
+        """Metres."""
+
+    @property
+    def anchor(self) -> tuple[float, float]:
+        """East and north of the south-west corner of tile (0, 0)."""
+
+    def tile(self, i: int, j: int) -> Tile:
+        """The tile that starts SIDE * cell * (i east, j north) of the anchor."""
+
+    def range(self, box: Box) -> tuple[float, float]:
+        """Heights between which everything in the box lies, on the safe side."""
+
+
+class Under(Protocol):
+    """What lies under the layers instead of relief: rasters."""
+
+    def heights(self, x: F64, y: F64) -> F64:
+        """At places of any shape."""
+
+    def lay(self, sheet: Sheet) -> None:
+        """Classes and colours."""
+
+    def range(self, box: Box) -> tuple[float, float]:
+        """Lowest and highest in a box."""
+
+
+class Cache:
+    """The newest values within a number of bytes."""
+
+    def __init__(self, limit: int) -> None:
+        self.limit, self.used = limit, 0
+        self._held: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+        self._lock = threading.RLock()
+
+    def get(self, key: Hashable, make: Callable[[], Any], size: Callable[[Any], int]) -> Any:
+        """The value of a key, made where it is not held."""
+        with self._lock:
+            if key in self._held:
+                self._held.move_to_end(key)
+                return self._held[key][0]
+            value = make()
+            self._held[key] = (value, size(value))
+            self.used += self._held[key][1]
+            while self.used > self.limit and len(self._held) > 1:
+                self.used -= self._held.popitem(last=False)[1][1]
+            return value
+
+
+def _mixed(*numbers: NDArray[np.int64] | int) -> NDArray[np.uint64]:
+    """Well mixed bits of some integers (splitmix64)."""
+    h = np.uint64(0x9E3779B97F4A7C15) * np.ones(np.broadcast_shapes(*(np.shape(n) for n in numbers)), np.uint64)
+    for n in numbers:
+        h = (h ^ np.asarray(n, np.int64).astype(np.uint64)) * np.uint64(0xBF58476D1CE4E5B9)
+        h = (h ^ (h >> np.uint64(29))) * np.uint64(0x94D049BB133111EB)
+        h ^= h >> np.uint64(32)
+    return np.asarray(h)
+
+
+class Lay:
+    """One layer at work in one world: its random stream, its things, the ground before it."""
+
+    def __init__(self, stack: Stack, layer: Layer, index: int, seed: int) -> None:
+        self.stack, self.layer, self.index, self.seed = stack, layer, index, seed
+        self._kept: dict[str, Any] = {}
+        self.candidates = lru_cache(4096)(self._candidates)
+        self.block = lru_cache(4096)(self._block)
+
+    def keep(self, key: str, make: Callable[[], F64]) -> F64:
+        """Something made once."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        return np.asarray(self._kept[key])
+
+    def choose(self, i: NDArray[np.int64], j: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+        """One of `count` for every cell of a lattice."""
+        return np.asarray((_mixed(i, j, self.seed) % np.uint64(count)).astype(np.int64))
+
+    def before(self, x: F64, y: F64) -> Sheet:
+        """The solid ground at places (R, C) as the layers before this one leave it."""
+        return self.stack.ground(x, y, upto=self.index)
+
+    @property
+    def scattered(self) -> Scattered:
+        """The layer as one of many things."""
+        assert isinstance(self.layer, Scattered)
+        return self.layer
+
+    def things(self, box: Box) -> F64:
+        """(N, COLUMNS): those that reach into a box, in an order that does not depend on the box."""
+        found = [self.block(i, j) for i, j in _blocks(box, self.scattered.largest)]
+        return overlapping(np.concatenate(found), box)
+
+    def _candidates(self, i: int, j: int) -> tuple[F64, int]:
+        """Things of one block before the ground is asked; how many of them are there by name."""
+        layer = self.scattered
+        named = np.array(layer.at, dtype=np.float64).reshape(-1, 2)
+        named = named[(np.floor(named / BLOCK) == (i, j)).all(axis=1)]
+        rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF])
+        count = int(rng.poisson(layer.per_hectare * BLOCK**2 * 1e-4))
+        places = (np.array([i, j]) + rng.random((count, 2))) * BLOCK
+        if layer.within is not None:
+            west, south, east, north = layer.within
+            inside = (places >= (west, south)).all(axis=1) & (places <= (east, north)).all(axis=1)
+            places = places[inside]
+        things = blank_things(np.concatenate([named, places]))
+        layer.draw(rng, things)
+        return things, len(named)
+
+    def _block(self, i: int, j: int) -> F64:
+        """Things of one block that found their place, with the level of their foot."""
+        things, named = self.candidates(i, j)
+        if not len(things):
+            return things
+        stays = np.ones(len(things), bool)
+        level, allowed = self._feet(i, j)
+        things = things.copy()
+        things[:, LEVEL] = level
+        stays[named:] = allowed[named:] & self._has_room(things, i, j, named)[named:]
+        stays[named:] &= self._in_clump(things[named:])
+        rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1])
+        return self.scattered.parts(rng, np.asarray(things[stays]))
+
+    def _in_clump(self, things: F64) -> Mask:
+        layer = self.scattered
+        if layer.clump == 1.0 or not len(things):
+            return np.ones(len(things), bool)
+        field = noise(things[:, EAST], things[:, NORTH], self.seed, layer.clump_size, 0.2 * layer.clump_size)
+        return np.asarray(field > NormalDist().inv_cdf(1.0 - layer.clump))
+
+    def ring(self, i: int, j: int) -> tuple[F64, F64]:
+        """(N, 1 + RING) places where the ground is asked for a block's candidates: the middle first, then around it."""
+        things = self.candidates(i, j)[0]
+        turn = 2.0 * math.pi * np.arange(RING) / RING
+        reach = things[:, REACH, None] * (1.0 if self.scattered.founded else 0.5)
+        x = things[:, EAST, None] + np.concatenate([0 * reach, reach * np.cos(turn)], axis=1)
+        return x, things[:, NORTH, None] + np.concatenate([0 * reach, reach * np.sin(turn)], axis=1)
+
+    @property
+    def shapes(self) -> bool:
+        """It changes the solid ground, so that it stands on what the layers before it made."""
+        return type(self.layer).shape is not Layer.shape
+
+    def _feet(self, i: int, j: int) -> tuple[F64, Mask]:
+        """Level of each foot, and whether its ground is of an allowed class all around."""
+        if self.shapes:
+            sheet = self.before(*self.ring(i, j))
+            ground, label = sheet.ground, sheet.label
+        else:
+            ground, label = self.stack.feet(i, j)[self.index]
+        allowed: Mask = np.asarray(np.isin(label, [terrain_named(k) for k in self.scattered.upon]).all(axis=1))
+        if self.scattered.founded:
+            return np.asarray(ground.max(axis=1)), allowed
+        return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
+
+    def _has_room(self, things: F64, i: int, j: int, named: int) -> Mask:
+        """Clear of what stands apart in earlier layers, and of those of its own that come first."""
+        room = np.ones(len(things), bool)
+        if not self.scattered.apart:
+            return room
+        reach = float(things[:, REACH].max())
+        box = (i * BLOCK, j * BLOCK, (i + 1) * BLOCK, (j + 1) * BLOCK)
+        for other in self.stack.lays[: self.index + (1 if self.scattered.founded else 0)]:
+            if not (isinstance(other.layer, Scattered) and other.layer.apart):
+                continue
+            around = [other.candidates(*b)[0] for b in _blocks(box, reach + other.layer.largest)]
+            theirs = np.concatenate(around)
+            away = np.hypot(things[:, None, EAST] - theirs[:, EAST], things[:, None, NORTH] - theirs[:, NORTH])
+            close = away < things[:, None, REACH] + theirs[:, REACH]
+            if other is self:
+                close &= (away > 0.0) & (_first(theirs) > _first(things)[:, None])
+            room &= ~close.any(axis=1)
+        return room
+
+
+def _first(things: F64) -> F64:
+    """Who comes first where two of a kind want one place: as good as random, the same from everywhere."""
+    return np.asarray((things[:, EAST] * 977.131 + things[:, NORTH] * 331.717) % 1.0)
+
+
+def _blocks(box: Box, reach: float) -> list[tuple[int, int]]:
+    west, south, east, north = (
+        math.floor(v / BLOCK) for v in (box[0] - reach, box[1] - reach, box[2] + reach, box[3] + reach)
+    )
+    return [(i, j) for j in range(south, north + 1) for i in range(west, east + 1)]
+
+
+class Stack:
+    """A scene's ground section at work: relief, then every layer in turn."""
+
+    anchor: tuple[float, float] = (0.0, 0.0)
+
+    def __init__(self, ground: SceneGround, seed: int, raster: Under | None = None) -> None:
+        self.spec, self.seed, self.cell, self.raster = ground, seed, ground.cell, raster
+        self.streams = [self._stream("relief", k) for k in range(len(ground.relief))]
+        self.feet = lru_cache(1024)(self._feet)
+        kinds: list[str] = []
+        self.lays: list[Lay] = []
+        for index, layer in enumerate(ground.layers):
+            self.lays.append(Lay(self, layer, index, self._stream(layer.thing, kinds.count(layer.thing))))
+            kinds.append(layer.thing)
+
+    def _stream(self, name: str, count: int) -> int:
+        """A layer's own seed: another kind of thing added to a scene moves none of the others."""
+        state = np.random.SeedSequence([self.seed, zlib.crc32(name.encode()), count]).generate_state(1)
+        return int(state[0]) & 0x7FFFFFFF
+
+    def base(self, x: F64, y: F64) -> F64:
+        """Heights of slope and relief alone."""
+        out = self.spec.fall(x, y)
+        if self.raster is not None:
+            out += self.raster.heights(x, y)
+        for relief, seed in zip(self.reliefs, self.streams, strict=False):
+            relief.add(x, y, seed, out)
+        return out
+
+    @property
+    def reliefs(self) -> tuple[FractalRelief, ...]:
+        """Over a raster only what the scene asks for."""
+        return () if self.raster is not None and "relief" not in self.spec.model_fields_set else self.spec.relief
+
+    def ground(self, x: F64, y: F64, upto: int | None = None, cell: float = 0.0) -> Sheet:
+        """The solid ground at places (R, C), with the layers before number `upto`."""
+        sheet = Sheet.blank(x, y, terrain_named(self.spec.cover), cell)
+        sheet.ground = self.base(x, y)
+        sheet.look[:], sheet.tint[:] = self.spec.look, self.spec.tint
+        if self.raster is not None:
+            self.raster.lay(sheet)
+        for lay in self.lays[:upto]:
+            lay.layer.shape(sheet, lay)
+        return sheet
+
+    def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8]]:
+        """Ground and classes under the candidates of all layers that stand, asked for at once; by layer."""
+        standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
+        rings = [lay.ring(i, j) for lay in standing]
+        sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
+        cuts = np.cumsum([len(r[0]) for r in rings])[:-1]
+        parts = zip(np.split(sheet.ground, cuts), np.split(sheet.label, cuts), strict=True)
+        return {lay.index: part for lay, part in zip(standing, parts, strict=True)}
+
+    def tile(self, i: int, j: int) -> Tile:
+        """All layers on the cells of one tile."""
+        k = np.arange(SIDE)
+        x, y = np.meshgrid((i * SIDE + k + 0.5) * self.cell, ((j + 1) * SIDE - k - 0.5) * self.cell)
+        sheet = self.ground(x, y, cell=self.cell)
+        sheet.height = sheet.ground.copy()
+        for lay in self.lays:
+            lay.layer.cover(sheet, lay)
+        for lay in self.lays:
+            lay.layer.stand(sheet, lay)
+        tint = sheet.tint if (sheet.tint != 1.0).any() else None
+        height, depth = sheet.height.astype(np.float32), sheet.depth.astype(np.float32)
+        return Tile(height, sheet.label, depth, sheet.look, tint)
+
+    def range(self, box: Box) -> tuple[float, float]:
+        """From the relief at coarse places, and what the layers may add."""
+        west, south, east, north = box
+        count = [min(200, 2 + math.ceil((b - a) / 4.0)) for a, b in ((west, east), (south, north))]
+        base = self.base(*np.meshgrid(np.linspace(west, east, count[0]), np.linspace(south, north, count[1])))
+        if self.raster is not None:  # between the coarse places there may be anything
+            low, high = self.raster.range(box)
+            base = np.concatenate([base.ravel() - (high - low), base.ravel() + (high - low)])
+        fine = 4.0 * sum(float(a[w < 32.0].sum()) for w, a in (r.octaves() for r in self.reliefs))
+        shapers = [layer.rise for layer in self.spec.layers if type(layer).shape is not Layer.shape]
+        tallest = max((layer.rise[1] for layer in self.spec.layers), default=0.0)
+        lowest, highest = sum(r[0] for r in shapers), sum(r[1] for r in shapers) + tallest
+        return float(base.min()) - 0.5 * fine - lowest, float(base.max()) + 0.5 * fine + highest

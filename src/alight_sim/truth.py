@@ -1,0 +1,98 @@
+"""Truth: where a lander is truly safe, by brute force over the world's own layers. Shares no code with the stages."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from alight.geometry import Grid
+from alight.records import F32, U8, Terrain
+from alight_sim.kernels.touchdown import running_sums, touchdown
+from alight_sim.section import Section
+
+Mask = NDArray[np.bool_]
+BAND = 1024  # rows judged at a time: a large world's running sums need no more memory than this
+
+
+@dataclass(frozen=True)
+class TrueFootprint:
+    """What a lander stands: every cell centre within `radius` of an allowed class and near the disc's plane."""
+
+    radius: float = 1.5  # metres
+    max_slope: float = math.radians(10.0)  # rad
+    max_roughness: float = 0.15  # metres, largest deviation from the least-squares plane
+    classes: tuple[Terrain, ...] = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
+
+
+class TrueLander(Section):
+    """The lander that a scene's truth is kept for."""
+
+    radius: float = Field(1.5, gt=0.0, le=50.0, description="metres, of the disc that it needs")
+    max_slope_deg: float = Field(10.0, gt=0.0, le=60.0, description="of the disc's plane")
+    max_roughness: float = Field(0.15, gt=0.0, le=10.0, description="metres, largest deviation from that plane")
+    upon: tuple[Literal["bare", "short_grass", "tall_vegetation", "rock", "paved", "structure"], ...] = Field(
+        ("bare", "short_grass", "paved"), description="classes that it may stand on"
+    )
+
+    @property
+    def footprint(self) -> TrueFootprint:
+        """The same in radians and codes."""
+        classes = tuple(Terrain[name.upper()] for name in self.upon)
+        return TrueFootprint(self.radius, math.radians(self.max_slope_deg), self.max_roughness, classes)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTruth:
+    """The ground as it is."""
+
+    grid: Grid
+    height: F32  # (R, C) metres above the origin
+    label: U8  # (R, C) Terrain codes
+    _masks: dict[TrueFootprint, Mask] = field(default_factory=dict, repr=False)
+
+    def safe(self, footprint: TrueFootprint | None = None) -> Mask:
+        """(R, C): a touchdown centred here keeps every limit. A disc that leaves the world does not."""
+        key = footprint or TrueFootprint()
+        if key not in self._masks:
+            self._masks[key] = safe_mask(self.height, self.label, self.grid.cell, key)
+        return self._masks[key]
+
+
+def _half_widths(radius: float, cell: float) -> NDArray[np.int64]:
+    """(2 k + 1,) cells either side of the middle in each row of a disc: those whose centres lie within the radius."""
+    k = math.floor(radius / cell + 1e-9)
+    rise = np.arange(-k, k + 1) * cell
+    return np.asarray(np.floor(np.sqrt(np.maximum(radius**2 - rise**2, 0.0)) / cell + 1e-9).astype(np.int64))
+
+
+def safe_mask(height: F32, label: U8, cell: float, footprint: TrueFootprint) -> Mask:
+    """(R, C): least-squares plane of the disc about each cell; slope, largest deviation and classes within limits.
+
+    A disc with an unknown height in it, or one that leaves the array, is not safe. Worked through in bands of rows.
+    """
+    half = _half_widths(footprint.radius, cell)
+    k, rows = len(half) // 2, height.shape[0]
+    steep = math.tan(footprint.max_slope) * cell
+    safe = np.zeros(height.shape, bool)
+    for start in range(0, rows, BAND):
+        first, last = max(0, start - k), min(rows, start + BAND + k)
+        out = _band(height[first:last], label[first:last], half, steep, footprint)
+        safe[start : start + BAND] = out[start - first : start - first + BAND]
+    return safe
+
+
+def _band(height: F32, label: U8, half: NDArray[np.int64], steep: float, footprint: TrueFootprint) -> Mask:
+    height = np.ascontiguousarray(height, np.float32)
+    barred = ~(np.isin(label, footprint.classes) & np.isfinite(height))
+    base = float(np.median(height[~barred])) if not barred.all() else 0.0
+    rows, cols = height.shape
+    sums, count = np.empty((rows, cols + 1, 2)), np.empty((rows, cols + 1), np.int64)
+    running_sums(height, barred, base, sums, count)
+    out = np.empty(height.shape, bool)
+    touchdown(height, base, sums, count, half, steep, footprint.max_roughness, out)
+    return out

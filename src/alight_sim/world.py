@@ -1,0 +1,329 @@
+"""The simulated world: heights, classes and looks made where they are asked for, and the light on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Grid, LocalFrame
+from alight.records import F32, F64, U8, InputError, Terrain
+from alight_sim import rasters
+from alight_sim.coarser import mean_of, mean_shadow, most_of
+from alight_sim.kernels.layers import BLOCK, box_mean, ground_light, sun_margin, tile_block_tops
+from alight_sim.kernels.raycast import max_pyramid
+from alight_sim.light import Light, Sun
+from alight_sim.movers import Mover
+from alight_sim.rasters import Arrays
+from alight_sim.scene import Origin, Scene, built_in, read_scene
+from alight_sim.things.base import Box
+from alight_sim.tiles import SIDE, Cache, Stack, Tile, TileSource
+from alight_sim.truth import SceneTruth
+
+SHADOW_LIMIT = 0.5  # metres: a ray that clears by more is simply lit
+SHADOW_REACH = 60.0  # metres: longer shadows end here
+HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
+TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # what is kept of what was made
+MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPatch:
+    """A rectangle of the world as arrays: heights are bilinear between cell centres, and nothing else is drawn."""
+
+    grid: Grid
+    height: F32  # (R, C) metres above the origin, topmost surface
+    label: U8  # (R, C) Terrain codes; this and what follows: of blocks of 2^level cells, means or what most are
+    light: F32  # (R, C, 5) slope east, slope north, shadow margin, share of open sky, water depth
+    look: U8 | None = None  # (R, C) codes of Look; None: all by class
+    tint: F32 | None = None  # (R, C, 3) factor on the look's reflectance; None: 1
+    level: int = 0
+
+    @cached_property
+    def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64]]:
+        """The pyramid of maxima that speeds up the rays."""
+        return max_pyramid(self.height)
+
+    @cached_property
+    def place(self) -> F64:
+        """(3,) east and north of cell (0, 0), and the cell: what the kernels take."""
+        return np.array([self.grid.east, self.grid.north, self.grid.cell])
+
+    @cached_property
+    def skin_place(self) -> F64:
+        """The same of the layers that are not heights."""
+        shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
+        return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
+
+    @cached_property
+    def low(self) -> float:
+        """The lowest height."""
+        return float(self.height.min())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory, the pyramid included."""
+        parts = (self.height, self.label, self.light, self.look, self.tint)
+        return sum(p.nbytes for p in parts if p is not None) + self.height.nbytes * 4 // 3
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """Ground to fly over. Within `extent` truth is kept; the ground goes on beyond, made where it is asked for.
+
+    Everything is a pure function of the scene, the seed and the place: whatever was asked before, on any thread.
+    """
+
+    name: str
+    description: str
+    seed: int
+    local: LocalFrame
+    source: TileSource
+    extent: Box
+    light: Light = field(default_factory=Light)
+    scene: Scene | None = None
+    warnings: tuple[str, ...] = ()  # what was assumed about it
+    _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
+    _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
+
+    @cached_property
+    def movers(self) -> tuple[Mover, ...]:
+        """What drives about: in the pictures, not in the truth."""
+        traffic = () if self.scene is None else self.scene.traffic
+        return tuple(Mover(t, self.height_at, self.seed + 1000 * k) for k, t in enumerate(traffic))
+
+    @property
+    def sun(self) -> Sun:
+        """Where the light comes from at the start."""
+        return self.light.sun_at(0.0)
+
+    @property
+    def cell(self) -> float:
+        """Metres between cell centres."""
+        return self.source.cell
+
+    @cached_property
+    def _bounds(self) -> tuple[float, float]:
+        west, south, east, north = self.extent
+        return self.range((west - MARGIN, south - MARGIN, east + MARGIN, north + MARGIN))
+
+    @property
+    def low(self) -> float:
+        """No height in the extent is lower, metres."""
+        return self._bounds[0]
+
+    @property
+    def high(self) -> float:
+        """No height in the extent is higher, metres."""
+        return self._bounds[1]
+
+    def range(self, bounds: Box) -> tuple[float, float]:
+        """Heights between which everything in a box lies, on the safe side."""
+        return self.source.range(bounds)
+
+    def patch(self, bounds: Box, time: float = 0.0, level: int = 0) -> GroundPatch:
+        """All layers over a box (west, south, east, north), which is grown to whole tiles; `time` moves the sun.
+
+        `level`: looks and light are of blocks of 2^level cells, for pictures whose pixels cover so much.
+        """
+        box, sun = self._tile_box(bounds), self.light.sun_at(time)
+        make = partial(self._make_patch, box, sun, level)
+        return _patch(self._patches.get((box, sun, level), make, lambda p: p.nbytes))
+
+    def usual_height(self, bounds: Box) -> float:
+        """Median of a few heights in the tiles of a box: about what a camera is above."""
+        box = self._tile_box(bounds)
+        e, n = (np.linspace(a * SIDE, (b + 1) * SIDE, 7)[1:-1].astype(int) for a, b in (box[::2], box[1::2]))
+        heights = self._patches.get(
+            ("usual", box), lambda: [self._height(int(i), int(j)) for i in e for j in n], lambda h: 8 * len(h)
+        )
+        return float(np.median(heights))
+
+    def height_at(self, east: float, north: float) -> float:
+        """Height of the surface, metres above the origin."""
+        x = (east - self.source.anchor[0]) / self.cell - 0.5
+        y = (north - self.source.anchor[1]) / self.cell - 0.5
+        i, j = math.floor(x), math.floor(y)
+        u, v = x - i, y - j
+        corners = [[self._height(i + a, j + b) for a in (0, 1)] for b in (0, 1)]
+        return float(np.array([1 - v, v]) @ np.array(corners) @ np.array([1 - u, u]))
+
+    def truth(self, bounds: Box | None = None) -> SceneTruth:
+        """Heights and classes of the cells whose centres lie in the bounds (default: the extent)."""
+        west, south, east, north = bounds or self.extent
+        e0, n0 = self.source.anchor
+        first = math.ceil((west - e0) / self.cell - 0.5 - 1e-6), math.ceil((south - n0) / self.cell - 0.5 - 1e-6)
+        last = math.floor((east - e0) / self.cell - 0.5 + 1e-6), math.floor((north - n0) / self.cell - 0.5 + 1e-6)
+        layers = self._window(first[0], first[1], last[0], last[1], ("height", "label"))
+        grid = self._grid(first[0], last[1], *layers["height"].shape)
+        return SceneTruth(grid, layers["height"], layers["label"])
+
+    # -- tiles
+
+    def _tile(self, i: int, j: int) -> Tile:
+        tile = self._tiles.get(("ground", i, j), lambda: self.source.tile(i, j), lambda t: t.nbytes)
+        assert isinstance(tile, Tile)
+        return tile
+
+    def _height(self, i: int, j: int) -> float:
+        tile = self._tile(i // SIDE, j // SIDE)
+        return float(tile.height[SIDE - 1 - j % SIDE, i % SIDE])
+
+    def _tile_box(self, bounds: Box) -> tuple[int, int, int, int]:
+        side, (e0, n0) = SIDE * self.cell, self.source.anchor
+        west, south, east, north = bounds
+        if not (math.isfinite(sum(bounds)) and west <= east and south <= north):
+            raise InputError(
+                f"a patch of the world from {west}, {south} to {east}, {north} cannot be; give west, south, east, north"
+            )
+        near = self.cell  # the surface reaches from centre to centre
+        return (
+            math.floor((west - near - e0) / side), math.floor((south - near - n0) / side),
+            math.floor((east + near - e0) / side), math.floor((north + near - n0) / side),
+        )  # fmt: skip
+
+    def _grid(self, i: int, j: int, rows: int, cols: int) -> Grid:
+        """The grid whose cell (0, 0) is cell i to the east and j to the north of the anchor."""
+        e0, n0 = self.source.anchor
+        return Grid(e0 + (i + 0.5) * self.cell, n0 + (j + 0.5) * self.cell, self.cell, rows, cols)
+
+    def _window(self, i0: int, j0: int, i1: int, j1: int, names: tuple[str, ...]) -> dict[str, Any]:
+        """Layers of the cells i0..i1 to the east and j0..j1 to the north, north up."""
+        rows, cols = j1 - j0 + 1, i1 - i0 + 1
+        out: dict[str, Any] = {}
+        for tj in range(j0 // SIDE, j1 // SIDE + 1):
+            for ti in range(i0 // SIDE, i1 // SIDE + 1):
+                tile = self._tile(ti, tj)
+                a, b = max(i0, ti * SIDE), min(i1, ti * SIDE + SIDE - 1)
+                c, d = max(j0, tj * SIDE), min(j1, tj * SIDE + SIDE - 1)
+                to = slice(j1 - d, j1 - c + 1), slice(a - i0, b - i0 + 1)
+                of = slice(SIDE - 1 - (d - tj * SIDE), SIDE - (c - tj * SIDE)), slice(a - ti * SIDE, b - ti * SIDE + 1)
+                for name in names:
+                    _copy(out, name, getattr(tile, name), to, of, (rows, cols))
+        return out
+
+    # -- light
+
+    def _make_patch(self, box: tuple[int, int, int, int], sun: Sun, level: int) -> GroundPatch:
+        i0, j0, i1, j1 = box[0] * SIDE, box[1] * SIDE, (box[2] + 1) * SIDE - 1, (box[3] + 1) * SIDE - 1
+        height = self._window(i0, j0, i1, j1, ("height",))["height"]
+        shape, side = (height.shape[0] >> level, height.shape[1] >> level), SIDE >> level
+        light, layers = np.empty((*shape, 5), np.float32), dict[str, Any]()
+        for tj in range(box[1], box[3] + 1):
+            for ti in range(box[0], box[2] + 1):
+                rows = slice((box[3] - tj) * side, (box[3] - tj + 1) * side)
+                cols = slice((ti - box[0]) * side, (ti - box[0] + 1) * side)
+                self._lay_light(ti, tj, sun, level, light[rows, cols])
+                for name, layer in zip(("label", "look", "tint"), self._skin(ti, tj, level), strict=True):
+                    _copy(layers, name, layer, (rows, cols), slice(None), shape)
+        look = layers["look"] if layers["look"].any() else None
+        grid = self._grid(i0, j1, *height.shape)
+        return GroundPatch(grid, height, layers["label"], light, look, layers.get("tint"), level)
+
+    def _skin(self, i: int, j: int, level: int) -> tuple[U8, U8, F32 | None]:
+        """Class, look and tint of a tile's blocks of 2^level cells."""
+        tile = self._tile(i, j)
+        if level == 0:
+            return tile.label, tile.look, tile.tint
+        codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
+        tint = None if tile.tint is None else mean_of(tile.tint, level)
+        return (codes % 16).astype(np.uint8), (codes // 16).astype(np.uint8), tint
+
+    def _lay_light(self, i: int, j: int, sun: Sun, level: int, out: F32) -> None:
+        """Fill (SIDE >> level)^2 of one tile; its own apron makes it the same whatever lies loaded beside it."""
+        sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
+        shadow = self._tiles.get(
+            ("shadow", i, j, sun, level), lambda: mean_shadow(self._make_shadow(i, j, sun), level), lambda a: a.nbytes
+        )
+        out[..., [0, 1, 3]], out[..., 2], out[..., 4] = sky, shadow, mean_of(self._tile(i, j).depth, level)
+
+    def _make_sky(self, i: int, j: int) -> F32:
+        halves = [round(0.5 * width / self.cell) for width, _ in HOLLOWS]
+        apron = max(halves) + 1
+        a, b = i * SIDE - apron, j * SIDE - apron
+        height = self._window(a, b, a + SIDE + 2 * apron - 1, b + SIDE + 2 * apron - 1, ("height",))["height"]
+        means = np.empty((len(halves), *height.shape), np.float32)
+        for mean, half in zip(means, halves, strict=True):
+            box_mean(height, half, mean)
+        out = np.empty((SIDE, SIDE, 3), np.float32)
+        ground_light(height, means, apron, apron, self.cell, np.array([gain for _, gain in HOLLOWS]), out)
+        return out
+
+    def _make_shadow(self, i: int, j: int, sun: Sun) -> F32:
+        """March towards the sun as far as the highest thing can throw a shadow."""
+        direction, flat = sun.direction, math.hypot(*sun.direction[:2])
+        out = np.full((SIDE, SIDE), SHADOW_LIMIT, np.float32)
+        if flat < 1e-6:
+            return out
+        east, north = direction[0] / flat, direction[1] / flat
+        steep = self.cell * math.tan(sun.elevation)
+        reach = min(SHADOW_REACH, (self.high - self.low) / math.tan(sun.elevation)) / self.cell
+        de, dn = math.ceil(abs(east) * reach) + 1, math.ceil(abs(north) * reach) + 1
+        i0, i1 = i * SIDE - (de if east < 0 else 0), i * SIDE + SIDE - 1 + (de if east > 0 else 0)
+        j0, j1 = j * SIDE - (dn if north < 0 else 0), j * SIDE + SIDE - 1 + (dn if north > 0 else 0)
+        height = self._window(i0, j0, i1, j1, ("height",))["height"]
+        step = np.array([east, -north, steep])
+        row, col = j1 - (j * SIDE + SIDE - 1), i * SIDE - i0
+        tops = np.empty([-(-n // BLOCK) for n in height.shape], np.float32)
+        tile_block_tops(height, tops)
+        sun_margin(height, tops, row, col, float(height.max()), step, SHADOW_LIMIT, out)
+        return out
+
+
+def _patch(value: Any) -> GroundPatch:
+    assert isinstance(value, GroundPatch)
+    return value
+
+
+def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: tuple[int, int]) -> None:
+    """One tile's part of one layer; a layer of tints begins with the first tile that has any."""
+    if layer is None:
+        return
+    if name not in out:
+        new = np.ones if name == "tint" else np.empty
+        out[name] = new((*shape, *layer.shape[2:]), layer.dtype)
+    out[name][to] = layer[of]
+
+
+def build(scene: str | Path | Scene, seed: int = 0) -> World:
+    """Make the world of a built-in scene's name, a scene file or a scene; the same seed makes the same ground.
+
+    Raises:
+        InputError: no such scene, or something in it is wrong.
+    """
+    if not isinstance(scene, Scene):
+        known = built_in()
+        if str(scene) not in known and not Path(scene).suffix:
+            raise InputError(f"no scene is called {str(scene)!r}; use one of: {', '.join(known)}, or a YAML file")
+        scene = read_scene(known.get(str(scene), Path(scene)))
+    local, extent, raster = scene.origin.local, scene.ground.extent, scene.ground.raster
+    if raster is None:
+        return World(scene.name, scene.description, seed, local, Stack(scene.ground, seed), extent, scene.light, scene)
+    if "origin" not in scene.model_fields_set:
+        local = rasters.raster_middle(raster)
+    if "size" not in scene.ground.model_fields_set:
+        extent = rasters.reach(raster, local, scene.ground.cell)
+    under = rasters.load_rasters(raster, local, extent, scene.ground.cell)
+    source = Stack(scene.ground, seed, under)
+    return World(scene.name, scene.description, seed, local, source, extent, scene.light, scene, under.warnings)
+
+
+def world_of(
+    grid: Grid,
+    height: F32,
+    label: U8 | None = None,
+    depth: F32 | None = None,
+    look: U8 | None = None,
+    tint: F32 | None = None,
+    light: Light | None = None,
+    seed: int = 0,
+) -> World:
+    """A world out of arrays (R, C) on a grid; classes default to bare ground. Its edge goes on outside."""
+    label = np.full(grid.shape, Terrain.BARE, np.uint8) if label is None else label
+    source = Arrays(grid, np.asarray(height, np.float32), label, depth, look, tint)
+    return World("arrays", "", seed, Origin().local, source, source.extent, light or Light())
