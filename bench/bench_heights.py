@@ -3,7 +3,7 @@
     python bench/bench_heights.py                                        # all of it, about an hour of CPU
     python bench/bench_heights.py --rows sgbm,coverage --rungs meadow/40m/test-1
     python bench/bench_heights.py --rows unflagged --seeds 1001
-    python bench/bench_heights.py --page                                 # into docs/heights-measured.md as well
+    python bench/bench_heights.py --page                                 # into docs/lab/heights-table.md as well
 
 What was measured with the same source before is not measured again (out/bench-heights). Recordings are looked for in
 ../shared/data or $ALIGHT_DATA.

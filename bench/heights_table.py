@@ -23,7 +23,7 @@ SOURCES = (
 )  # fmt: skip
 WIDTH = 78
 MARK = "<!-- below: made by `python bench/bench_heights.py --page` -->"
-PAGE = ROOT / "docs" / "heights-measured.md"
+PAGE = ROOT / "docs" / "lab" / "heights-table.md"
 
 
 @dataclass(frozen=True)

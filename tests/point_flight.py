@@ -1,6 +1,6 @@
 """Flights without images: a trajectory, its sensors, and points seen by the rig, everything known exactly.
 
-Errors are drawn from the filter's own models (docs/method-motion.md), so that what it claims can be held against what
+Errors are drawn from the filter's own models (docs/method/motion.md), so that what it claims can be held against what
 it does; what departs from them is put in by hand.
 """
 

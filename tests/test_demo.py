@@ -52,7 +52,7 @@ def test_the_results_are_a_whole_run_and_nothing_else(done: tuple[Path, subproce
 
 
 def test_the_comparison_shows_a_sound_run(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    """The bounds are loose: they tell a broken stage from a sound one. docs/evaluation.md has the figures."""
+    """The bounds are loose: they tell a broken stage from a sound one. docs/lab/flights.md has the figures."""
     found = rows(done[1].stdout)
     assert found["best site truly safe, registered"] == "yes"
     good, of = map(int, found["sites truly safe, registered"].split(" of "))

@@ -1,4 +1,4 @@
-"""Plain NumPy twins of the parallax kernels: slow, short, written from docs/method.md."""
+"""Plain NumPy twins of the parallax kernels: slow, short, written from docs/method/parallax.md."""
 
 from __future__ import annotations
 

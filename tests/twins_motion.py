@@ -1,4 +1,4 @@
-"""Plain NumPy twins of the tracker's and the filter's kernels: written from docs/method-motion.md."""
+"""Plain NumPy twins of the tracker's and the filter's kernels: written from docs/method/motion.md."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From one cell size to the next coarser: means of 2 x 2 cells (docs/method.md, eq. 16b)."""
+"""From one cell size to the next coarser: means of 2 x 2 cells (docs/method/elevation.md, eq. 16b)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From one cell size to the next: what a cell says of the four in it, they of it (docs/method.md, eqs. 16b, 16c)."""
+"""From one cell size to the next: what a cell says of the four in it, they of it (docs/method/elevation.md, 16b-c)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The world grid: square cells on the reference ground plane, and the projection of its cells into a camera.
 
 `p_i(x, y, h) = H_i (x, y, 1)^T + h b_i` with `H_i = P_i[:, (0, 1, 3)]` and `b_i = P_i[:, 2]`
-(docs/method.md, eqs. 1-3): the ground-plane homography of the 2004 paper and the image of the vertical.
+(docs/method/parallax.md, eqs. 1-3): the ground-plane homography of the 2004 paper and the image of the vertical.
 """
 
 from __future__ import annotations

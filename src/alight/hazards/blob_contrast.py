@@ -1,6 +1,6 @@
 """What a matching window flattens: stones and tufts too small for the heights, betrayed by light, shade and colour.
 
-On pixels finer than the heights' cells, where the map has them (docs/method-hazards.md, G9b).
+On pixels finer than the heights' cells, where the map has them (docs/method/hazards.md, G9b).
 """
 
 from __future__ import annotations

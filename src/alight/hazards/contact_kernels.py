@@ -1,4 +1,4 @@
-"""Compiled loops that rest a lander's feet or skids on the ground (docs/method-hazards.md, section 2)."""
+"""Compiled loops that rest a lander's feet or skids on the ground (docs/method/hazards.md)."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""What a footprint is judged by, each term larger where it is less likely safe (docs/method-hazards.md, G7b)."""
+"""What a footprint is judged by, each term larger where it is less likely safe (docs/method/hazards.md, G7b)."""
 
 from __future__ import annotations
 

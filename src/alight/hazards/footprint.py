@@ -1,4 +1,4 @@
-"""What a lander covers and touches, in whole cells of one grid (docs/method-hazards.md, section 1)."""
+"""What a lander covers and touches, in whole cells of one grid (docs/method/hazards.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled loops that judge the ground under a lander (docs/method-hazards.md).
+"""Compiled loops that judge the ground under a lander (docs/method/hazards.md).
 
 Loops run over whole rows of cells, offset by offset, so that they vectorise; an unknown height is NaN and loses every
 `>` comparison, which is what leaves it out of a maximum.

@@ -1,4 +1,4 @@
-"""P(safe) of heights from matched images: one last step, fitted to flights with truth (docs/method-hazards.md, G7b)."""
+"""P(safe) of heights from matched images: one last step, fitted to flights with truth (docs/method/hazards.md, G7b)."""
 
 from __future__ import annotations
 

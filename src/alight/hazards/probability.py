@@ -1,4 +1,4 @@
-"""How likely a touchdown meets every limit: normal errors (docs/method-hazards.md, section 3)."""
+"""How likely a touchdown meets every limit: normal errors (docs/method/hazards.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Heights on an image's finer pixels: the height field that both the coarse heights and the shading agree with.
 
-Rocks below the cell size betray themselves by their lit and their shadowed side (docs/method-hazards.md, section 4).
+Rocks below the cell size betray themselves by their lit and their shadowed side (docs/method/hazards.md).
 """
 
 from __future__ import annotations

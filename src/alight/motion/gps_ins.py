@@ -1,4 +1,4 @@
-"""What GPS/INS measures: the state, a slowly varying error, a small white one (docs/method-motion.md, M14-M16)."""
+"""What GPS/INS measures: the state, a slowly varying error, a small white one (docs/method/motion.md, M14-M16)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points out of their sights, and what is left of the sights without the points (docs/method-motion.md, M12, M21).
+"""Points out of their sights, and what is left of the sights without the points (docs/method/motion.md, M12, M21).
 
 N features, K poses of a rig, C cameras. NumPy takes forty small steps for what is a few thousand multiplications.
 """

@@ -1,4 +1,4 @@
-"""Inertial measurements between two instants, summed once and for all (docs/method-motion.md, M4-M6).
+"""Inertial measurements between two instants, summed once and for all (docs/method/motion.md, M4-M6).
 
 The sums do not depend on where the vehicle is, so the filter and the smoother use the same ones
 (Lupton and Sukkarieh 2012; Forster et al. 2017, on-manifold preintegration).

@@ -1,4 +1,4 @@
-"""What a camera measures of a point, and its Jacobians (docs/method-motion.md, M11)."""
+"""What a camera measures of a point, and its Jacobians (docs/method/motion.md, M11)."""
 
 from __future__ import annotations
 

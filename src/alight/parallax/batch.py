@@ -61,7 +61,7 @@ class Images:
 
 
 def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> Heights | None:
-    """Estimate the heights of one grid from the views that see it (docs/method.md, section 3).
+    """Estimate the heights of one grid from the views that see it (docs/method/parallax.md).
 
     Args:
         images: posed views; those that do not see the grid are ignored.

@@ -1,4 +1,4 @@
-"""Loop over views of one instant: what they see alike and the others do not (docs/method.md, eq. 15a)."""
+"""Loop over views of one instant: what they see alike and the others do not (docs/method/uncertainty.md, eq. 15a)."""
 
 import numpy as np
 from numpy.typing import NDArray

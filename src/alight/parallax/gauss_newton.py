@@ -1,4 +1,7 @@
-"""Gauss-Newton on the world grid: sub-pixel heights from the fused template's gradient (docs/method.md, eqs. 8-12)."""
+"""Gauss-Newton on the world grid: sub-pixel heights from the fused template's gradient.
+
+docs/method/parallax.md, eqs. 8-12
+"""
 
 from __future__ import annotations
 

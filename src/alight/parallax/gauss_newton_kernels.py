@@ -1,4 +1,4 @@
-"""Loops of Gauss-Newton on the world grid: template, normal equations, windowed step (docs/method.md, eqs. 8 to 11).
+"""Loops of Gauss-Newton on the world grid: template, normal equations, windowed step (docs/method/parallax.md, 8-11).
 
 Sample stacks are (N, R, C) float32 with NaN outside an image. Everything runs row by row in short loops without
 branches, which the compiler turns into vector code: five to twelve times faster than cell by cell.

@@ -1,7 +1,7 @@
 """What the ground looks like on finer pixels than its heights have: the mean of the nearest views of each place.
 
 Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
-shows them in its noise, the mean of five does not have it (docs/method-hazards.md, G9b).
+shows them in its noise, the mean of five does not have it (docs/method/hazards.md, G9b).
 """
 
 from __future__ import annotations

@@ -152,7 +152,7 @@ def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: 
 
 
 def sweep(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int) -> Swept:
-    """Find the height of every cell that view `reference` sees (docs/method.md, eqs. 6 and 7).
+    """Find the height of every cell that view `reference` sees (docs/method/parallax.md, eqs. 6 and 7).
 
     `searched`: lowest and highest height, metres; `ground`: metres, about where most of it lies. As many planes are
     tried as the views that see any of it can tell apart.

@@ -109,7 +109,7 @@ class RecursiveParallax:
             self._alignment.tell(poses, times, above)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
-        """Improve the heights of a window with the ring as it is now (docs/method.md, section 5).
+        """Improve the heights of a window with the ring as it is now (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.

@@ -1,4 +1,4 @@
-"""Loops of the plane sweep: robust cost of a height, semi-global aggregation, winner (docs/method.md, eqs. 6, 7)."""
+"""Loops of the plane sweep: robust cost of a height, semi-global aggregation, winner (docs/method/parallax.md, 6-7)."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""How far a height can be trusted: sigma, and the flags that override it (docs/method.md, section 4).
+"""How far a height can be trusted: sigma, and the flags that override it (docs/method/uncertainty.md).
 
 Sigma says how well a surface fits; whether it is the right surface needs its own evidence: texture, the second-best
 cost, what the views do not share, neighbours, steps.

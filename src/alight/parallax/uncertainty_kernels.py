@@ -1,4 +1,7 @@
-"""Loops of what a height is worth: sigma, flags, fusion with the map (docs/method.md, eqs. 14 and 16)."""
+"""Loops of what a height is worth: sigma, flags, fusion with the map (eqs. 14 and 16).
+
+docs/method/uncertainty.md, docs/method/recursive.md
+"""
 
 import numpy as np
 from numpy.typing import NDArray

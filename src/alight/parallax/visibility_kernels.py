@@ -1,4 +1,4 @@
-"""Loops over the surface of a height map: plane prior and ray test of visibility (docs/method.md, eqs. 12 and 13)."""
+"""Loops over the surface of a height map: plane prior and ray test of visibility (docs/method/parallax.md, 12, 13)."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -60,7 +60,7 @@ class FilterLane:
         self._repeated = self._given = self._lost = 0  # exposures
 
     def feed(self, event: Event) -> Motion | None:
-        """Track, predict, update (docs/method-motion.md)."""
+        """Track, predict, update (docs/method/motion.md)."""
         if isinstance(event, NavSample):
             self._filter.feed_nav(event)
         elif isinstance(event, ImuSample):

@@ -1,4 +1,4 @@
-"""What a cell looks like: ratios that survive a change of exposure (docs/method-ground.md, section 4)."""
+"""What a cell looks like: ratios that survive a change of exposure (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled loops on the shape of the ground (docs/method-ground.md, section 4)."""
+"""Compiled loops on the shape of the ground (docs/method/land-cover.md)."""
 
 import math
 

@@ -1,4 +1,7 @@
-"""From evidence to classes: everything is weighed together, and appearance may only take (docs/method-ground.md, 3)."""
+"""From evidence to classes: everything is weighed together, and appearance may only take.
+
+docs/method/land-cover.md
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is small and near: bands of light, tint and height at several widths (docs/method-ground.md, T1b).
+"""What is small and near: bands of light, tint and height at several widths (docs/method/land-cover.md, T1b).
 
 On pixels finer than the heights' cells, where the map has them. Stones, tufts and the texture of a sward are told apart
 by what stands out at which width, how strong all detail of a width is, and whether the heights stand out with it.

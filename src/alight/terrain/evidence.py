@@ -1,4 +1,4 @@
-"""What the map itself says of its cover: shape, matching and texture, weighed together (docs/method-ground.md, T1).
+"""What the map itself says of its cover: shape, matching and texture, weighed together (docs/method/land-cover.md, T1).
 
 No colour and no library: this is what is left when the pictures look like nothing known, and what an appearance may
 only take from.

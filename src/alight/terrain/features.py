@@ -1,4 +1,4 @@
-"""What ground looks like, in numbers that another camera, season and light leave alone (docs/method-ground.md, T3).
+"""What ground looks like, in numbers that another camera, season and light leave alone (docs/method/land-cover.md, T3).
 
 Every number is a ratio: of brightness at two scales in metres, of a picture and the frame that it belongs to, or a
 correlation. None is a colour, because a colour is the camera's and the season's as much as the ground's.

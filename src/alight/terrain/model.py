@@ -1,6 +1,6 @@
 """From what ground looks like to how likely each class looks so; far from everything learned it says nothing.
 
-A linear classifier on few numbers (docs/method-ground.md, T4): 1,400 labelled patches of four places carry no more.
+A linear classifier on few numbers (docs/method/land-cover.md, T4): 1,400 labelled patches of four places carry no more.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Water by its shape and look: what the bed of a clear pond betrays (docs/method-ground.md, G13 to G15)."""
+"""Water by its shape and look: what the bed of a clear pond betrays (docs/method/land-cover.md, G13 to G15)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Patches of earlier pictures found again in a present one (docs/method-motion.md, M1e)."""
+"""Patches of earlier pictures found again in a present one (docs/method/tracks.md, M1e)."""
 
 import math
 

@@ -1,7 +1,7 @@
 """Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
 
 The search starts where the predicted motion puts a feature and is bounded about that place; every match is made
-forward and backward; matches between cameras are held against the patch and the epipolar line (docs/method-motion.md,
+forward and backward; matches between cameras are held against the patch and the epipolar line (docs/method/tracks.md,
 M1-M3).
 """
 

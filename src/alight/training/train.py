@@ -1,4 +1,4 @@
-"""Train the model of appearance, and test it on places that it has not seen (docs/method-ground.md, T4)."""
+"""Train the model of appearance, and test it on places that it has not seen (docs/method/land-cover.md, T4)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Motion of photos far apart: features, first poses, and a bundle adjustment held by GPS, gimbal and the maker's lens.
 
-Method and equation numbers: docs/method-bundle.md. Needs pycolmap (extra `photos`).
+Method and equation numbers: docs/method/bundle.md. Needs pycolmap (extra `photos`).
 """
 
 from __future__ import annotations

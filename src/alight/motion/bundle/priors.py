@@ -14,7 +14,7 @@ from alight.motion.bundle.solver import Priors
 from alight.records import F64, NavSample, Rig
 from alight.settings import BundleSettings
 
-# 1-sigma of scale aspect cu cv and distortion; the focal length apart, see docs/method-bundle.md
+# 1-sigma of scale aspect cu cv and distortion; the focal length apart, see docs/method/bundle.md
 _SIGMA_LENS = {
     "radial-tangential": (0.0, 0.0, 10.0, 10.0, 0.05, 0.1, 0.002, 0.002, 0.2),
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
@@ -72,7 +72,7 @@ def mended(priors: Priors, turned: Index, contradicted: Index) -> Priors:
 
 
 def safe_lens(priors: Priors, photos: int) -> Priors:
-    """Hold the radial distortion where photos are few: it trades off with the height (docs/method-bundle.md)."""
+    """Hold the radial distortion where photos are few: it trades off with the height (docs/method/bundle.md)."""
     if photos >= _LENS_PHOTOS:
         return priors
     sigma = priors.sigma_lens.copy()

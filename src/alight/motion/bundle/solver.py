@@ -1,7 +1,7 @@
 """The adjustment itself: Levenberg-Marquardt over poses, lens, mounting and points, points eliminated (Schur).
 
 Own code and not pycolmap's adjuster, whose priors know positions only: a straight strip would be free to roll about
-its line of flight. Equation numbers: docs/method-bundle.md.
+its line of flight. Equation numbers: docs/method/bundle.md.
 """
 
 from __future__ import annotations

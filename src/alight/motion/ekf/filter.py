@@ -1,7 +1,7 @@
 """The structure-from-motion filter: tracks and GPS/INS (and IMU) to one consistent chain of poses.
 
 An error-state EKF on SO(3) x R^k after the 2004 paper, whose state is X = (x_1..x_n, R, T, omega, v); what was added
-and where it departs is in docs/method-motion.md.
+and where it departs is in docs/method/motion.md.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ class MotionFilter:
         return MotionPredictor.of(state, self._cams, self._inertial, self._settings)
 
     def smoothed(self) -> list[Motion]:
-        """The motions of all exposures so far, refined together (docs/method-motion.md, M18-M22).
+        """The motions of all exposures so far, refined together (docs/method/smoother.md, M18-M22).
 
         Empty when `smooth` is off in the settings, and where a batch is not possible.
         """

@@ -1,4 +1,4 @@
-"""The filter's state: nominal values, and one covariance over the errors of all of them (docs/method-motion.md, M7).
+"""The filter's state: nominal values, and one covariance over the errors of all of them (docs/method/motion.md, M7).
 
 Errors live in the world: `R = exp(theta) R_hat`, `p = p_hat + dp`.
 """

@@ -1,4 +1,4 @@
-"""The ring's poses and the map held together from keyframe to keyframe (docs/method.md, section 8)."""
+"""The ring's poses and the map held together from keyframe to keyframe (docs/method/recursive.md)."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What is believed of the exposures' poses and of the map's plane together: one normal distribution.
 
-The navigation lane tells it of the poses, the pictures correct it (docs/method.md, eqs. 22 to 25).
+The navigation lane tells it of the poses, the pictures correct it (docs/method/recursive.md, eqs. 22 to 25).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Normal equations of poses, map plane, heights and template together (docs/method.md, eqs. 17 to 20)."""
+"""Normal equations of poses, map plane, heights and template together (docs/method/recursive.md, eqs. 17 to 20)."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method.md, section 8).
+"""Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method/recursive.md).
 
 The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
 there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
