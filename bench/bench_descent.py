@@ -20,7 +20,7 @@ from heights_table import Row, head, kept
 from numpy.typing import NDArray
 
 from alight.elevation import TiledElevation
-from alight.evaluate.report import nmad
+from alight.evaluation.report import nmad
 from alight.geometry import Grid
 from alight.pipeline.terrain_lane import TerrainLane, footprint
 from alight.records import F64, ElevationMap, View

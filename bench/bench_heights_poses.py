@@ -24,7 +24,7 @@ from heights_points import Points, points_of
 from heights_step import REPEATS, SPACING, Flight, cpu, lone_step, one_thread
 from heights_table import Row, head, kept
 
-from alight.evaluate.report import nmad
+from alight.evaluation.report import nmad
 from alight.geometry import Pose, so3_exp
 from alight.pipeline.terrain_lane import TerrainLane
 from alight.records import F64, ElevationMap, KeyframePosterior, Motion, View

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from alight.elevation import FIELDS
-from alight.evaluate.flight import NEAR, FlightTruth, at, read_flight_truth
+from alight.evaluation.flight import NEAR, FlightTruth, at, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
 from alight.records import F32, F64, U8, Datum, ElevationMap, Flag, Motion

@@ -10,7 +10,7 @@ import numpy as np
 from matchers import inside, stands_clear
 from numpy.typing import NDArray
 
-from alight.evaluate.report import nmad
+from alight.evaluation.report import nmad
 from alight.records import F64, Terrain, View
 from alight_sim import SimulatedFlight
 

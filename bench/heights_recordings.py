@@ -17,8 +17,8 @@ from matchers import by_pair, inside
 from scipy.spatial import cKDTree
 from subjects import Subject, flight, photos
 
-from alight.evaluate.photos import interpolated, plane_of
-from alight.evaluate.report import nmad
+from alight.evaluation.photos import interpolated, plane_of
+from alight.evaluation.report import nmad
 from alight.records import F64, ElevationMap, Flag, View
 from alight.settings import Settings
 

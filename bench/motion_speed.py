@@ -1,4 +1,4 @@
-"""How fast tracker and filter are side by side, as `alight.live` runs them."""
+"""How fast tracker and filter are side by side, as `alight.runner.live` runs them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 from motion_common import DATA, Row, recording, say
 
-from alight.live import SideBySide
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.records import U8, Frame, Tracks
+from alight.runner.live import SideBySide
 from alight.settings import load_settings
 
 T = TypeVar("T")

@@ -12,8 +12,8 @@ from common_points import common_points
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from alight.evaluate.flight import FlightTruth, read_flight_truth
-from alight.evaluate.photos import LEAST_TRACK, MOST_ERROR
+from alight.evaluation.flight import FlightTruth, read_flight_truth
+from alight.evaluation.photos import LEAST_TRACK, MOST_ERROR
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, Frame, Terrain, View
 from alight.settings import Settings

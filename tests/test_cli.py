@@ -14,9 +14,10 @@ import pytest
 import yaml
 from some_run import some_run
 
-from alight import __version__, cli, replay
+from alight import __version__, cli
 from alight.outputs import write_run
 from alight.records import InputError, Sites
+from alight.runner import replay
 from alight.settings import Settings
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
@@ -186,7 +187,8 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFi
 SLOW = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background start with it ignored
-from alight import cli, replay
+from alight import cli
+    from alight.runner import replay
 from some_run import some_run
 def find(source, out, *_):
     replay.write_run(some_run(), out)
@@ -237,7 +239,7 @@ def test_verbose_speaks_up(
     place: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     def find(*_: object) -> None:
-        logging.getLogger("alight.replay").info("a detail")
+        logging.getLogger("alight.runner.replay").info("a detail")
         logging.getLogger("another.package").info("noise")
         raise InputError("enough")
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from alight import demo, replay
-from alight.evaluate import evaluate
+from alight.evaluation import evaluate
 from alight.outputs import FILES
 from alight.records import OutputError
+from alight.runner import demo, replay
 from alight.settings import Settings
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]

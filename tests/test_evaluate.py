@@ -12,8 +12,8 @@ from damage import HEIGHT, LATITUDE, LONGITUDE, STEP, T0, write_flight, write_ro
 from numpy.typing import NDArray
 from some_run import some_run
 
-from alight.evaluate import evaluate, flight, nmad, photos
-from alight.evaluate.report import Evaluation, rms
+from alight.evaluation import evaluate, flight, nmad, photos
+from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.outputs import write_run
 from alight.records import ElevationMap, Flag, HazardMap, InputError, Motion, RunResult, Sites, Terrain

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from alight.geometry import Camera
-from alight.live import Closed, Mailbox, SideBySide
 from alight.pipeline.side_by_side import Desk, FilterStep, TrackingStep, forecast_for
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
+from alight.runner.live import Closed, Mailbox, SideBySide
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
 

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from alight import cli
 from alight.cli.simulate import PICTURE, blocks
-from alight.evaluate.flight import read_flight_truth
+from alight.evaluation.flight import read_flight_truth
 from alight.records import Frame
 from alight.settings import Settings
 from alight.sources import open_source

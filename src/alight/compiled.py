@@ -58,8 +58,8 @@ kernel: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy")
 parallel_kernel: _Compile = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 # for reductions to a minimum of numbers that are none of them NaN: any order gives the same bits
 minimum_kernel: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
-# for sums of numbers that are none of them NaN: their order, and so their last bits, are the machine's. Inlined into the
-# caller: a copy of its own, optimised once more or once less, made the compiling run differ from all later ones
+# for sums of numbers that are none of them NaN: their order, and so their last bits, are the machine's. Inlined into
+# the caller: a copy of its own, optimised once more or once less, made the compiling run differ from all later ones
 sum_kernel: _Compile = numba.njit(
     cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz", "reassoc", "contract"}, forceinline=True
 )

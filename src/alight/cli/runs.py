@@ -58,7 +58,7 @@ def run(
 ) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
     chosen = read_settings(settings, assign)
-    from alight import replay
+    from alight.runner import replay
 
     with progress_bar() as tell:
         result = replay.find(source, out, chosen, poses, force, tell)
@@ -79,7 +79,7 @@ def evaluate(
     verbose: VerboseOption = False,
 ) -> None:
     """Compare a run with the truth and print the numbers."""
-    from alight.evaluate import evaluate as compare
+    from alight.evaluation import evaluate as compare
 
     for line in compare(out, truth).lines():
         say(line)
@@ -96,9 +96,9 @@ def demo(
 ) -> None:
     """Simulate a small flight, find a landing site in it and compare with the truth."""
     chosen = read_settings(settings, assign)
-    from alight import demo as show
-    from alight import replay
-    from alight.evaluate import evaluate as compare
+    from alight.evaluation import evaluate as compare
+    from alight.runner import demo as show
+    from alight.runner import replay
 
     with progress_bar() as tell:
         flight, result = show.fly_demo(out, seed, chosen, force, tell)
@@ -119,7 +119,7 @@ def show_settings(settings: SettingsOption = None, assign: SetOption = None) -> 
 @app.command()
 def warmup(verbose: VerboseOption = False) -> None:
     """Compile every kernel, so that the first run does not wait for it."""
-    from alight import demo as show
+    from alight.runner import demo as show
 
     with progress_bar() as tell:
         show.warmup(tell)

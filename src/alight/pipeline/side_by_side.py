@@ -2,7 +2,7 @@
 
 While the filter takes in one exposure the next one is tracked. The tracker predicts from the filter's last exposure but
 one, carried on by the IMU: always from that one, whether or not the last is done, so that what comes out depends on the
-events alone. No thread here: `alight.live` runs the steps on two.
+events alone. No thread here: `alight.runner.live` runs the steps on two.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from alight.evaluate.report import Evaluation, nmad, rms
+from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, LocalFrame
 from alight.outputs import Run, world_up
 from alight.records import F64, Flag, InputError

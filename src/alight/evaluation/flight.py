@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from scipy.ndimage import distance_transform_edt
 
-from alight.evaluate.report import Evaluation, nmad, rms
+from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run
 from alight.records import F64, Flag, InputError, Terrain

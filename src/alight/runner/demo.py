@@ -8,9 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import alight_sim as simulate
-from alight import replay
 from alight.outputs import prepare_folder
 from alight.records import RunResult
+from alight.runner import replay
 from alight.settings import Settings
 from alight.sources import open_source
 

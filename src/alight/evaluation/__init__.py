@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from alight.evaluate.flight import against_flight
-from alight.evaluate.photos import against_photos
-from alight.evaluate.report import Evaluation, nmad
+from alight.evaluation.flight import against_flight
+from alight.evaluation.photos import against_photos
+from alight.evaluation.report import Evaluation, nmad
 from alight.outputs import read_run
 from alight.records import InputError
 

@@ -1,0 +1,1 @@
+"""The ways to run the lanes: a recording, a flight as it goes, a demonstration."""
