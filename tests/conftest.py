@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import alight  # noqa: F401  (before NumPy: it says how many threads linear algebra may use)
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy: as the command line has it
 
 # isort: split
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar

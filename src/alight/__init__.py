@@ -1,9 +1,78 @@
-"""Alight: a safe place to land, from an aircraft's cameras and its GPS/INS."""
+"""Alight: a safe place to land, from an aircraft's cameras and its GPS/INS.
 
-import os
+>>> import alight
+>>> result = alight.run("photos/", lander=alight.Lander(radius=0.8))
+>>> result.sites, result.reason
+>>> result.save("out/first")
+
+Names are imported when they are first used, so that `import alight` costs nothing (PEP 562).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
 
-# The filter's matrices are too small to share: OpenBLAS threads spent 30 of 52 s of CPU waiting for each other.
-# Where NumPy was imported first, this has no effect and does no harm.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+if TYPE_CHECKING:
+    from alight.api import (
+        demo,
+        evaluate,
+        evaluate_appearance,
+        open_source,
+        run,
+        simulate,
+        train_appearance,
+        warmup,
+    )
+    from alight.pipeline import Pipeline
+    from alight.records import AlightError
+    from alight.result import Result
+    from alight.settings import Lander, Settings
+
+_HOME = {
+    "run": "api",
+    "simulate": "api",
+    "evaluate": "api",
+    "demo": "api",
+    "warmup": "api",
+    "train_appearance": "api",
+    "evaluate_appearance": "api",
+    "open_source": "api",
+    "Pipeline": "pipeline",
+    "Settings": "settings",
+    "Lander": "settings",
+    "Result": "result",
+    "AlightError": "records",
+}
+
+__all__ = [
+    "AlightError",
+    "Lander",
+    "Pipeline",
+    "Result",
+    "Settings",
+    "demo",
+    "evaluate",
+    "evaluate_appearance",
+    "open_source",
+    "run",
+    "simulate",
+    "train_appearance",
+    "warmup",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name from the module that has it."""
+    if name not in _HOME:
+        raise AttributeError(f"module 'alight' has no attribute {name!r}")
+    value = getattr(import_module(f"alight.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """The public names, for completion."""
+    return sorted([*__all__, "__version__"])

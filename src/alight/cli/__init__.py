@@ -1,5 +1,10 @@
 """The command line: the one place that catches, prints and exits. One file a group of commands."""
 
+import os
+
+# before NumPy is imported: the filter's matrices are small, and several threads spend their time waiting
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from alight.cli import hazards, runs, simulate, terrain
 from alight.cli.app import call, main, progress_bar, read_settings
 

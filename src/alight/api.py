@@ -1,0 +1,202 @@
+"""The functions of `import alight`: each command of the command line is one of them."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from alight.records import SettingsError
+from alight.result import Result
+from alight.settings import Lander, Settings, load_settings
+
+if TYPE_CHECKING:
+    from alight.evaluation import Evaluation
+    from alight.sources import Source
+    from alight.training.confusion import Confusion
+    from alight_sim import SimulatedFlight
+    from alight_sim.scene import Scene
+
+Progress = Callable[[str, float], None]  # stage, share done
+SettingsLike = Settings | Mapping[str, Any] | str | Path | None
+
+
+def _quiet(stage: str, share: float) -> None:
+    """Report no progress."""
+
+
+@contextmanager
+def single_threaded_algebra() -> Iterator[None]:
+    """Keep linear algebra on one thread: the filter's matrices are too small to share between threads.
+
+    With several, 30 of 52 s of CPU were spent waiting, and sums in another order gave other last bits.
+    """
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+def settings_of(settings: SettingsLike = None, lander: Lander | None = None) -> Settings:
+    """Return settings from a model, a mapping (`{"parallax.cell": 0.1}` or nested), or a YAML file; `lander` wins.
+
+    Raises:
+        SettingsError: an unknown key, a value out of range, or a file that cannot be read.
+    """
+    if settings is None:
+        chosen = Settings()
+    elif isinstance(settings, Settings):
+        chosen = settings
+    else:
+        try:
+            chosen = _of_mapping(settings) if isinstance(settings, Mapping) else load_settings(_text(Path(settings)))
+        except ValueError as e:
+            raise SettingsError(str(e)) from e
+    return chosen if lander is None else chosen.model_copy(update={"lander": lander})
+
+
+def _of_mapping(given: Mapping[str, Any]) -> Settings:
+    import json
+
+    return load_settings("", [f"{k}={json.dumps(v)}" for k, v in given.items()])
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as e:
+        raise SettingsError(f"{path}: cannot be read; name a YAML file of settings") from e
+
+
+def open_source(path: str | Path, settings: SettingsLike = None) -> Source:
+    """Open a flight log (`mav0/`) or a folder of photos.
+
+    Raises:
+        InputError: it is neither, or cannot be used; the message says what was looked for.
+    """
+    from alight.sources import open_source as opened
+
+    return opened(Path(path), settings_of(settings))
+
+
+def run(
+    source: str | Path | Source,
+    *,
+    lander: Lander | None = None,
+    settings: SettingsLike = None,
+    poses: str | None = None,
+    progress: Progress = _quiet,
+) -> Result:
+    """Find landing sites in a recorded flight or a folder of photos. No folder is written: see `Result.save`.
+
+    Args:
+        source: a folder (flight log or photos), an opened source, or a simulated flight.
+        lander: the aircraft's footprint and limits; wins over `settings`.
+        settings: a `Settings` model, a mapping of keys, or the name of a YAML file.
+        poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
+        progress: called with the stage and the share of it that is done.
+
+    Raises:
+        AlightError: the input or a setting cannot be used; the message says how to mend it.
+    """
+    from alight.outputs import FileStore
+    from alight.runner.replay import replay
+
+    chosen = settings_of(settings, lander)
+    recording = open_source(source, chosen) if isinstance(source, str | Path) else source
+    with single_threaded_algebra(), closing(FileStore(Path(tempfile.gettempdir()))) as store:
+        return Result(replay(recording, chosen, poses, progress, store))
+
+
+def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -> SimulatedFlight:
+    """Make a flight over simulated ground: a source that `run` takes; `alight_sim.write` makes it a folder.
+
+    Args:
+        scene: the name of a built-in scene, a scene file (YAML), or a scene.
+        seed: another seed, another place.
+        wishes: `height` [m], `duration` [s], `speed` [m/s] and others of `alight_sim.fly`.
+
+    Raises:
+        InputError: no such scene, or the flight cannot be flown.
+    """
+    import alight_sim
+
+    return alight_sim.fly(scene, seed, **wishes)
+
+
+def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
+    """Compare a run, or the folder that it left, with a flight's truth or a structure-from-motion reference.
+
+    Raises:
+        InputError: `out` is no run, or `truth` holds no truth.
+    """
+    from alight.evaluation import evaluate as compare
+
+    if not isinstance(out, Result):
+        return compare(Path(out), Path(truth))
+    with tempfile.TemporaryDirectory(prefix="alight-") as folder:
+        out.save(folder)
+        return compare(Path(folder), Path(truth))
+
+
+def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet) -> Result:
+    """Simulate a small flight, find a site in it and write both folders: `out`, and the flight in `OUT-flight`.
+
+    Raises:
+        OutputError: a folder cannot be written.
+    """
+    from alight.runner.demo import fly_demo
+
+    with single_threaded_algebra():
+        _, found = fly_demo(Path(out), seed, Settings(), True, progress)
+    result = Result(found)
+    result.save(out, overwrite=True)
+    return result
+
+
+def warmup(progress: Progress = _quiet) -> None:
+    """Compile every kernel, so that the first run does not wait for it."""
+    from alight.runner import demo as shown
+
+    with single_threaded_algebra():
+        shown.warmup(progress)
+
+
+def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05, progress: Progress = _quiet) -> str:
+    """Train the model of appearance on a folder of pictures by class and write it to `out`; return its provenance.
+
+    Args:
+        sampling: metres a pixel, where no index.csv says it.
+
+    Raises:
+        AlightError: the pictures cannot be used, or the file cannot be written.
+    """
+    from alight.outputs.atomic_write import write_whole
+    from alight.records import InputError
+    from alight.sources.library import model_bytes, read_library
+    from alight.training.train import train
+
+    patches = read_library(Path(folder), sampling)
+    try:
+        model, _ = train(patches, lambda share: progress("training", share))
+    except ValueError as e:
+        raise InputError(f"{folder}: {e}") from e
+    write_whole(Path(out), model_bytes(model))
+    return model.provenance
+
+
+def evaluate_appearance(
+    folder: str | Path, model: str | Path | None = None, sampling: float = 0.05, progress: Progress = _quiet
+) -> Confusion:
+    """Compare a model of appearance (default: the package's own) with labelled pictures: the table of confusion.
+
+    Raises:
+        InputError: the pictures or the model cannot be used.
+    """
+    from alight.sources.library import read_library, read_model
+    from alight.training.train import judge_patches
+
+    known = read_model(None if model is None else Path(model))
+    return judge_patches(known, read_library(Path(folder), sampling), lambda share: progress("testing", share))

@@ -1,0 +1,94 @@
+"""The result of a run, for Python: sites, maps with their grid, motions; one call writes the folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from alight.outputs import write_run
+from alight.records import ElevationMap, HazardMap, Motion, Route, RunResult, Site, TerrainMap
+from alight.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The answer of one run, and the maps that it rests on.
+
+    Maps carry their `grid`: cell (row 0, column 0) is the northernmost and westernmost, `grid.xy()` gives the metres
+    east and north of the columns and rows. Heights are metres above the origin of the recording; NaN is unknown.
+    """
+
+    record: RunResult
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """Landing sites, best first; empty if there is none (see `reason`)."""
+        return self.record.sites.sites
+
+    @property
+    def best(self) -> Site | None:
+        """The best site; None if there is none."""
+        return self.sites[0] if self.sites else None
+
+    @property
+    def reason(self) -> str:
+        """Why there is no site; empty if there is one."""
+        return self.record.sites.reason
+
+    @property
+    def elevation(self) -> ElevationMap | None:
+        """Heights with sigma and flags, (R, C) arrays on `elevation.grid`."""
+        return self.record.elevation
+
+    @property
+    def land_cover(self) -> TerrainMap | None:
+        """Class codes and the probability that this kind of ground may be landed on."""
+        return self.record.terrain
+
+    @property
+    def hazards(self) -> HazardMap | None:
+        """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell."""
+        return self.record.hazards
+
+    @property
+    def route(self) -> Route | None:
+        """Way-points to the best site."""
+        return self.record.route
+
+    @property
+    def motions(self) -> Sequence[Motion]:
+        """Estimated motion of every exposure that could be placed."""
+        return self.record.motions
+
+    @property
+    def warnings(self) -> Sequence[str]:
+        """Everything that the report warns of, one sentence each."""
+        from alight.report import warnings
+
+        return warnings(self.record)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Frames and rows read, left out and why."""
+        return self.record.counts
+
+    @property
+    def settings(self) -> Settings:
+        """All settings of the run."""
+        return self.record.settings
+
+    def latitude_longitude(self, site: Site) -> tuple[float, float] | None:
+        """Return degrees on WGS84; None where the recording says nothing about its place on Earth."""
+        if not self.record.georeferenced:
+            return None
+        latitude, longitude, _ = self.record.local.to_geodetic([site.east, site.north, site.up])
+        return float(latitude), float(longitude)
+
+    def save(self, out: str | Path, overwrite: bool = False) -> list[Path]:
+        """Write the folder of results (docs/formats/outputs.md) and return the files written.
+
+        Raises:
+            OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
+        """
+        return write_run(self.record, Path(out), overwrite)
