@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from alight.elevation import TiledElevation
 from alight.evaluation.report import nmad
 from alight.geometry import Grid
-from alight.pipeline.terrain_lane import TerrainLane, footprint
+from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.view_geometry import footprint
 from alight.records import F64, ElevationMap, View
 from alight.settings import Settings
 from alight_sim import SimulatedFlight, fly
@@ -90,27 +91,27 @@ def stage_of(f: SimulatedFlight, m: ElevationMap, up: float) -> Stage:
     return Stage(up, m.grid.cell, 100 * float(m.trusted.mean()), bias, 100 * nmad(e) / up, p95, covered)
 
 
-def descend(f: SimulatedFlight) -> tuple[TerrainLane, list[Stage], list[float]]:
+def descend(f: SimulatedFlight) -> tuple[RecursiveMap, list[Stage], list[float]]:
     """Fly it: the map, its stages, and at every change of the cell the median step of the map in sigmas."""
     views = list(keyframes(f))
-    lane = TerrainLane(Settings())
-    if not lane.learn(views[:8]):
+    lane = RecursiveMap(Settings())
+    if not lane.find_ground(views[:8]):
         raise SystemExit(lane.reason)
     assert lane.elevation is not None
     stages, steps, left, level = [], [], list(STAGES), 0
     for v in views:
-        ground = lane.ground if lane.below is None else lane.below
+        ground = lane.ground_below
         assert ground is not None
         before = under(lane.elevation, v, ground, level)
         lane.step([v])
-        if lane._level != level:
-            after, level = lane.elevation.read(before.grid), lane._level
+        if lane.level != level:
+            after, level = lane.elevation.read(before.grid), lane.level
             both = before.trusted & after.trusted
             steps.append(float(np.median((np.abs(after.height - before.height) / before.sigma)[both])))
-        up = float(v.centre[2] - (lane.below or ground))
+        up = float(v.centre[2] - (lane.ground_here or ground))
         if left and up < left[0]:
             left = [h for h in left if h <= up]
-            m = under(lane.elevation, v, lane.below or ground, level)
+            m = under(lane.elevation, v, lane.ground_here or ground, level)
             if m.trusted.sum() > 200:
                 stages.append(stage_of(f, m, up))
     return lane, stages, steps
@@ -134,12 +135,12 @@ def rows(scene: str = "desert", seed: int = 1001) -> list[Row]:
     return [Row(f"descent 100 m to 5 m, {scene}, worst height: {k}", v) for k, v in found.items()]
 
 
-def picture(lane: TerrainLane, f: SimulatedFlight) -> NDArray[np.uint8]:
+def picture(lane: RecursiveMap, f: SimulatedFlight) -> NDArray[np.uint8]:
     """The map in three squares about its end: colours, heights, true heights, error over six sigma; (H, W, 3)."""
     assert lane.elevation is not None
     end, out = f.pose(int(f.frame_times[-1])).translation, []
     for half in (32.0, 8.0, 2.0):
-        level = max(lane._level, round(np.log2(2 * half / 400 / lane.elevation.cell)))
+        level = max(lane.level, round(np.log2(2 * half / 400 / lane.elevation.cell)))
         grid = lane.elevation.window((end[0] - half, end[0] + half), (end[1] - half, end[1] + half), level)
         m, truth = lane.elevation.read(grid), truth_on(f, grid)
         low, high = np.nanpercentile(truth, [1, 99])

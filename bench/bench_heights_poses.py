@@ -26,7 +26,7 @@ from heights_table import Row, head, kept
 
 from alight.evaluation.report import nmad
 from alight.geometry import Pose, so3_exp
-from alight.pipeline.terrain_lane import TerrainLane
+from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import F64, ElevationMap, KeyframePosterior, Motion, View
 from alight.settings import Settings
 from alight_sim.ladder import rung
@@ -98,12 +98,12 @@ def fly(name: str, kind: str, seed: int, refine: bool, scale: float = 1.0) -> di
     flown, claim = _flown(name), max(scale, 0.1) * SIGMA
     wrong = zip(flown.shots, flown.bodies, scale * errors(kind, seed), strict=True)
     moved = [disturbed(s, b, e, claim) for s, b, e in wrong]
-    lane = TerrainLane(Settings())
-    if not lane.learn([views[0] for views, _ in moved[::3]]):
+    lane = RecursiveMap(Settings())
+    if not lane.find_ground([views[0] for views, _ in moved[::3]]):
         raise SystemExit(lane.reason)
     for k, (views, _) in enumerate(moved):
         lane.step(views[:1], poses=told([m for _, m in moved[: k + 1]], kind) if refine else None)
-    found = lane.map()
+    found = lane.snapshot()
     assert found is not None
     return judged(found, flown.points)
 

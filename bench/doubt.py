@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 import alight_sim as simulate
 from alight.parallax import uncertainty as trust
-from alight.pipeline.terrain_lane import TerrainLane
+from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
 from alight.settings import Settings
 from alight_sim.ladder import rung
@@ -98,16 +99,17 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
     views = [v for shot in shots for v in shot]
     camera = float(np.median([v.centre[2] for v in views]))
     for method in ("batch", "ring"):
-        lane = TerrainLane(Settings())
-        if not lane.learn(views[:: max(1, len(views) // 24)]):
+        batch, recursive = BatchMap(Settings()), RecursiveMap(Settings())
+        lane = batch if method == "batch" else recursive
+        if not lane.find_ground(views[:: max(1, len(views) // 24)]):
             print(f"{name}: {lane.reason}")
             return
         with overheard() as kept:
             if method == "batch":
-                lane.build(views, lambda share: None)
+                batch.match_tiles(views, lambda share: None)
             else:
                 for shot in shots:
-                    lane.step(shot[:1])
+                    recursive.step(shot[:1])
                 kept = kept[4::4]
         parts = [rows_of(terms, found, flight.truth, camera) for terms, found in kept]
         yield np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts])

@@ -7,16 +7,21 @@ rays to the points and as a map of cells) and the middle pair of the rig, plain 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from heights_points import Answer, Mask, Points
 from matchers import by_pair, map_of_pair
 
 from alight.parallax import ground_sampling
-from alight.pipeline.terrain_lane import TerrainLane, nice_cell
+from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.ground_map import GroundMap
+from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.view_geometry import nice_cell
 from alight.records import F64, ElevationMap, View
 from alight.settings import Settings
 
+M = TypeVar("M", bound=GroundMap)
 Shots = list[list[View]]  # exposures, the left view first
 Matcher = Callable[[Shots, Points], Answer]
 PAIRS = 5
@@ -24,15 +29,23 @@ PAIRS = 5
 
 def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = None) -> ElevationMap | None:
     """The map of the heights stage alone by `batch` or `ring`; about `tell` views say where the ground is."""
-    lane, views = TerrainLane(settings or Settings()), [v for shot in shots for v in shot]
-    if not lane.learn(views[:: max(1, len(views) // tell)]):
-        raise SystemExit(lane.reason)
+    views, chosen = [v for shot in shots for v in shot], settings or Settings()
+    some = views[:: max(1, len(views) // tell)]
     if method == "batch":
-        lane.build(views, lambda share: None)
-    else:
-        for shot in shots:
-            lane.step(shot)
-    return lane.map()
+        batch = _found(BatchMap(chosen), some)
+        batch.match_tiles(views, lambda share: None)
+        return batch.snapshot()
+    recursive = _found(RecursiveMap(chosen), some)
+    for shot in shots:
+        recursive.step(shot)
+    return recursive.snapshot()
+
+
+def _found(ground: M, views: list[View]) -> M:
+    """The same map, which now knows where the ground is."""
+    if not ground.find_ground(views):
+        raise SystemExit(ground.reason)
+    return ground
 
 
 def on_map(found: ElevationMap | None, points: Points) -> Answer:

@@ -18,11 +18,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from point_flight import error
 
 from alight.geometry import Pose
-from alight.motion import RollbackFilter
-from alight.records import F64, Frame, ImuSample, Motion, NavSample, Rig
+from alight.pipeline.navigation import FilterLane
+from alight.records import F64, Motion, Rig
 from alight.settings import Settings, with_imu
 from alight.sources import Source, open_source
-from alight.tracks import Tracker
 from alight_sim.flight import SimulatedFlight
 
 SECOND = 1_000_000_000
@@ -76,21 +75,25 @@ class Flown:
 def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
     settings = with_imu(settings, source.notes.get("imu_noise", {}))
-    tracker, estimator = Tracker(source.rig, settings.tracks), RollbackFilter(source.rig, settings.motion.filter)
-    out = Flown(source.rig)
+    lane, out = FilterLane(source.rig, settings), Flown(source.rig)
     for event in source.events():
-        if isinstance(event, ImuSample):
-            estimator.feed_imu(event)
-        elif isinstance(event, NavSample):
-            estimator.feed_nav(event)
-        elif isinstance(event, Frame):
-            tracks = tracker.feed(event, estimator.predict(event.t_ns, tracker.last_ns))
-            motion, ring = estimator.feed_tracks(tracks), estimator.posterior().motions
-            out.online += [motion] if motion else []
-            if len(ring) >= settings.motion.filter.clones:
-                out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
-        out.events.append(tracks if isinstance(event, Frame) else event)
-    out.smoothed = estimator.smoothed()
+        batch = lane.batch(event)
+        if batch is None:
+            continue
+        out.events += batch.rows
+        lane.hear(batch)
+        tracked = lane.track(batch)
+        if tracked is None:
+            continue
+        out.events.append(tracked.tracks)
+        navigation = lane.update(tracked)
+        if navigation is None or navigation.motion is None or navigation.posterior is None:
+            continue
+        out.online.append(navigation.motion)
+        ring = navigation.posterior.motions
+        if len(ring) >= settings.motion.filter.clones:
+            out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
+    out.smoothed = list(lane.finish(lambda share: None).motions)
     return out
 
 

@@ -1,10 +1,13 @@
-"""How fast tracker and filter are side by side, as `alight.runner.live` runs them."""
+"""How fast tracker and filter are on two threads, as `alight.runner.live` runs them."""
 
 from __future__ import annotations
 
 import argparse
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from threading import Thread
 from typing import TypeVar
 
 import cv2
@@ -12,8 +15,9 @@ import numpy as np
 from motion_common import DATA, Row, recording, say
 
 from alight.motion.ekf.prediction import MotionPredictor
-from alight.records import U8, Frame, Tracks
-from alight.runner.live import SideBySide
+from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
+from alight.records import U8
+from alight.runner.mailbox import Closed, Mailbox
 from alight.settings import load_settings
 
 T = TypeVar("T")
@@ -49,26 +53,49 @@ def part_speed(_: argparse.Namespace) -> None:
         return
     events = list(source.events())
     cv2.setNumThreads(1)
-    lane, track, see, hear = SideBySide(source.rig, settings, drop=False), Meter(), Meter(), Meter()
-    counts, run, flow, before = list[int](), track.on(lane._tracking.run), Meter(), list[U8]()
-    lane._filtering.see, lane._filtering.hear = see.on(lane._filtering.see), hear.on(lane._filtering.hear)  # type: ignore[method-assign]
+    predictions = Mailbox[MotionPredictor | None](4)
+    lane, track, see, hear = FilterLane(source.rig, settings, False, predictions), Meter(), Meter(), Meter()
+    counts, flow, before = list[int](), Meter(), list[U8]()
+    boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)
 
-    def with_yardstick(frame: Frame, forecast: MotionPredictor | None) -> Tracks:
+    def yardstick(tracked: TrackedFrame) -> None:
         """What OpenCV takes on the same thread at the same time."""
-        tracks = run(frame, forecast)
-        counts.append(len(tracks.ids))
-        if frame.images[0] is not None:
-            before.append(cv2.cvtColor(frame.images[0], cv2.COLOR_RGB2GRAY))
+        counts.append(len(tracked.tracks.ids))
+        if tracked.frame.images[0] is not None:
+            before.append(cv2.cvtColor(tracked.frame.images[0], cv2.COLOR_RGB2GRAY))
             corners = cv2.goodFeaturesToTrack(before[0], 200, 1e-3, 25)
             flow.on(cv2.calcOpticalFlowPyrLK)(before[0], before[-1], corners, None)
             del before[:-1]
-        return tracks
 
-    lane._tracking.run = with_yardstick  # type: ignore[method-assign]
+    def tracking() -> None:
+        run = track.on(lane.track)
+        with suppress(Closed):
+            while True:
+                batch = boxes[0].get()
+                boxes[1].put(partial(hear.on(lane.hear), batch))
+                tracked = run(batch)
+                if tracked is not None:
+                    yardstick(tracked)
+                    boxes[1].put(partial(see.on(lane.update), tracked))
+        boxes[1].close()
+        predictions.close()
+
+    def filtering() -> None:
+        with suppress(Closed):
+            while True:
+                boxes[1].get()()
+
+    threads = [Thread(target=f) for f in (tracking, filtering)]
     begin = time.perf_counter()
+    for t in threads:
+        t.start()
     for e in events:
-        lane.feed(e)
-    lane.finish()
+        batch = lane.batch(e)
+        if batch is not None:
+            boxes[0].put(batch)
+    boxes[0].close()
+    for t in threads:
+        t.join()
     frames = len(counts)
     wall, yard = frames / (time.perf_counter() - begin), float(np.median(flow.ms))
     a, b, left = float(np.median(track.ms)), float(np.mean(see.ms)), 1.0 - sum(hear.ms) / (100.0 * frames)

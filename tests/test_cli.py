@@ -188,7 +188,7 @@ SLOW = """
 import signal, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background start with it ignored
 from alight import cli
-    from alight.runner import replay
+from alight.runner import replay
 from some_run import some_run
 def find(source, out, *_):
     replay.write_run(some_run(), out)
@@ -201,7 +201,8 @@ cli.main()
 
 
 def test_ctrl_c_in_a_process_leaves_whole_files_and_no_traceback(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     command = [sys.executable, "-c", SLOW, "run", "any", "--out", str(tmp_path / "out")]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=environment) as process:

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import rasterio
@@ -14,6 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.hazards import assess
+from alight.hazards.assessment import clearance_of
 from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.monotone_net import LEAST, least_costs, safe_belief
 from alight.hazards.weights import TERMS
@@ -375,3 +377,14 @@ def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
     ]
     assert p[1] == p[0] > 0.9
     assert 0.55 < p[2] < 0.75  # the limit is 0.35 of its sigma away
+
+
+def test_clearance_has_the_same_bits_whatever_else_the_machine_does() -> None:
+    """A verdict that is made beside other work is that of a replay."""
+    safe = np.random.default_rng(1).uniform(size=(143, 187)) > 0.02
+    found, before = [], cv2.getNumThreads()
+    for threads in (1, 2, 4):
+        cv2.setNumThreads(threads)
+        found.append(clearance_of(safe, 0.1).tobytes())
+    cv2.setNumThreads(before)
+    assert len(set(found)) == 1

@@ -204,14 +204,13 @@ def test_given_poses_are_told_of_when_the_settings_say_that_they_have_errors() -
         GivenLane(rig, times, MotionSettings(given_position_sigma=a, given_attitude_sigma=b))
         for a, b in ((0.0, 0.0), (0.05, 0.003))
     )
-    assert rough.posterior() is None
-    assert exact.feed(frame) is not None
-    assert exact.posterior() is None
-    motion = rough.feed(frame)
-    ring = rough.posterior()
-    assert ring is not None
-    assert ring.motions == (motion,)
-    assert_allclose(np.sqrt(np.diag(ring.covariance)), [0.05] * 3 + [0.003] * 3)
+    known, found = exact.feed(frame), rough.feed(frame)
+    assert known is not None
+    assert known.posterior is None
+    assert found is not None
+    assert found.posterior is not None
+    assert found.posterior.motions == (found.motion,)
+    assert_allclose(np.sqrt(np.diag(found.posterior.covariance)), [0.05] * 3 + [0.003] * 3)
 
 
 # -- flights

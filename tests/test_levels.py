@@ -12,7 +12,9 @@ from descent_views import descent, level_flight, look, surface
 
 from alight.elevation import FIELDS, NullStore
 from alight.geometry import Pose
-from alight.pipeline.terrain_lane import TerrainLane, footprint, level_for
+from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.view_geometry import footprint, level_for
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
 
@@ -24,20 +26,20 @@ def down() -> tuple[View, ...]:
     return tuple(descent(100.0, 5.0))
 
 
-def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> TerrainLane:
+def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> RecursiveMap:
     """A lane that knows where the ground is."""
-    lane = TerrainLane(settings or load_settings("", SMALL), NullStore() if forget else None)
-    assert lane.learn(list(views)), lane.reason
+    lane = RecursiveMap(settings or load_settings("", SMALL), NullStore() if forget else None)
+    assert lane.find_ground(list(views)), lane.reason
     return lane
 
 
-def under(lane: TerrainLane, view: View, level: int | None = None, share: float = 0.7) -> ElevationMap:
+def under(lane: RecursiveMap, view: View, level: int | None = None, share: float = 0.7) -> ElevationMap:
     """The map about the middle of what a view sees."""
     assert lane.elevation is not None
-    seen = footprint(view, lane.below or 0.0)
+    seen = footprint(view, lane.ground_here or 0.0)
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, share * (seen.max(axis=0) - seen.min(axis=0)) / 2
     (west, south), (east, north) = middle - half, middle + half
-    at = lane._level if level is None else level
+    at = lane.level if level is None else level
     return lane.elevation.read(lane.elevation.window((west, east), (south, north), at))
 
 
@@ -59,7 +61,7 @@ class Stage:
     covered: float  # share within two sigma
 
 
-def stage(lane: TerrainLane, view: View) -> Stage:
+def stage(lane: RecursiveMap, view: View) -> Stage:
     m = under(lane, view)
     e, up = np.abs(errors(m)), float(view.centre[2])
     covered = float((e < 2 * m.sigma[m.trusted]).mean())
@@ -69,20 +71,20 @@ def stage(lane: TerrainLane, view: View) -> Stage:
 
 
 @cache
-def flown() -> tuple[TerrainLane, tuple[Stage, ...], tuple[tuple[float, float], ...]]:
+def flown() -> tuple[RecursiveMap, tuple[Stage, ...], tuple[tuple[float, float], ...]]:
     """The descent: the map, its worth after every tenth step, and what changes of the cell did to the heights."""
     lane, stages, jumps, level = lane_of(down()[:10]), [], [], 0
     assert lane.elevation is not None
     for k, v in enumerate(down()):
         before = under(lane, v)
         lane.step([v])
-        if lane._level != level:
+        if lane.level != level:
             after = lane.elevation.read(before.grid)
             both = after.trusted & before.trusted
             assert both.mean() > 0.5
             d = (np.abs(after.height - before.height) / before.sigma)[both]
             jumps.append((float(np.median(d)), float((d > 2).mean())))
-            level = lane._level
+            level = lane.level
         if k >= 10 and k % 10 == 0:
             stages.append(stage(lane, v))
     stages.append(stage(lane, down()[-1]))
@@ -110,7 +112,7 @@ def test_the_cell_follows_the_height() -> None:
     assert max(pixels) < 1.8 * 2**0.95
     assert stages[0].cell / stages[-1].cell == 16
     assert len(jumps) == 4
-    assert lane._level == -4
+    assert lane.level == -4
 
 
 def test_no_step_where_the_cell_changes() -> None:
@@ -142,7 +144,7 @@ def test_no_seam_where_levels_meet() -> None:
 def test_one_raster_comes_out() -> None:
     """Fine where a twentieth of it is, the rest interpolated; coarser where it would have more cells than allowed."""
     lane, stages, _ = flown()
-    whole = lane.map()
+    whole = lane.snapshot()
     assert whole is not None
     assert whole.grid.cell == 4 * stages[-1].cell
     x, y = np.meshgrid(*whole.grid.xy())
@@ -150,7 +152,7 @@ def test_one_raster_comes_out() -> None:
     assert np.percentile(e, 95) < 0.01 * 80
     small = load_settings("", [*SMALL, "elevation.most_cells=100000"])
     lane.settings, before = small, lane.settings
-    coarse = lane.map()
+    coarse = lane.snapshot()
     lane.settings = before
     assert coarse is not None
     assert coarse.grid.rows * coarse.grid.cols <= 100_000
@@ -162,7 +164,7 @@ def test_the_same_descent_gives_the_same_bits() -> None:
     b = lane_of(down()[:10])
     for v in down():
         b.step([v])
-    x, y = a.map(), b.map()
+    x, y = a.snapshot(), b.snapshot()
     assert x is not None
     assert y is not None
     assert x.grid == y.grid
@@ -200,15 +202,16 @@ def test_a_cell_that_was_asked_for_stays() -> None:
     lane = lane_of(down()[:10], load_settings("", [*SMALL, "parallax.cell=0.8"]))
     for v in down()[::3]:
         lane.step([v])
-    m = lane.map()
+    m = lane.snapshot()
     assert m is not None
     assert m.grid.cell == 0.8
 
 
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     views = [v for v in down() if v.centre[2] < 20]
-    lane = lane_of(views[::2], load_settings("", ["elevation.tile=192", "elevation.max_sigma=5"]))
-    lane.build(views[::2], lambda share: None)
+    lane = BatchMap(load_settings("", ["elevation.tile=192", "elevation.max_sigma=5"]))
+    assert lane.find_ground(views[::2]), lane.reason
+    lane.match_tiles(views[::2], lambda share: None)
     assert lane.elevation is not None
     cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
     assert max(cells.values()) / min(cells.values()) == 4
@@ -217,7 +220,7 @@ def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     )
     assert last.trusted.mean() > 0.8
     assert np.median(np.abs(errors(last))) < 0.0025 * 5
-    m = lane.map()
+    m = lane.snapshot()
     assert m is not None
     assert np.median(np.abs(errors(m))) < 0.0025 * 20
 
@@ -233,13 +236,13 @@ def level() -> tuple[View, ...]:
     return tuple(level_flight(16, UP))
 
 
-def steps(lane: TerrainLane, views: Iterable[View], of_map: int = 0) -> TerrainLane:
+def steps(lane: RecursiveMap, views: Iterable[View]) -> RecursiveMap:
     for v in views:
-        lane.step([v], of_map)
+        lane.step([v])
     return lane
 
 
-def worth(lane: TerrainLane, view: View) -> tuple[float, float, float]:
+def worth(lane: RecursiveMap, view: View) -> tuple[float, float, float]:
     """Share known, median absolute error, share within two sigma."""
     m = under(lane, view)
     e = np.abs(errors(m))
@@ -278,20 +281,20 @@ def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
     assert covered > 0.93
 
 
-def test_poses_of_another_map_do_not_mix() -> None:
-    """The estimator begins anew and is 1.5 m off in height: the ring empties, and the ground is looked at anew.
-
-    Without it views of both maps would be matched with each other.
-    """
+def test_poses_of_another_frame_do_not_mix() -> None:
+    """The estimator begins anew and is 1.5 m off in height: the heights of before are gone, the new ones are right in
+    the new frame. Without it views of both frames would be matched with each other."""
     off = np.array([0.0, 0.0, 1.5])
     moved = [
         replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off), t_ns=v.t_ns + 10**11)
         for v in level_flight(16, UP, start=3.0, first=50)
     ]
     lane = steps(lane_of(level()[:8]), level())
-    steps(lane, moved, of_map=1)
-    assert lane._ring is not None
-    assert all(exposure[0][0].t_ns >= 10**11 for exposure in lane._ring._kept)
+    old = under(lane, level()[-1])
+    lane.begin_anew(off)
+    assert lane.elevation is not None
+    assert not lane.elevation.read(old.grid).trusted.any()
+    steps(lane, moved)
     m = under(lane, moved[-1], share=0.5)
     assert m.trusted.mean() > 0.9
     assert np.median(errors(m)) == pytest.approx(1.5, abs=0.05)
@@ -299,6 +302,17 @@ def test_poses_of_another_map_do_not_mix() -> None:
     mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without being told
     m = under(mixed, moved[-1], share=0.5)
     assert not m.trusted.any() or np.median(np.abs(errors(m) - 1.5)) > 0.0025 * UP
+
+
+def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:
+    far: dict[tuple[int, int, int], bytes] = {}
+    lane = RecursiveMap(load_settings("", SMALL), far)
+    assert lane.find_ground(list(level()[:8]))
+    steps(lane, level_flight(40, UP, share=0.2))
+    assert far
+    lane.begin_anew(np.zeros(3))
+    assert not far
+    assert lane.snapshot() is None
 
 
 def test_lost_late_and_repeated_keyframes() -> None:
@@ -337,30 +351,30 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
     lane._points = lane._points + np.array([0.0, 0.0, 8.0])
     lane.ground = 8.0
     steps(lane, level()[:8])
-    assert lane.beyond
-    lane.learn_anew(level()[:8], 0.08)
+    assert lane.out_of_range
+    lane.find_ground_again(level()[:8], 0.08)
     assert lane.ground == pytest.approx(0.0, abs=0.6)
-    assert not lane.beyond
+    assert not lane.out_of_range
     steps(lane, level()[8:])
     known, error, _ = worth(lane, level()[-1])
     assert known > 0.9
     assert error < 0.005 * UP
-    assert not lane.beyond
+    assert not lane.out_of_range
 
 
 def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
-    lane = TerrainLane(load_settings("", SMALL))
-    assert not lane.learn(level()[:3], 0.2)
+    lane = RecursiveMap(load_settings("", SMALL))
+    assert not lane.find_ground(level()[:3], 0.2)
     assert "hardly moved" in lane.reason
     assert lane.elevation is None
-    assert lane.learn(level()[:8], 0.2)
+    assert lane.find_ground(level()[:8], 0.2)
 
 
 def test_a_vehicle_on_the_ground_asks_for_no_endless_window() -> None:
     """A map that is wrong by more than the height above it, or the ground itself: the window stays a picture's size."""
     lane = steps(lane_of(level()[:8]), level())
-    lane.below = 25.0  # metres: above the camera
+    lane.ground_here = 25.0  # metres: above the camera
     lane.step([look(level()[-1].centre + np.array([0.8, 0.0, 0.0]), 300)])
-    assert lane.below is not None
+    assert lane.ground_here is not None
     assert lane.elevation is not None
-    assert lane.elevation.cell_at(lane._level) > 1.0 / 225.0
+    assert lane.elevation.cell_at(lane.level) > 1.0 / 225.0

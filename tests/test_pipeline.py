@@ -11,9 +11,12 @@ import pytest
 from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.pipeline import Decision, Pipeline
-from alight.pipeline.navigation import FilterLane
-from alight.pipeline.store import FrameStore
-from alight.pipeline.terrain_lane import lone, nice_cell
+from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper
+from alight.pipeline.mapping.frame_store import FrameStore
+from alight.pipeline.mapping.ground_map import lone
+from alight.pipeline.mapping.view_geometry import nice_cell
+from alight.pipeline.navigation import FilterLane, GivenLane, Trajectory
+from alight.pipeline.timing import Timings
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
@@ -43,20 +46,55 @@ class Run:
     """A decision and how it came about."""
 
     decision: Decision
-    most_bytes: int  # of pixels that were held at a time
     given: list[Motion | None]  # what `feed` returned for each exposure
 
 
 def run(settings: Settings, events: tuple[Event, ...] | None = None, rig: Rig | None = None) -> Run:
     f, all_events = flight()
     p = Pipeline(rig or f.rig, "flight", settings, f.truth_trajectory)
-    most, given = 0, []
+    given = []
     for e in events or all_events:
         motion = p.feed(e)
         if isinstance(e, Frame):
             given.append(motion)
-        most = max(most, p._store.bytes)
-    return Run(p.finish(), most, given)
+    return Run(p.finish(), given)
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """A map by given poses, and what was held at a time while it was made."""
+
+    found: FinishedMap
+    most_bytes: int  # of pixels
+    most_keyframes: int
+
+    @property
+    def elevation(self) -> ElevationMap:
+        assert self.found.snapshot is not None, self.found.reason
+        return self.found.snapshot.elevation
+
+
+def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | None = None) -> Mapped:
+    """Navigation and mapping alone, in turn."""
+    f, all_events = flight()
+    lane, most_bytes, most_keyframes = GivenLane(f.rig, f.truth_trajectory, Settings().motion), 0, 0
+    for e in events or all_events:
+        navigation = lane.feed(e)
+        if navigation is not None:
+            mapper.feed(navigation)
+        most_bytes, most_keyframes = max(most_bytes, mapper.store.bytes), max(most_keyframes, len(mapper.store))
+    found = mapper.finish(lane.finish(lambda share: None), lambda share: None)
+    return Mapped(found, most_bytes, most_keyframes)
+
+
+def batch_mapper(settings: Settings) -> BatchMapper:
+    return BatchMapper(flight()[0].rig, settings, None, Timings())
+
+
+def brief_mapper() -> RecursiveMapper:
+    """Of a flight that may last for ever."""
+    settings = settings_of("parallax.method=ring")
+    return RecursiveMapper(flight()[0].rig, settings, NullStore(), Timings(), history=False)
 
 
 @cache
@@ -165,10 +203,10 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     frame = 160 * 120 * 3
     s = settings_of()
     small = s.model_copy(update={"parallax": s.parallax.model_copy(update={"store_mb": 10 * frame / 1e6})})
-    bounded = run(small)
-    assert batch().most_bytes > 20 * frame
+    whole, bounded = mapped(batch_mapper(s)), mapped(batch_mapper(small))
+    assert whole.most_bytes > 20 * frame
     assert bounded.most_bytes <= 11 * frame
-    a, b = trusted_of(batch().decision), trusted_of(bounded.decision)
+    a, b = whole.elevation, bounded.elevation
     assert b.trusted.sum() > 0.95 * a.trusted.sum()
     r, c = round((a.grid.north - b.grid.north) / 0.25), round((b.grid.east - a.grid.east) / 0.25)
     rows = slice(max(0, -r), min(a.grid.rows - r, b.grid.rows))  # rows of b that a has as well
@@ -183,41 +221,48 @@ def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     assert np.nanmedian(np.abs(error)) < 0.005 * 15.0
 
 
-def flown(history: bool, events: tuple[Event, ...] | None = None) -> tuple[Pipeline, Decision, int]:
-    """The recursive way; the pipeline, its decision, and the most motions that were held."""
-    f, all_events = flight()
-    far = None if history else NullStore()
-    p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring"), f.truth_trajectory, far=far, history=history)
-    most = 0
-    for e in events or all_events:
-        p.feed(e)
-        most = max(most, len(p._motions))
-    return p, p.finish(), most
-
-
 def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
-    _, whole, _ = flown(True)
-    _, brief, most = flown(False)
-    a, b = trusted_of(whole), trusted_of(brief)
-    assert most <= 17
-    assert len(brief.motions) == 1
+    whole = trusted_of(run(settings_of("parallax.method=ring")).decision)
+    brief = mapped(brief_mapper())
+    assert brief.most_keyframes <= 17
+    b = brief.elevation
     e, n = b.grid.xy()
-    row, col = (np.rint(k).astype(int) for k in a.grid.index(e, n))
-    same = a.height[np.ix_(row, col)]
+    row, col = (np.rint(k).astype(int) for k in whole.grid.index(e, n))
+    same = whole.height[np.ix_(row, col)]
     both = np.isfinite(b.height)
     assert both.sum() > 5000  # what was forgotten may be missing
     assert (same[both] == b.height[both]).all()
 
 
+def test_a_full_store_of_a_flight_forgets_the_oldest() -> None:
+    """Pixels of five frames fit: no more are held, and the map is the same, which has used them already."""
+    frame, s = 160 * 120 * 3, settings_of("parallax.method=ring")
+    small = s.model_copy(update={"parallax": s.parallax.model_copy(update={"store_mb": 12 * frame / 1e6})})
+    found = mapped(RecursiveMapper(flight()[0].rig, small, None, Timings(), history=True))
+    whole = mapped(RecursiveMapper(flight()[0].rig, s, None, Timings(), history=True))
+    assert whole.most_bytes > 20 * frame
+    assert found.most_bytes <= 12 * frame
+    assert found.elevation.height.tobytes() == whole.elevation.height.tobytes()
+
+
+def test_without_history_only_the_last_motion_is_kept() -> None:
+    f, events = flight()
+    lane = GivenLane(f.rig, f.truth_trajectory, Settings().motion, history=False)
+    given = [n.motion for e in events if (n := lane.feed(e)) is not None]
+    assert len(given) > 20
+    assert lane.finish(lambda share: None).motions == (given[-1],)
+
+
 def test_a_hover_without_history_holds_little() -> None:
-    """40 exposures on the spot: no keyframes, and no motions pile up."""
-    events = flight()[1]
-    frames = [e for e in events if isinstance(e, Frame)]
-    still = (flight()[0].frame_times, [flight()[0].pose(frames[0].t_ns)] * len(frames))
-    p = Pipeline(flight()[0].rig, "flight", settings_of("parallax.method=ring"), still, history=False)
+    """40 exposures on the spot: no keyframes pile up."""
+    f, mapper = flight()[0], brief_mapper()
+    frames = [e for e in flight()[1] if isinstance(e, Frame)]
+    lane = GivenLane(f.rig, (f.frame_times, [f.pose(frames[0].t_ns)] * len(frames)), Settings().motion, history=False)
     for e in frames:
-        p.feed(e)
-    assert len(p._motions) <= 2
+        navigation = lane.feed(e)
+        assert navigation is not None
+        mapper.feed(navigation)
+    assert len(mapper.store) == 1
 
 
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
@@ -225,13 +270,15 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     f, events = flight()
     settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
     p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
-    seen: list[tuple[int, int]] = []
+    reserves = [p.reserve]
     for e in events:
         p.feed(e)
-        seen.append((len(p.reserve.sites), len(p._judging.lost)))
-    assert max(sites for sites, _ in seen) >= 2
+        if p.reserve is not reserves[-1]:
+            reserves.append(p.reserve)
+    assert max(len(r.sites) for r in reserves) >= 2
     now = p.judge_now()
     assert now is not None
+    reserves.append(p.reserve)
     held = p.reserve.sites
     assert held[: len(now.sites.sites)] == now.sites.sites
     east, _ = now.elevation.grid.xy()
@@ -240,7 +287,8 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     end = p.finish()
     earlier = p.reserve.sites[len(end.sites.sites) :]
     assert len(end.notes.get("sites in reserve", [])) == len(earlier)
-    assert end.notes.get("sites given up", []) == p._judging.lost
+    given_up = [why for r in [*reserves, p.reserve] for _, why in r.lost]
+    assert [line.split(": ")[1] for line in end.notes.get("sites given up", [])] == given_up
 
 
 def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
@@ -342,35 +390,37 @@ def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -
 # -- damaged streams through the lane
 
 
-def navigated(faults: Faults) -> tuple[FilterLane, SimulatedFlight, list[Motion]]:
+def navigated(faults: Faults) -> tuple[Trajectory, SimulatedFlight]:
     """A flight with faults through tracker and filter."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
     lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
     for e in f.events():
         lane.feed(e)
-    return lane, f, lane.finish(lambda share: None)
+    return lane.finish(lambda share: None), f
 
 
 def test_late_frames_are_used() -> None:
     """A third of the exposures arrives up to a second late, rightly stamped: every one has its motion, in its place."""
-    lane, f, motions = navigated(Faults(late=0.35, late_by=0.2))
+    found, f = navigated(Faults(late=0.35, late_by=0.2))
+    motions = found.motions
     stamps = f.exposures.stamp_ns
     assert (np.diff(stamps[f.exposures.order]) < 0).any()
     assert [m.t_ns for m in motions] == sorted(stamps.tolist())
     assert motions[-1].state is MotionState.GOOD
     off = [m.world_from_body.translation - f.pose(m.t_ns).translation for m in motions]
     assert np.abs(np.std(off, axis=0)).max() < 0.15
-    assert not [w for w in lane.warnings if "left out" in w]
+    assert not [w for w in found.warnings if "left out" in w]
 
 
 def test_of_frames_with_one_stamp_the_first_is_used() -> None:
     """As the log's reader has it: what comes again under a stamp is left out, and said."""
-    lane, f, motions = navigated(Faults(repeated=0.25))
+    found, f = navigated(Faults(repeated=0.25))
+    motions = found.motions
     single = np.unique(f.exposures.stamp_ns)
     assert len(single) < len(f.exposures.stamp_ns)
     assert [m.t_ns for m in motions] == single.tolist()
-    assert [w for w in lane.warnings if f"{len(f.exposures.stamp_ns) - len(single)} exposures" in w]
+    assert [w for w in found.warnings if f"{len(f.exposures.stamp_ns) - len(single)} exposures" in w]
     assert motions[-1].state is MotionState.GOOD
 
 
@@ -380,13 +430,13 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
 def test_thinning_keeps_the_newest_and_every_second() -> None:
     store = FrameStore()
     for k in range(7):
-        store.offer(Frame(k, (np.zeros((2, 3), np.uint8),)), None, None)
+        store.keep(Frame(k, (np.zeros((2, 3), np.uint8),)))
     store.thin()
-    assert [f.t_ns for f in store.frames] == [0, 2, 4, 6]
+    assert [k.frame.t_ns for k in store.keyframes] == [0, 2, 4, 6]
     assert store.bytes == 4 * 6
-    store.offer(Frame(7, (np.zeros((2, 3), np.uint8),)), None, None)
+    store.keep(Frame(7, (np.zeros((2, 3), np.uint8),)))
     store.thin()
-    assert [f.t_ns for f in store.frames] == [0, 4, 7]
+    assert [k.frame.t_ns for k in store.keyframes] == [0, 4, 7]
     assert store.bytes == 3 * 6
     assert store.taken == 8
 
@@ -400,6 +450,7 @@ def test_what_could_not_be_refined_together_is_said() -> None:
         given += lane.feed(e) is not None
         if given == 2:
             break
-    assert len(lane.finish(lambda share: None)) == 2
-    assert any("could not be refined" in w for w in lane.warnings)
-    assert "as it was in flight" in lane.notes["motion"]
+    found = lane.finish(lambda share: None)
+    assert len(found.motions) == 2
+    assert any("could not be refined" in w for w in found.warnings)
+    assert "as it was in flight" in str(found.notes["motion"])

@@ -266,6 +266,8 @@ class ElevationMap:
     residual: F32
     gauge: Datum | None = None
     fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
+    frame_id: int = 0  # of the poses that it was made with (`Motion.map`)
+    position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's place on Earth; None: not known
 
     @property
     def finest(self) -> tuple[U8, int]:
@@ -342,6 +344,7 @@ class Sites:
 
     sites: tuple[Site, ...]
     reason: str = ""  # why `sites` is empty
+    frame_id: int = 0  # of the map that they were found on
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,6 +375,7 @@ class Route:
 
     waypoints: tuple[Waypoint, ...]
     warnings: tuple[str, ...] = field(default=())
+    frame_id: int = 0  # of the map that it was planned on
 
 
 @dataclass(frozen=True, eq=False)

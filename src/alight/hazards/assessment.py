@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from alight.hazards.contact import (
     Footprint,
@@ -153,7 +153,8 @@ def clearance_of(safe: Bool, cell: float) -> F32:
     """Distance of every cell's centre to the rim of the nearest cell that is refused, metres; 0 on those."""
     if safe.all():  # cannot happen with a rim of EDGE, but the transform needs one zero
         return np.full(safe.shape, np.inf, dtype=np.float32)
-    cells: F32 = cv2.distanceTransform(safe.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    # not OpenCV's: the last bits of its distances go with the number of threads that are free
+    cells: F32 = distance_transform_edt(safe).astype(np.float32)
     out: F32 = np.maximum(cells - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out
 

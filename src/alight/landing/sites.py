@@ -16,6 +16,7 @@ from alight.settings import Lander, SitesSettings
 Bool = NDArray[np.bool_]
 Term = tuple[float, F32]  # of Q: weight, and (R, C) values
 NEARER = 0.5  # of the height above ground: half the pixel, half the noise
+SURE_OF_PLACE = 2.0  # sigmas of its place that the clearance of a site must cover, to be a site in another frame
 LOWEST = 8.0  # metres above the place: lower, one is about to land
 
 _SPOKEN = {
@@ -205,6 +206,21 @@ class Reserve:
 
     sites: tuple[Site, ...] = ()
     lost: tuple[tuple[Site, str], ...] = ()  # by the newest map
+    frame_id: int = 0  # of the map that their places belong to
+
+    def tied(self, shift: F64, sigma: float, frame_id: int) -> Reserve:
+        """Move all sites into another frame; those are lost whose clearance does not cover what is unknown of the tie.
+
+        Args:
+            shift: (3,) metres, to add.
+            sigma: metres, 1-sigma of it on the ground.
+            frame_id: of the other frame.
+        """
+        moved = [replace(s, east=s.east + shift[0], north=s.north + shift[1], up=s.up + shift[2]) for s in self.sites]
+        kept = [s for s in moved if s.clearance >= SURE_OF_PLACE * sigma]
+        why = f"the motion began anew, and its place is known to {sigma:.2f} m only"
+        lost = tuple((s, why) for s in moved if s not in kept)
+        return Reserve(tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), lost, frame_id)
 
     def updated(self, found: Sites, hazards: HazardMap, apart: float) -> Reserve:
         """Take the sites of a newer map; older ones stay while nothing says otherwise.
@@ -226,7 +242,7 @@ class Reserve:
                 kept.append(old)
             else:
                 lost.append((old, why))
-        return Reserve(tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), tuple(lost))
+        return replace(self, sites=tuple(replace(s, rank=i + 1) for i, s in enumerate(kept)), lost=tuple(lost))
 
 
 def _refusal(hazards: HazardMap, site: Site) -> str | None:

@@ -61,7 +61,8 @@ def _rasters(r: RunResult) -> Contents:
 def _sites(r: RunResult) -> Contents:
     if r.sites.sites and not r.georeferenced:  # "none, because ..." needs no place on Earth
         return {"sites.geojson": NO_PLACE}
-    return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local))}
+    covariance = r.elevation.position_covariance if r.elevation is not None else None
+    return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local, covariance))}
 
 
 def _route(r: RunResult) -> Contents:

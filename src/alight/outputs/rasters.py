@@ -67,6 +67,9 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
         "height_reference": "WGS84 ellipsoid",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
+    if elevation.position_covariance is not None:
+        sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
+        tags["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
     return RasterFile(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags)
 
 

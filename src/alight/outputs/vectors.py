@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from alight.geometry import LocalFrame
-from alight.records import Route, Site, Sites, Waypoint
+from alight.records import F64, Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD
@@ -69,13 +69,30 @@ def _feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) 
     }
 
 
-def sites_geojson(sites: Sites, local: LocalFrame) -> dict[str, Any]:
-    """The candidate sites in order of rank; none: no features and the `reason`."""
+def accuracy(covariance: F64) -> dict[str, Any]:
+    """How well the whole map's place on Earth is known, 1-sigma: on the ground towards where it is worst, and upwards.
+
+    `covariance`: (3, 3) m^2, east north up.
+    """
+    on_ground = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
+    return {
+        "horizontal_m": number(math.sqrt(max(on_ground, 0.0)), 3),
+        "vertical_m": number(math.sqrt(max(float(covariance[2, 2]), 0.0)), 3),
+    }
+
+
+def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
+    """The candidate sites in order of rank; none: no features and the `reason`.
+
+    `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: not known.
+    """
     features = [
         _feature("Point", lon_lat_height(local, s.east, s.north, s.up), site_properties(s))
         for s in sorted(sites.sites, key=lambda s: s.rank)
     ]
     collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
+    if covariance is not None:
+        collection["accuracy"] = accuracy(covariance)
     if not features:
         collection["reason"] = sites.reason or "no site was found"
     return collection

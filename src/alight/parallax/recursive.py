@@ -78,11 +78,6 @@ class RecursiveParallax:
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
             self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
 
-    def restart(self) -> None:
-        """Forget the keyframes: the poses to come do not belong with theirs. The map is looked at anew, and stays."""
-        self._kept, self._alignment = [], Alignment(self._settings.ring)
-        self.look_anew()
-
     def look_anew(self) -> None:
         """Believe nothing of the map until it was swept again."""
         self._ratio, self._unknown = None, np.float32(np.nan)

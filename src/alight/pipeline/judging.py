@@ -1,8 +1,7 @@
-"""From a map to a decision, as often as there is a newer map; what was found earlier stays in reserve."""
+"""From a map to a verdict, as often as there is a newer map; what was found earlier stays in reserve."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,85 +9,117 @@ import numpy as np
 from alight import hazards, terrain
 from alight.landing import sites
 from alight.parallax import orthophoto
-from alight.records import F64, ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap, View
+from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.timing import Timings
+from alight.records import ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap
 from alight.settings import Settings
 
-Timed = Callable[[str, float], float]  # stage, when it began: now
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What one map says about landing."""
+    """What one map says about landing, in the world."""
 
     elevation: ElevationMap  # with the heights of water refused
     cover: TerrainMap | None
     danger: HazardMap
     sites: Sites
     look: NextView | None  # a view that would help, where there is no site
+    frame: MapFrame  # of the map, with what is known of its place in the world
 
 
-class Judge:
+class JudgingLane:
     """Judges one map after the other, and keeps the sites of earlier ones until a newer one refuses them.
 
     Args:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
-        timed: told of every stage.
     """
 
-    def __init__(self, settings: Settings, appearance: terrain.Model | None, timed: Timed) -> None:
-        self._settings, self._appearance, self._timed = settings, appearance, timed
-        self.reserve = sites.Reserve()
-        self.lost: list[str] = []  # in words, the newest last
+    def __init__(self, settings: Settings, appearance: terrain.Model | None, timings: Timings) -> None:
+        self._settings, self._appearance, self._timings = settings, appearance, timings
+        self._reserve = sites.Reserve()  # in the map's frame
+        self._frame: MapFrame | None = None  # of the newest map
+        self._lost: list[str] = []  # in words, the newest last
+        self._warnings: list[str] = []
 
-    def says(self, elevation: ElevationMap) -> str:
-        """In words, what the classes of a map are made of."""
-        return terrain.says(elevation, self._settings.terrain, self._appearance)
+    @property
+    def reserve(self) -> sites.Reserve:
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        r, frame = self._reserve, self._frame
+        if frame is None:
+            return r
+        return replace(
+            r, sites=tuple(frame.site(s) for s in r.sites), lost=tuple((frame.site(s), why) for s, why in r.lost)
+        )
 
-    def judge(
-        self, elevation: ElevationMap, views: Sequence[View], vehicle: F64, above: float, start: float
-    ) -> Verdict:
-        """Judge a map.
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What became of the sites where the motion began anew."""
+        return tuple(self._warnings)
 
-        Args:
-            elevation: heights.
-            views: what looked at it, for pixels finer than the heights.
-            vehicle: (3,) metres, where it is.
-            above: metres, its usual height above the ground.
-            start: when it begins, by the clock of `timed`.
-        """
-        s = self._settings
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """Judge a map: what covers it, the hazards, the sites, and a view that would help where there is none."""
+        s, elevation, frame = self._settings, seen.elevation, seen.frame
+        self._follow(frame)
         cover = None
         if s.terrain.enabled:
-            elevation = replace(elevation, fine=orthophoto(views, elevation))
-            start = self._timed("finer pixels", start)
-            cover = terrain.classify(elevation, s.terrain, self._appearance)
-        start = self._timed("terrain", start)
-        danger = hazards.assess(elevation, cover, s.lander, s.hazards)
-        start = self._timed("hazards", start)
-        chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, vehicle)
-        look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
-        self._remember(chosen, danger)
-        self._timed("sites", start)
-        return Verdict(without_water(elevation, cover), cover, danger, chosen, look)
+            with self._timings.of("finer pixels"):
+                elevation = replace(elevation, fine=orthophoto(seen.views, elevation))
+            with self._timings.of("terrain"):
+                cover = terrain.classify(elevation, s.terrain, self._appearance)
+        with self._timings.of("hazards"):
+            danger = hazards.assess(elevation, cover, s.lander, s.hazards)
+        with self._timings.of("sites"):
+            chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, seen.vehicle.position)
+            above = seen.vehicle.height_above_ground
+            look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
+            self._keep(chosen, danger)
+        return Verdict(
+            frame.elevation(without_water(elevation, cover)),
+            None if cover is None else frame.on_grid(cover),
+            frame.on_grid(danger),
+            replace(chosen, sites=tuple(frame.site(s) for s in chosen.sites), frame_id=frame.frame_id),
+            None if look is None else frame.look(look),
+            frame,
+        )
 
-    def _remember(self, found: Sites, danger: HazardMap) -> None:
+    def _follow(self, frame: MapFrame) -> None:
+        """Move the reserve into the frame of a newer map; what lies too near to a hazard for that is given up."""
+        if self._frame is not None and frame.frame_id != self._frame.frame_id and self._reserve.sites:
+            tie, before = self._frame.tie(frame), len(self._reserve.sites)
+            self._reserve = self._reserve.tied(tie.shift, tie.sigma_horizontal, frame.frame_id)
+            kept = len(self._reserve.sites)
+            self._warnings.append(
+                f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {kept} are "
+                f"moved into the new frame, where their place is known to {tie.sigma_horizontal:.2f} m, and "
+                f"{before - kept} are dropped"
+            )
+            self._frame = frame
+            self._note_lost()
+        self._reserve, self._frame = replace(self._reserve, frame_id=frame.frame_id), frame
+
+    def _keep(self, found: Sites, danger: HazardMap) -> None:
         apart = self._settings.sites.separation or 2 * self._settings.lander.radius
-        self.reserve = self.reserve.updated(found, danger, apart)
+        self._reserve = self._reserve.updated(found, danger, apart)
+        self._note_lost()
+
+    def _note_lost(self) -> None:
         said = [f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in self.reserve.lost]
-        self.lost = (self.lost + said)[-MOST_LOST:]
+        self._lost = (self._lost + said)[-MOST_LOST:]
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """What a run's notes say of it: the next look, sites of earlier maps, and why others were given up."""
-        out: dict[str, object] = {"terrain": self.says(found.elevation)}
+        out: dict[str, object] = {"terrain": terrain.says(found.elevation, self._settings.terrain, self._appearance)}
         if found.look is not None:
             out["look next"] = in_words(found.look)
         earlier = self.reserve.sites[len(found.sites.sites) :]
         if earlier:
             out["sites in reserve"] = [f"east {s.east:.1f} north {s.north:.1f} m, P {s.p_safe:.3f}" for s in earlier]
-        if self.lost:
-            out["sites given up"] = list(self.lost)
+        if self._lost:
+            out["sites given up"] = list(self._lost)
         return out
 
 

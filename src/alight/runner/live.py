@@ -1,170 +1,190 @@
-"""A flight as it comes: tracker and filter on a thread each, fed through mailboxes that hold little.
+"""A flight as it comes: each lane on a thread of its own, fed through mailboxes that hold little.
 
-What was used is written down (`consumed`): fed again, those events alone give the same motions bit for bit. Nothing
-here grows with the flight unless all of it is to be kept.
+Navigation has two threads, one for tracking and one for filtering. A lane that is too slow leaves out the oldest
+exposures; what each lane did use is the `schedule`. A `Pipeline` that is given the same events and that schedule does
+the same in turn and gives the same bits. Nothing here grows with the flight unless the whole schedule is to be kept.
 """
 
 from __future__ import annotations
 
 import logging
+import time
 from collections import deque
-from collections.abc import Callable
-from threading import Condition, Thread
-from typing import Generic, TypeVar
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from threading import Thread
+from typing import Any
 
+from alight import terrain
+from alight.elevation import TileStore
 from alight.motion.ekf.prediction import MotionPredictor
-from alight.pipeline.side_by_side import Desk, FilterStep, Heard, Job, TrackingStep, forecast_for
-from alight.records import Event, Motion, Rig, Tracks
+from alight.pipeline import Decision, Pipeline, Schedule, Verdict
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation
+from alight.records import Event, Motion, Rig, SettingsError
+from alight.runner.mailbox import Closed, Mailbox
 from alight.settings import Settings
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told of results as soon as they are known, each on its lane's thread."""
+
+    motion: Callable[[Motion], None] = lambda motion: None
+    verdict: Callable[[Verdict], None] = lambda verdict: None
 
 
-class Closed(Exception):  # noqa: N818  (not an error: the end of a mailbox)
-    """Nothing more will come."""
+@dataclass(frozen=True)
+class Capacity:
+    """What waits for a busy lane.
+
+    `drop`: with a mailbox full, leave out the oldest exposure (flight) instead of waiting (recordings).
+    """
+
+    tracking: int = 2  # exposures
+    mapping: int = 2  # exposures
+    drop: bool = True
+    schedule: int | None = 1000  # last entries of the schedule that are kept; None: all of them
 
 
-class Mailbox(Generic[T]):
-    """At most `size` items between two threads; where it is full, the sender waits, or the oldest two become one."""
-
-    def __init__(self, size: int, merge: Callable[[T, T], T] | None = None) -> None:
-        self._items, self._size, self._merge = deque[T](), size, merge
-        self._changed, self._closed = Condition(), False
-
-    def put(self, item: T) -> None:
-        """Add an item; after `close` it is thrown away."""
-        with self._changed:
-            while self._merge is None and len(self._items) >= self._size and not self._closed:
-                self._changed.wait()
-            self._items.append(item)
-            if self._merge is not None and len(self._items) > self._size:
-                oldest = self._items.popleft()
-                self._items[0] = self._merge(oldest, self._items[0])
-            self._changed.notify_all()
-
-    def get(self) -> T:
-        """Wait for an item and take it.
-
-        Raises:
-            Closed: it is empty and will stay so.
-        """
-        with self._changed:
-            while not self._items and not self._closed:
-                self._changed.wait()
-            if not self._items:
-                raise Closed
-            item = self._items.popleft()
-            self._changed.notify_all()
-            return item
-
-    def close(self) -> None:
-        """Nothing more will be put in; what is in it can still be taken."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
+def newest(old: MapSnapshot, new: MapSnapshot) -> MapSnapshot:
+    """Of two maps that wait to be judged the newer one."""
+    return new
 
 
-class SideBySide:
-    """Tracking and filtering on two threads. Feed events in the order of arrival, `finish` at the end.
+def newest_exposure(old: Navigation, new: Navigation) -> Navigation:
+    """Of two exposures that wait to be mapped the newer one."""
+    return new
+
+
+class Live:
+    """The three lanes on threads. Feed events in the order of arrival, `finish` at the end.
 
     Args:
-        size: exposures that may wait to be tracked.
-        drop: with the mailbox full, drop the oldest exposure (flight) instead of waiting (recordings).
-        tell: called with every motion on the filter's thread, as soon as it is known.
-        keep: last motions, and stamps of the last exposures, that are kept; None: all of them.
+        listener: is told of motions and verdicts as they become known.
+        capacity: how much may wait, and what happens then.
+        far: where the map puts what the vehicle has left behind.
+        appearance: what ground looks like.
+
+    Raises:
+        SettingsError: the settings ask for what only a recording allows.
     """
 
     def __init__(
         self,
         rig: Rig,
         settings: Settings,
-        size: int = 2,
-        drop: bool = True,
-        tell: Callable[[Motion], None] = lambda motion: None,
-        keep: int | None = 1000,
+        listener: Listener = Listener(),
+        capacity: Capacity = Capacity(),
+        far: TileStore | None = None,
+        appearance: terrain.Model | None = None,
     ) -> None:
-        self.consumed: deque[int] = deque(maxlen=keep)  # stamps of the exposures that were tracked
-        self.motions: deque[Motion] = deque(maxlen=keep)
-        self._desk, self._tell = Desk(), tell
-        self._tracking, self._filtering = TrackingStep(rig, settings), FilterStep(rig, settings)
-        self._jobs = Mailbox[Job](size, (lambda old, new: new.after(old)) if drop else None)
-        self._work = Mailbox[tuple[Heard, ...] | Tracks](4)  # two for the exposure in work, two for the next
-        self._forecasts = Mailbox[MotionPredictor | None](4)
+        if settings.motion.method == "bundle":
+            raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
+        drop, self._listener = capacity.drop, listener
+        self._predictions = Mailbox[MotionPredictor | None](4)
+        self._batches = Mailbox[FrameBatch](capacity.tracking, (lambda old, new: new.after(old)) if drop else None)
+        self._filtering = Mailbox[Callable[[], Navigation | None]](4)  # two for the exposure in work, two for the next
+        self._exposures = Mailbox[Navigation](capacity.mapping, newest_exposure if drop else None)
+        self._maps = Mailbox[MapSnapshot](1, newest if drop else None)
+        self._navigation = FilterLane(rig, settings, history=False, handover=self._predictions)
+        self.pipeline = Pipeline(
+            rig, "flight", settings, clock=time.perf_counter, far=far, history=False, appearance=appearance,
+            navigation=self._navigation,
+        )  # fmt: skip
+        self._tracked, self._mapped, self._judged = (deque[int](maxlen=capacity.schedule) for _ in range(3))
         self._failed: list[BaseException] = []
-        self._threads = [Thread(target=self._guarded, args=(f,), daemon=True) for f in (self._track, self._filter)]
-        for t in self._threads:
+        self.threads = self._start()
+
+    def _start(self) -> list[Thread]:
+        """A thread for each step; at its end the mailboxes that it feeds are closed."""
+        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (
+            (self._track, (self._batches, self._filtering, self._predictions)),
+            (self._filter, (self._filtering, self._predictions, self._exposures)),
+            (self._map, (self._exposures, self._maps)),
+            (self._judge, (self._maps,)),
+        )
+        threads = [Thread(target=self._guarded, args=s, daemon=True) for s in steps]
+        for t in threads:
             t.start()
+        return threads
+
+    @property
+    def schedule(self) -> Schedule:
+        """What each lane has used so far; complete after `finish`, where all of it was kept."""
+        return Schedule(tuple(self._tracked), tuple(self._mapped), tuple(self._judged))
 
     def feed(self, event: Event) -> None:
-        """Take an event; the motions come by themselves.
+        """Take an event; motions and verdicts come by themselves.
 
         Raises:
             Exception: what a thread has failed with.
         """
         self._raise()
-        job = self._desk.take(event)
-        if job is not None:
-            self._jobs.put(job)
+        batch = self._navigation.batch(event)
+        if batch is not None:
+            self._batches.put(batch)
 
-    def finish(self) -> list[Motion]:
-        """Wait until all is done; the motions that are kept, in the order in which they became known.
+    def finish(self) -> Decision:
+        """Wait until all is done, and judge the map as it is then.
 
         Raises:
             Exception: what a thread has failed with.
         """
-        self._jobs.close()
-        for t in self._threads:
+        self._batches.close()
+        for t in self.threads:
             t.join()
         self._raise()
-        return list(self.motions)
+        return self.pipeline.finish()
 
     def _raise(self) -> None:
         if self._failed:
             raise self._failed[0]
 
-    def _guarded(self, work: Callable[[], None]) -> None:
+    def _guarded(self, work: Callable[[], None], boxes: tuple[Mailbox[Any], ...]) -> None:
         try:
             work()
         except Closed:
             pass
         except BaseException as e:
-            log.exception("a thread of the navigation lane has failed")
+            log.exception("a lane has failed")
             self._failed.append(e)
+            boxes = (self._batches, self._filtering, self._predictions, self._exposures, self._maps)
         finally:  # whoever waits for this thread is let go
-            for box in (self._jobs, self._work, self._forecasts):
+            for box in boxes:
                 box.close()
 
     def _track(self) -> None:
-        forecast: MotionPredictor | None = None
-        known, exposure = -1, 0  # number of that forecast, and of the exposure
         while True:
-            job = self._jobs.get()
-            self._tracking.hear(job.before)
-            self._work.put(job.before)
-            if job.frame is None:
-                continue
-            while known < forecast_for(exposure):
-                forecast, known = self._forecasts.get(), known + 1
-            self.consumed.append(job.frame.t_ns)
-            exposure += 1
-            self._work.put(self._tracking.run(job.frame, forecast))
+            batch = self._batches.get()
+            self._filtering.put(partial(self._navigation.hear, batch))
+            if batch.frame is not None:
+                self._tracked.append(batch.frame.t_ns)
+            tracked = self._navigation.track(batch)
+            if tracked is not None:
+                self._filtering.put(partial(self._navigation.update, tracked))
 
     def _filter(self) -> None:
-        self._forecasts.put(self._filtering.hear(self._heard()))
         while True:
-            work = self._work.get()
-            if isinstance(work, Tracks):
-                motion, forecast = self._filtering.see(work)
-                self._forecasts.put(forecast)
-                if motion is not None:
-                    self.motions.append(motion)
-                    self._tell(motion)
-            else:
-                self._filtering.hear(work)
+            navigation = self._filtering.get()()
+            if navigation is not None:
+                self._exposures.put(navigation)
+                if navigation.motion is not None:
+                    self._listener.motion(navigation.motion)
 
-    def _heard(self) -> tuple[Heard, ...]:
-        """What was heard before the first exposure."""
-        first = self._work.get()
-        return () if isinstance(first, Tracks) else first
+    def _map(self) -> None:
+        while True:
+            navigation = self._exposures.get()
+            self._mapped.append(navigation.frame.t_ns)
+            seen = self.pipeline.map(navigation)
+            if seen is not None:
+                self._maps.put(seen)
+
+    def _judge(self) -> None:
+        while True:
+            seen = self._maps.get()
+            self._judged.append(seen.step)
+            self._listener.verdict(self.pipeline.judge(seen))

@@ -11,7 +11,7 @@ from pathlib import Path
 from alight.elevation import TileStore
 from alight.outputs import FileStore, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
-from alight.records import InputError, RunResult
+from alight.records import Frame, InputError, RunResult
 from alight.settings import Settings, with_imu
 from alight.sources import Source, open_source, read_tum
 from alight.sources.library import read_model
@@ -72,7 +72,7 @@ def replay(
     frames = 0
     for event in source.events():
         pipeline.feed(event)
-        if hasattr(event, "images"):
+        if isinstance(event, Frame):
             frames += 1
             tell("reading", frames / max(source.length, 1))
     if not frames:

@@ -1,0 +1,112 @@
+"""The frame of a map and the world: results leave in the world, with what is known of the map's place on Earth.
+
+The filter works in a map frame whose offset from the world is a state: poses and heights agree with each other far
+better than GPS/INS knows where they are. So what leaves is moved by one constant, the newest offset, and its covariance
+goes beside it. A filter that begins anew gives its poses another frame number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from alight.geometry import Grid
+from alight.records import F64, Datum, ElevationMap, HazardMap, Motion, NextView, Site, TerrainMap
+
+OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """How positions of one frame become those of another, by the place of both in the world."""
+
+    shift: F64  # (3,) metres, to add
+    covariance: F64  # (3, 3) m^2 of it
+
+    @property
+    def sigma_horizontal(self) -> float:
+        """Metres, towards where it is known worst."""
+        return worst_sigma(self.covariance[:2, :2])
+
+
+@dataclass(frozen=True, eq=False)
+class MapFrame:
+    """Where a map frame lies in the world."""
+
+    frame_id: int  # `Motion.map` of the poses that belong to it
+    offset_world: F64  # (3,) metres, to add to positions of the map
+    covariance: F64  # (3, 3) m^2, of the map's place in the world once the offset is applied
+
+    @classmethod
+    def of(cls, motion: Motion) -> MapFrame:
+        """As the motion of one exposure knows it: its covariance is the second moment with the offset not applied."""
+        offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
+        return cls(motion.map, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
+
+    def tie(self, other: MapFrame) -> Tie:
+        """From this frame to another one; what is not known of their places adds up."""
+        return Tie(self.offset_world - other.offset_world, self.covariance + other.covariance)
+
+    # -- from the map to the world
+
+    def motion(self, motion: Motion) -> Motion:
+        """A motion of this frame with the offset applied."""
+        if motion.offset_world is None:
+            return motion
+        covariance = motion.covariance.copy()
+        covariance[:3, :3] -= np.outer(motion.offset_world, motion.offset_world)
+        body = replace(motion.world_from_body, translation=self.point(motion.world_from_body.translation))
+        cams = tuple(replace(c, translation=self.point(c.translation)) for c in motion.world_from_cams)
+        return replace(motion, world_from_body=body, world_from_cams=cams, covariance=covariance, offset_world=None)
+
+    def point(self, position: F64) -> F64:
+        """(3,) metres."""
+        return np.asarray(position + self.offset_world)
+
+    def grid(self, grid: Grid) -> Grid:
+        """The same cells."""
+        east, north = float(self.offset_world[0]), float(self.offset_world[1])
+        return replace(grid, east=grid.east + east, north=grid.north + north)
+
+    def elevation(self, elevation: ElevationMap) -> ElevationMap:
+        """A map, with its frame number and the covariance of its place."""
+        gauge, up = elevation.gauge, np.float32(self.offset_world[2])
+        return replace(
+            elevation,
+            grid=self.grid(elevation.grid),
+            height=elevation.height + up if up else elevation.height,
+            gauge=None if gauge is None else self._gauge(gauge),
+            frame_id=self.frame_id,
+            position_covariance=self.covariance,
+        )
+
+    def _gauge(self, gauge: Datum) -> Datum:
+        """What all heights share: the offset is applied now, and is no error any more."""
+        covariance = gauge.covariance.copy()
+        covariance[0, 0] = max(covariance[0, 0] - self.offset_world[2] ** 2, 0.0)
+        return Datum(gauge.east + self.offset_world[0], gauge.north + self.offset_world[1], covariance)
+
+    def on_grid(self, found: OnGrid) -> OnGrid:
+        """Land cover or hazards."""
+        return replace(found, grid=self.grid(found.grid))
+
+    def site(self, site: Site) -> Site:
+        """One site."""
+        return moved(site, self.offset_world)
+
+    def look(self, look: NextView) -> NextView:
+        """A view that would help."""
+        return replace(look, position_world=self.point(look.position_world), place_world=self.point(look.place_world))
+
+
+def moved(site: Site, shift: F64) -> Site:
+    """A site moved by (3,) metres."""
+    east, north, up = (float(v) for v in shift)
+    return replace(site, east=site.east + east, north=site.north + north, up=site.up + up)
+
+
+def worst_sigma(covariance: F64) -> float:
+    """1-sigma towards where a position is known worst."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

@@ -1,0 +1,37 @@
+"""The mapping lane: exposures with their motion in, the map out.
+
+There are two ways behind one interface: recursive (flight), and in one batch at the end (recordings, photos).
+"""
+
+from __future__ import annotations
+
+from alight.elevation import TileStore
+from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
+from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, Vehicle
+from alight.pipeline.mapping.recursive import RecursiveMapper
+from alight.pipeline.timing import Timings
+from alight.records import Rig
+from alight.settings import Settings
+
+__all__ = [
+    "BatchMapper", "FinishedMap", "MapSnapshot", "MapUpdate", "MappingLane", "PhotoMapper", "RecursiveMapper",
+    "Vehicle", "mapping_lane",
+]  # fmt: skip
+
+
+def mapping_lane(
+    rig: Rig, settings: Settings, at_end: bool, far: TileStore | None, timings: Timings, history: bool
+) -> MappingLane:
+    """Choose the way to map.
+
+    Args:
+        at_end: all motions come at the end of the recording.
+        far: where tiles go that the vehicle has left behind; None: memory.
+        history: keep what the end of a recording needs; without it there is no end to wait for.
+    """
+    if at_end:
+        return PhotoMapper(rig, settings, far, timings)
+    method = settings.parallax.method
+    if method == "ring" or (method == "auto" and not history):
+        return RecursiveMapper(rig, settings, far, timings, history)
+    return BatchMapper(rig, settings, far, timings)

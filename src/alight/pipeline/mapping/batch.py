@@ -1,0 +1,93 @@
+"""Mapping of recordings and photos: keyframes are stored and matched together at the end."""
+
+from __future__ import annotations
+
+import logging
+
+from alight.elevation import TileStore
+from alight.geometry import Grid
+from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping.batch_map import BatchMap
+from alight.pipeline.mapping.frame_store import FrameStore, in_world, posed, views_of
+from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
+from alight.pipeline.mapping.policy import FIND_EVERY, FIRST_STEP, NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.view_geometry import bounds, looking_down
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.timing import Timings
+from alight.records import MotionState, Rig
+from alight.settings import Settings
+
+log = logging.getLogger(__name__)
+
+
+class BatchMapper:
+    """Keeps keyframes by their baseline, and maps at the end; where the store is full, a part of it before."""
+
+    def __init__(self, rig: Rig, settings: Settings, far: TileStore | None, timings: Timings) -> None:
+        self._rig, self._settings, self._timings = rig, settings.parallax, timings
+        self._map = BatchMap(settings, far)
+        self.store = FrameStore()
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Keep the exposure if it is a keyframe; the map comes at the end."""
+        motion = navigation.motion
+        if motion is None or motion.state is MotionState.LOST:
+            return None
+        ground = self._map.ground
+        step = FIRST_STEP if ground is None else keyframe_step(motion, ground, self._settings)
+        if self.store.offer(navigation.frame, motion, step) and ground is None and self.store.taken % FIND_EVERY == 0:
+            self._map.find_ground(views_of(self.store.keyframes, self._rig))
+        if self.store.bytes > self._settings.store_mb * 1_000_000:
+            self._make_room()
+        return None
+
+    def snapshot(self) -> MapSnapshot | None:
+        """None: there is a map at the end only."""
+        return None
+
+    def _make_room(self) -> None:
+        """Match every tile that the older half of the store sees, then forget that half: memory is bounded.
+
+        Tiles that the newer half sees as well are matched again later, and the better height of each cell stays.
+        """
+        half, newest = len(self.store) // 2, self.store.keyframes[-1].motion
+        assert newest is not None
+        keyframes = in_world(self.store.keyframes, MapFrame.of(newest))  # as at the end: the map is one
+        views, older = views_of(keyframes, self._rig), looking_down(views_of(keyframes[:half], self._rig))
+        self._map.find_ground(views)
+        if self._map.ground is not None and older:
+            low, high = bounds(older, self._map.ground)
+
+            def leaving(grid: Grid) -> bool:
+                e, n = grid.xy()
+                return bool(e[-1] >= low[0] and e[0] <= high[0] and n[0] >= low[1] and n[-1] <= high[1])
+
+            self._map.match_tiles(views, lambda _: None, leaving)
+        self.store.drop_oldest(half)
+        log.info("frame store full: the older half was mapped and forgotten")
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """Match all tiles with the poses of the whole recording."""
+        views = views_of(posed(self.store.keyframes, trajectory.usable), trajectory.rig)
+        with self._timings.of("ground"):
+            found = self._map.find_ground(views)
+        if not found and self._map.elevation is None:
+            return FinishedMap(reason=self._map.reason)
+        with self._timings.of("heights"):
+            self._map.match_tiles(views, progress)
+        with self._timings.of("map"):
+            elevation = self._map.snapshot()
+        if elevation is None:
+            return FinishedMap(reason=NO_HEIGHT)
+        frame = trajectory.place
+        vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
+        return FinishedMap(MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame))
+
+
+class PhotoMapper(BatchMapper):
+    """The same where all motions come at the end: every photo is kept."""
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Keep the photo."""
+        self.store.keep(navigation.frame)
+        return None

@@ -1,0 +1,78 @@
+"""The map of a recording: every tile that at least two views see is matched with all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from alight.elevation import FIELDS
+from alight.geometry import Grid
+from alight.parallax import Images, ground_sampling, match_tile
+from alight.pipeline.mapping.ground_map import GroundMap
+from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
+from alight.records import Heights, View
+
+MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
+NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
+
+Progress = Callable[[float], None]
+
+
+def core(heights: Heights, margin: int) -> Heights:
+    """The heights without their margin."""
+    inner = slice(margin, -margin)
+    grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
+    return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
+
+
+@dataclass(eq=False)
+class BatchMap(GroundMap):
+    """Batch parallax, tile by tile, coarse cells before fine ones."""
+
+    def match_tiles(
+        self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
+    ) -> int:
+        """Match all tiles under `views` for which `only` holds, at the cells that they ask for; return how many."""
+        views = looking_down(views)
+        if self.elevation is None or self.ground is None or not views:
+            return 0
+        levels = list(self._levels(views, self.ground))
+        done = 0
+        for n, (level, asking, beside) in enumerate(levels):
+            done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
+        return done
+
+    def _levels(self, views: Sequence[View], ground: float) -> Iterator[tuple[int, list[View], list[View]]]:
+        """Coarse to fine: a level, the views that ask for it, and with them those of the levels beside it."""
+        assert self.elevation is not None
+        level, of = 0, []
+        for v in views:
+            if self.settings.parallax.cell is None:
+                level = level_for(ground_sampling(v, ground), self.elevation.cell, level)
+            of.append(level)
+        for k in sorted(set(of), reverse=True):
+            asking = [v for v, its in zip(views, of, strict=True) if its == k]
+            yield k, asking, [v for v, its in zip(views, of, strict=True) if abs(its - k) <= 1]
+
+    def _match(
+        self, level: int, asking: list[View], views: list[View], only: Callable[[Grid], bool], progress: Progress
+    ) -> int:
+        assert self.elevation is not None
+        assert self.ground is not None
+        images = Images(views, self.elevation.cell_at(level), self.ground)
+        (west, south), (east, north) = bounds(asking, self.ground)
+        camera = float(np.median([v.centre[2] for v in asking]))
+        keys = list(self.elevation.cover((west, east), (south, north), level))
+        done = 0
+        for n, key in enumerate(keys):
+            grid = self.elevation.tile_grid(key, MARGIN, level)
+            if only(grid):
+                heights = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
+                if heights is not None:
+                    self.elevation.add(core(self._without_doubtful(heights, camera - self.ground), MARGIN))
+                    self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
+                    done += 1
+            progress((n + 1) / len(keys))
+        return done

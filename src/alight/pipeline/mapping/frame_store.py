@@ -1,0 +1,96 @@
+"""The frame store: the pixels of keyframes, for as long as the mapping lane may want them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.pipeline.map_frame import MapFrame
+from alight.records import Frame, Motion, Rig, View
+
+TURN = 0.15  # rad of the optical axis that make a keyframe without a step
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """An exposure that is kept, and its motion as it was in flight."""
+
+    frame: Frame
+    motion: Motion | None  # None: it comes at the end of the recording
+
+    @property
+    def bytes(self) -> int:
+        """Of its pixels."""
+        return sum(i.nbytes for i in self.frame.images if i is not None)
+
+
+class FrameStore:
+    """Frames that are far enough apart to be worth matching."""
+
+    def __init__(self) -> None:
+        self.keyframes: list[Keyframe] = []
+        self.bytes = 0
+        self.taken = 0  # frames that were ever kept
+        self._last: Motion | None = None
+
+    def __len__(self) -> int:
+        return len(self.keyframes)
+
+    def keep(self, frame: Frame, motion: Motion | None = None) -> None:
+        """Keep a frame, however near it is to the last one."""
+        self._set([*self.keyframes, Keyframe(frame, motion)])
+        self.taken += 1
+        self._last = motion or self._last
+
+    def offer(self, frame: Frame, motion: Motion, step: float) -> bool:
+        """Keep the frame if it moved `step` metres or turned since the last one kept."""
+        if self._last is not None and not _moved(self._last, motion, step):
+            return False
+        self.keep(frame, motion)
+        return True
+
+    def drop_oldest(self, count: int) -> None:
+        """Forget the first `count` frames."""
+        self._set(self.keyframes[count:])
+
+    def clear(self) -> None:
+        """Forget all frames: the next one is kept, wherever it is."""
+        self._set([])
+        self._last = None
+
+    def thin(self) -> None:
+        """Forget every second frame, the newest not."""
+        self._set(self.keyframes[::-2][::-1])
+
+    def _set(self, keyframes: list[Keyframe]) -> None:
+        self.keyframes = keyframes
+        self.bytes = sum(k.bytes for k in keyframes)
+
+
+def _moved(last: Motion, motion: Motion, step: float) -> bool:
+    a, b = last.world_from_cams[0], motion.world_from_cams[0]
+    axis = float(np.clip(a.rotation[:, 2] @ b.rotation[:, 2], -1, 1))
+    return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= TURN)
+
+
+def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:
+    """The images of keyframes as posed views, those of a time in `newer` with that motion; none without a motion."""
+    out = []
+    for k in keyframes:
+        motion = k.motion if newer is None else newer.get(k.frame.t_ns, k.motion)
+        for i, image in enumerate(k.frame.images):
+            if motion is not None and image is not None:
+                out.append(View(k.frame.t_ns, i, image, rig.cameras[i].camera, motion.world_from_cams[i]))
+    return out
+
+
+def posed(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -> list[Keyframe]:
+    """The keyframes that have one of these motions, with it."""
+    return [Keyframe(k.frame, motions[k.frame.t_ns]) for k in keyframes if k.frame.t_ns in motions]
+
+
+def in_world(keyframes: Iterable[Keyframe], frame: MapFrame) -> list[Keyframe]:
+    """The keyframes with their motion in the world, by the place of a frame."""
+    return [Keyframe(k.frame, k.motion and frame.motion(k.motion)) for k in keyframes]

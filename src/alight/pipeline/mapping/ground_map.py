@@ -1,0 +1,96 @@
+"""What both ways of mapping share: where the ground is, how fine the map shall be, which heights are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.elevation import TiledElevation, TileStore
+from alight.geometry import Grid
+from alight.parallax import find_points, ground_sampling, height_range
+from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
+from alight.records import F64, Datum, ElevationMap, Flag, Heights, View, is_trusted
+from alight.settings import Settings
+
+MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
+LEAST_POINTS = 20
+MOST_POINTS = 20_000  # that the height of the ground is the median of
+LEAST_KNOWN = 400  # heights of the map that say it better
+# a height is given out among others that are: of those that are left where most are refused one in five is wrong
+LEAST_GIVEN = 0.25  # of the cells about it
+ABOUT = 41  # cells
+
+
+def lone(given: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the heights that are given out, (R, C), have too few about them that are."""
+    return np.asarray(given & (cv2.blur(given.astype(np.float32), (ABOUT, ABOUT)) < LEAST_GIVEN))
+
+
+@dataclass(eq=False)
+class GroundMap:
+    """The map so far, and the points that its ground was found by."""
+
+    settings: Settings
+    far: TileStore | None = None  # where tiles go that the vehicle has left behind; None: memory
+    elevation: TiledElevation | None = None
+    ground: float | None = None  # metres above the origin, the ground in general
+    reason: str = ""  # why there is no map
+    gauge: Datum | None = None  # what all heights share
+    _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
+
+    def find_ground(self, views: Sequence[View], least: float = 0.0) -> bool:
+        """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured.
+
+        `least`: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
+        """
+        down = looking_down(views)
+        if len(down) < 2:
+            self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
+            return False
+        points = find_points(down)
+        below = points[points[:, 2] < min(v.centre[2] for v in down)]
+        if len(below) < LEAST_POINTS:
+            self.reason = (
+                "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
+            )
+            return False
+        centres = np.array([v.centre for v in down])
+        if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
+            self.reason = "the aircraft hardly moved for its height, so no height can be measured"
+            return False
+        self._points = np.concatenate([self._points, below])
+        self._points = self._points[:: -(-len(self._points) // MOST_POINTS)]
+        self.ground = float(np.median(self._points[:, 2]))
+        if self.elevation is None:
+            sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
+            cell = self.settings.parallax.cell or nice_cell(sampling)
+            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far)
+        return True
+
+    def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
+        """Heights to search: what the map knows there already counts as points, beside those near it."""
+        if self.settings.parallax.height_range:
+            return self.settings.parallax.height_range
+        wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
+        near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
+        low, high = height_range(self._points, camera, near)
+        heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
+        if len(heights) < LEAST_KNOWN:
+            return low, high
+        return height_range(np.column_stack([heights, heights, heights]), camera)
+
+    def _without_doubtful(self, heights: Heights, above: float) -> Heights:
+        """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""
+        limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(above, 1.0)
+        vague = heights.sigma > limit
+        unsure = np.where(vague | lone(is_trusted(heights.flags) & ~vague), np.uint16(Flag.UNSURE), np.uint16(0))
+        return replace(heights, flags=heights.flags | unsure)
+
+    def snapshot(self) -> ElevationMap | None:
+        """The whole map so far, by value; None where nothing was seen."""
+        found = self.elevation.snapshot(self.settings.elevation.most_cells) if self.elevation else None
+        return None if found is None else replace(found, gauge=self.gauge)

@@ -1,0 +1,71 @@
+"""What the mapping lane hands out, and the interface of its ways to map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.records import F64, ElevationMap, View
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """The map was improved."""
+
+    step: int  # keyframes that it has been improved with by now
+    steps: int  # of them since the update before
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """Where the vehicle is."""
+
+    position: F64  # (3,) metres
+    height_above_ground: float  # metres
+
+
+@dataclass(frozen=True, eq=False)
+class MapSnapshot:
+    """The map at one moment, by value, and what looked at it; all in the map's frame."""
+
+    step: int  # as of `MapUpdate`; 0 for the map of a recording
+    elevation: ElevationMap
+    views: tuple[View, ...]  # that look down on it
+    vehicle: Vehicle
+    frame: MapFrame
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedMap:
+    """The map of a whole recording, or why there is none."""
+
+    snapshot: MapSnapshot | None = None
+    reason: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+class MappingLane(Protocol):
+    """One way to map, with all its policy: keyframes, when the ground is looked for, what is forgotten."""
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Take one exposure; None where the map has not changed."""
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map under the newest keyframe as it is now; None without one there."""
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """The map of the whole recording."""
+
+
+def vehicle_at_end(trajectory: Trajectory, ground: float | None, frame: MapFrame) -> Vehicle:
+    """Where a recording ends, in the map's frame, and how high above the ground the vehicle usually was."""
+    ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
+    above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
+    return Vehicle(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)

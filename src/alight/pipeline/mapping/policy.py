@@ -1,0 +1,16 @@
+"""What both ways of mapping do alike with keyframes."""
+
+from __future__ import annotations
+
+from alight.records import Motion
+from alight.settings import ParallaxSettings
+
+FIRST_STEP = 0.25  # metres between keyframes before the height above ground is known
+FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
+NO_HEIGHT = "no height could be measured: no place was seen by two views"
+
+
+def keyframe_step(motion: Motion, ground: float | None, settings: ParallaxSettings) -> float:
+    """The baseline from one keyframe to the next, metres, at the motion's height above the ground."""
+    above = motion.world_from_body.translation[2] - (ground or 0.0)
+    return float(settings.keyframe_baseline * max(above, 1.0))

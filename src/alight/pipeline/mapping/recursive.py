@@ -1,0 +1,148 @@
+"""Mapping in flight: the map is improved with every keyframe, and may be judged at any time."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from alight.elevation import TileStore
+from alight.pipeline.map_frame import MapFrame, Tie
+from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
+from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, Vehicle, vehicle_at_end
+from alight.pipeline.mapping.policy import FIND_EVERY, FIRST_STEP, NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.recursive_map import RecursiveMap
+from alight.pipeline.mapping.view_geometry import looking_down
+from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.timing import Timings
+from alight.records import KeyframePosterior, Motion, MotionState, Rig, View
+from alight.settings import Settings
+
+log = logging.getLogger(__name__)
+
+FIND_BASELINE = 0.08  # of the height, to find the ground: at 97 m 4 m found a ground that was 36 m too high
+WINDOW = 16  # keyframes that find the ground: those of the recursive map, and a few
+FINER = 64  # keyframes whose pixels stay, to look at the ground more finely than at its heights
+
+
+class RecursiveMapper:
+    """Finds the ground first; then every keyframe is a step of the map.
+
+    Args:
+        history: keep what the end of a recording needs.
+    """
+
+    def __init__(self, rig: Rig, settings: Settings, far: TileStore | None, timings: Timings, history: bool) -> None:
+        self._rig, self._settings, self._timings = rig, settings.parallax, timings
+        self._map = RecursiveMap(settings, far)
+        self.store, self._first_step = FrameStore(), FIRST_STEP
+        self._most = FINER if history else WINDOW
+        self._newest: Navigation | None = None  # keyframe
+        self._frame: MapFrame | None = None  # of the map, by the newest exposure
+        self._newest_ns = -(1 << 62)  # exposure
+        self._step = 0  # keyframes that the map was improved with
+        self._warnings: list[str] = []
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Keep the exposure if it is a keyframe, and improve the map with it."""
+        motion = navigation.motion
+        if motion is None or motion.state is MotionState.LOST:
+            return None
+        if not self._follows(MapFrame.of(motion), motion.t_ns):
+            return None
+        ground = self._map.ground_below
+        step = self._first_step if ground is None else keyframe_step(motion, ground, self._settings)
+        if not self.store.offer(navigation.frame, motion, step):
+            return None
+        self._newest = navigation
+        steps = self._grow(navigation)
+        self.store.drop_oldest(max(0, len(self.store) - self._most))
+        while self.store.bytes > self._settings.store_mb * 1_000_000:
+            self.store.drop_oldest(1)
+        return MapUpdate(self._step, steps) if steps else None
+
+    def _follows(self, frame: MapFrame, t_ns: int) -> bool:
+        """Take over the frame of the newest exposure, and drop the map where it is another one.
+
+        False for an exposure that came late and belongs to another frame: it has no place in the map.
+        """
+        if self._frame is not None and frame.frame_id != self._frame.frame_id:
+            if t_ns < self._newest_ns:
+                return False
+            self._drop_map(frame.frame_id, self._frame.tie(frame))
+        self._frame, self._newest_ns = frame, max(t_ns, self._newest_ns)
+        return True
+
+    def _drop_map(self, frame_id: int, tie: Tie) -> None:
+        self.store.clear()
+        self._newest = None
+        if self._map.begin_anew(tie.shift):
+            warning = (
+                f"map: the motion began anew (frame {frame_id}), and the map of before is dropped: its place in the "
+                f"new frame is known to {tie.sigma_horizontal:.2f} m only"
+            )
+            log.warning(warning)
+            self._warnings.append(warning)
+
+    def _grow(self, navigation: Navigation) -> int:
+        """Find the ground, or take the newest keyframe into the map; how many steps that were."""
+        look = self.store.taken % FIND_EVERY == 0
+        if self._map.ground is not None:
+            steps = self._advance(self.store.keyframes[-1:], navigation)
+            if self._map.out_of_range and look:
+                self._map.find_ground_again(self._views_now(), FIND_BASELINE)
+            return steps
+        if look and self._map.find_ground(self._views_now(), FIND_BASELINE):
+            return self._advance(self.store.keyframes, navigation)
+        if len(self.store) >= WINDOW:  # the height is not known, so the baseline that it takes is not
+            self.store.thin()
+            self._first_step *= 2
+        return 0
+
+    def _advance(self, keyframes: Sequence[Keyframe], navigation: Navigation) -> int:
+        before = self._step
+        for k in keyframes:
+            assert k.motion is not None
+            with self._timings.of("heights"):
+                poses = _posterior_with(k.motion, navigation.posterior)
+                self._step += self._map.step(views_of([k], self._rig), poses)
+        return self._step - before
+
+    def _views_now(self, most: int = WINDOW) -> list[View]:
+        """The newest keyframes as views, with what is known of their poses by now."""
+        known = self._newest.posterior if self._newest is not None else None
+        newer = {m.t_ns: m for m in known.motions} if known is not None else None
+        return views_of(self.store.keyframes[-most:], self._rig, newer)
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map under the newest keyframe as it is now; None without one there."""
+        views = looking_down(self._views_now())
+        elevation = self._map.under(views[-len(self._rig.cameras) :])
+        if elevation is None or self._frame is None:
+            return None
+        centre = views[-1].centre
+        vehicle = Vehicle(centre, float(centre[2] - (self._map.ground_below or 0.0)))
+        return MapSnapshot(self._step, elevation, tuple(views), vehicle, self._frame)
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """The map as the last keyframe left it."""
+        views = self._views_now(self._most)
+        with self._timings.of("ground"):
+            found = self._map.elevation is not None or self._map.find_ground(views)
+        if not found:
+            return FinishedMap(None, self._map.reason, tuple(self._warnings))
+        with self._timings.of("map"):
+            elevation = self._map.snapshot()
+        if elevation is None or self._frame is None:
+            return FinishedMap(None, NO_HEIGHT, tuple(self._warnings))
+        vehicle = vehicle_at_end(trajectory, self._map.ground, self._frame)
+        seen = MapSnapshot(self._step, elevation, tuple(looking_down(views)), vehicle, self._frame)
+        return FinishedMap(seen, warnings=tuple(self._warnings))
+
+
+def _posterior_with(motion: Motion, posterior: KeyframePosterior | None) -> KeyframePosterior | None:
+    """The posterior, or the motion by itself where it was a keyframe before the ground was found."""
+    if posterior is None or motion.t_ns in {m.t_ns for m in posterior.motions}:
+        return posterior
+    return KeyframePosterior((motion,), np.asarray(motion.covariance))

@@ -1,0 +1,116 @@
+"""The map of a flight: improved with every keyframe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from alight.elevation import TiledElevation
+from alight.parallax import RecursiveParallax, ground_sampling
+from alight.pipeline.mapping.ground_map import LEAST_KNOWN, GroundMap
+from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
+from alight.records import F64, ElevationMap, Flag, Heights, KeyframePosterior, View
+
+LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
+OUT_OF_RANGE = 0.3  # share of a step's cells at an end of the searched range that asks for another
+
+
+@dataclass(eq=False)
+class RecursiveMap(GroundMap):
+    """Recursive parallax over a window of keyframes."""
+
+    ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
+    out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
+    level: int = 0  # of the newest keyframe's cells
+    _ring: RecursiveParallax | None = None
+
+    @property
+    def ground_below(self) -> float | None:
+        """Metres above the origin, the ground under the vehicle as far as known."""
+        return self.ground if self.ground_here is None else self.ground_here
+
+    def find_ground_again(self, views: Sequence[View], least: float) -> None:
+        """Find the ground where it lies beyond what was searched; what was found there is looked at anew."""
+        known, self._points = self._points, np.empty((0, 3))
+        if not self.find_ground(views, least):
+            self._points = known
+        elif self._ring is not None:
+            self._ring.look_anew()
+        self.out_of_range = False
+
+    def begin_anew(self, shift: F64) -> bool:
+        """Drop the heights: the poses to come have another frame, `shift` (3,) metres from that of the old ones.
+
+        Where the ground is goes on being known, as well as the search for heights needs it.
+
+        Returns:
+            Whether there were any heights.
+        """
+        if self.elevation is None or self.ground is None:
+            return False
+        mapped = self.ground_here is not None
+        for name in list(self.far or ()):
+            del self.far[name]  # type: ignore[union-attr]
+        self.elevation = TiledElevation(self.elevation.cell, self.settings.elevation.tile, self.far)
+        self.ground, self._points = self.ground + float(shift[2]), self._points + shift
+        self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
+        self._ring, self.gauge, self.out_of_range = None, None, False
+        return mapped
+
+    def step(self, views: Sequence[View], poses: KeyframePosterior | None = None) -> bool:
+        """Take a keyframe into the window and improve the map; False without a baseline yet.
+
+        `poses`: what is known of the last keyframes' poses; they are refined with the map. None: they are exact.
+        """
+        down = looking_down(views)
+        if self.elevation is None or self.ground is None or not down:
+            return False
+        newest = down[0]
+        here = self.ground if self.ground_here is None else self.ground_here
+        self.ground_here = min(here, float(newest.centre[2]) - LEAST_HEIGHT)
+        if self.settings.parallax.cell is None:
+            self.level = level_for(ground_sampling(newest, self.ground_here), self.elevation.cell, self.level)
+        cell = self.elevation.cell_at(self.level)
+        if self._ring is None:
+            self._ring = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
+        self._ring.work_at(cell, self.ground_here)
+        self._ring.push(down, poses)
+        return self._improve(down, self._ring, self.ground_here)
+
+    def _improve(self, down: list[View], ring: RecursiveParallax, ground: float) -> bool:
+        assert self.elevation is not None
+        low, high = bounds(down, ground)
+        grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self.level)
+        known, up = self.elevation.start(grid), float(down[0].centre[2])
+        found = ring.step(grid, known, *self._range(grid, up, known))
+        if ring.plane.any():
+            self.elevation.lean(ring.plane, ring.about)
+            known = replace(known, height=known.height + ring.plane_on(grid))
+        if found is None:
+            return False
+        self.gauge = found.gauge
+        found = self._without_doubtful(found, up - ground)
+        self.out_of_range = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > OUT_OF_RANGE)
+        heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
+        if len(heights) >= LEAST_KNOWN // 4:
+            self.ground_here = float(np.median(heights))
+        self.elevation.add(changed(found, known), replace_all=True)
+        self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
+        return True
+
+    def under(self, views: Sequence[View]) -> ElevationMap | None:
+        """The map of what the views look at, on the newest keyframe's cells; None where nothing was seen yet."""
+        if self.elevation is None or self.ground_here is None or not views:
+            return None
+        (west, south), (east, north) = bounds(views, self.ground_here)
+        found = self.elevation.read(self.elevation.window((west, east), (south, north), self.level))
+        return replace(found, gauge=self.gauge) if found.trusted.any() else None
+
+
+def changed(found: Heights, known: ElevationMap) -> Heights:
+    """What a step changed; what it left as it was need not be written, and is not taken for seen at this cell size."""
+    same = (found.height == known.height) & (found.sigma == known.sigma) & (found.flags == known.flags)
+    same &= (found.rgb == known.rgb).all(axis=2)
+    return replace(found, flags=np.where(same, np.uint16(Flag.UNSEEN), found.flags).astype(np.uint16))

@@ -1,0 +1,50 @@
+"""What a view sees of the ground: which look down, how far they reach, and how fine the map's cells are to be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from alight.records import F64, View
+
+STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
+CELL_OVER_PIXEL = 1.8
+SLACK = 0.15  # octaves that the cell may be off beyond the half before it changes: a level is not left by a gust
+NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
+
+
+def nice_cell(sampling: float) -> float:
+    """The round cell size nearest to 1.8 ground sampling distances, metres."""
+    target = CELL_OVER_PIXEL * sampling
+    decade = 10.0 ** np.floor(np.log10(target))
+    sizes = np.concatenate([NICE * decade, [10.0 * decade]])
+    return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / target)))], 6))
+
+
+def level_for(sampling: float, cell: float, now: int) -> int:
+    """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while it will do."""
+    exact = math.log2(CELL_OVER_PIXEL * sampling / cell)
+    return now if abs(exact - now) <= 0.5 + SLACK else round(exact)
+
+
+def looking_down(views: Sequence[View]) -> list[View]:
+    """The views whose optical axis is at most 75 degrees from straight down."""
+    return [v for v in views if -v.world_from_cam.rotation[2, 2] > STEEPEST]
+
+
+def footprint(view: View, height: float) -> F64:
+    """Where the image's border meets level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
+    w, h = view.camera.width - 1.0, view.camera.height - 1.0
+    border = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
+    rays = view.camera.rays(border)
+    rays = rays @ view.world_from_cam.rotation.T
+    down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
+    return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
+
+
+def bounds(views: Sequence[View], height: float) -> tuple[F64, F64]:
+    """The rectangle about all that the views see of level ground: its south-west and north-east corner, (2,) metres."""
+    corners = np.concatenate([footprint(v, height) for v in views])
+    return corners.min(axis=0), corners.max(axis=0)

@@ -1,0 +1,245 @@
+"""Tracker and filter, and the smoother at the end of a recording.
+
+Two halves that may run at the same time and give the same bits however they are scheduled: while the filter takes in
+one exposure, the next one is tracked. So every exposure is predicted from the filter's state after the last exposure
+but one, carried on by the IMU, whether or not the last one is done. No thread here: in turn `feed` calls the halves one
+after the other, and `alight.runner.live` calls them on two threads.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from alight.motion import RollbackFilter
+from alight.motion.ekf.prediction import MotionPredictor
+from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory
+from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.settings import Settings
+from alight.tracks import Tracker
+
+_STAMPS = 256  # of exposures that are remembered, to find those that come twice
+_MOST_ROWS = 1000  # that wait for an exposure; 5 s of them
+_IMU_NS = 2_000_000_000  # ns of inertial measurements that a prediction may need
+Row = NavSample | ImuSample
+
+
+@dataclass(frozen=True, eq=False)
+class FrameBatch:
+    """One exposure and the rows that came before it; without exposure where none has come for long."""
+
+    frame: Frame | None
+    rows: tuple[Row, ...]
+
+    def after(self, dropped: FrameBatch) -> FrameBatch:
+        """This batch when an earlier one is left out: its picture is lost, its rows are not."""
+        return replace(self, rows=dropped.rows + self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """An exposure and where the features are in it."""
+
+    frame: Frame
+    tracks: Tracks
+
+
+class EventBatcher:
+    """Gathers events into batches in the order of arrival; it holds little, whatever fails to come.
+
+    Of exposures with one stamp the first is taken, as the log's reader does: nobody knows when the others were.
+    """
+
+    def __init__(self) -> None:
+        self.repeated = 0  # exposures left out
+        self._rows: deque[Row] = deque()
+        self._stamps: deque[int] = deque(maxlen=_STAMPS)
+
+    def take(self, event: Event) -> FrameBatch | None:
+        """Take an event; an exposure makes a batch, and so do many rows without one."""
+        if not isinstance(event, Frame):
+            self._rows.append(event)
+            return self.rest() if len(self._rows) > _MOST_ROWS else None
+        if event.t_ns in self._stamps:
+            self.repeated += 1
+            return None
+        self._stamps.append(event.t_ns)
+        return replace(self.rest(), frame=event)
+
+    def rest(self) -> FrameBatch:
+        """The rows that wait for an exposure."""
+        rows, self._rows = tuple(self._rows), deque()
+        return FrameBatch(None, rows)
+
+
+class Handover(Protocol):
+    """Takes predictions from the filter to the tracker, in order; between threads `get` waits for one."""
+
+    def put(self, item: MotionPredictor | None) -> None:
+        """Add a prediction."""
+
+    def get(self) -> MotionPredictor | None:
+        """Take the oldest one."""
+
+
+class HandoverInTurn:
+    """The handover of one thread: nothing waits."""
+
+    def __init__(self) -> None:
+        self._items: deque[MotionPredictor | None] = deque()
+
+    def put(self, item: MotionPredictor | None) -> None:
+        """Add a prediction."""
+        self._items.append(item)
+
+    def get(self) -> MotionPredictor | None:
+        """Take the oldest one."""
+        return self._items.popleft()
+
+
+def prediction_for(exposure: int) -> int:
+    """Which prediction an exposure (from 0) is tracked by: 0 before the first, k after the k-th has been taken in."""
+    return exposure if exposure < 2 else exposure - 1
+
+
+class TrackingHalf:
+    """The tracker, the inertial measurements that it predicts by, and the predictions that it gets."""
+
+    def __init__(self, rig: Rig, settings: Settings, handover: Handover) -> None:
+        self._tracker = Tracker(rig, settings.tracks)
+        self._imu: deque[ImuSample] = deque()
+        self._handover = handover
+        self._prediction: MotionPredictor | None = None
+        self._known, self._exposure = -1, 0  # number of that prediction, and of the next exposure
+
+    def track(self, batch: FrameBatch) -> TrackedFrame | None:
+        """Follow the features into the exposure of a batch."""
+        self._imu.extend(e for e in batch.rows if isinstance(e, ImuSample))
+        while self._imu and self._imu[0].t_ns < self._imu[-1].t_ns - _IMU_NS:
+            self._imu.popleft()
+        if batch.frame is None:
+            return None
+        while self._known < prediction_for(self._exposure):
+            self._prediction, self._known = self._handover.get(), self._known + 1
+        self._exposure += 1
+        p = self._prediction
+        expected = p.cameras(batch.frame.t_ns, self._tracker.last_ns, self._imu) if p else None
+        return TrackedFrame(batch.frame, self._tracker.feed(batch.frame, expected))
+
+
+class FilterHalf:
+    """The filter, what it gives out, and how often it was lost."""
+
+    def __init__(self, rig: Rig, settings: Settings, handover: Handover, history: bool) -> None:
+        self._settings = settings.motion.filter
+        if not history:
+            self._settings = self._settings.model_copy(update={"smooth": False})
+        self._filter = RollbackFilter(rig, self._settings)
+        self._handover, self._begun = handover, False
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
+        self._given = self._lost = 0  # exposures
+
+    def hear(self, batch: FrameBatch) -> None:
+        """Take the rows of a batch."""
+        for row in batch.rows:
+            if isinstance(row, NavSample):
+                self._filter.feed_nav(row)
+            else:
+                self._filter.feed_imu(row)
+        if batch.frame is not None and not self._begun:
+            self._begun = True
+            self._handover.put(self._filter.forecast())
+
+    def update(self, tracked: TrackedFrame) -> Navigation | None:
+        """Take the features of an exposure: its motion, and the posterior of the keyframes."""
+        motion = self._filter.feed_tracks(tracked.tracks)
+        self._handover.put(self._filter.forecast())
+        if motion is None:
+            return None
+        self._motions.append(motion)
+        self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
+        return Navigation(tracked.frame, motion, self._filter.posterior())
+
+    def smoothed(self) -> list[Motion]:
+        """The motions refined together; empty where that is not asked for or not possible."""
+        return self._filter.smoothed()
+
+    def online(self) -> list[Motion]:
+        """The motions as they were given out, in order of time; each frame in the world by its newest offset."""
+        newest = {m.map: MapFrame.of(m) for m in self._motions}
+        return sorted((newest[m.map].motion(m) for m in self._motions), key=lambda m: m.t_ns)
+
+    def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
+        """What went wrong, in sentences."""
+        out = []
+        if self._filter.too_late:
+            out.append(_left_out(self._filter.too_late, "came late"))
+        if self._lost:
+            out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
+        if anew := max((m.map for m in motions), default=0):
+            out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
+        if self._settings.smooth and motions and not smoothed:
+            out.append("motion: the exposures could not be refined together; the poses are those of the flight")
+        return out
+
+
+def _left_out(count: int, what: str) -> str:
+    return f"motion: {count} exposures or GPS/INS rows {what} and are left out"
+
+
+class FilterLane:
+    """Feature tracks and the structure-from-motion filter (docs/method-motion.md).
+
+    Args:
+        history: keep what the end of a recording needs; without it memory does not grow with the flight, and nothing
+            is smoothed.
+        handover: how predictions go from the filter to the tracker, where the halves run on two threads.
+    """
+
+    def __init__(self, rig: Rig, settings: Settings, history: bool = True, handover: Handover | None = None) -> None:
+        self._rig = rig
+        between = handover or HandoverInTurn()
+        self._batcher = EventBatcher()
+        self._tracking = TrackingHalf(rig, settings, between)
+        self._filtering = FilterHalf(rig, settings, between, history)
+
+    def feed(self, event: Event) -> Navigation | None:
+        """Take one event; an exposure gives its motion and the posterior of the keyframes."""
+        batch = self.batch(event)
+        if batch is None:
+            return None
+        self.hear(batch)
+        tracked = self.track(batch)
+        return None if tracked is None else self.update(tracked)
+
+    # the steps of `feed`, for two threads: `track` on one of them, `hear` and `update` on the other
+
+    def batch(self, event: Event) -> FrameBatch | None:
+        """Gather events; an exposure makes a batch."""
+        return self._batcher.take(event)
+
+    def hear(self, batch: FrameBatch) -> None:
+        """Give the filter the rows of a batch, before its exposure is tracked or while it is."""
+        self._filtering.hear(batch)
+
+    def track(self, batch: FrameBatch) -> TrackedFrame | None:
+        """Follow the features into the exposure of a batch."""
+        return self._tracking.track(batch)
+
+    def update(self, tracked: TrackedFrame) -> Navigation | None:
+        """Give the filter the features of an exposure."""
+        return self._filtering.update(tracked)
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """The smoothed motions; a warning where the filter was lost."""
+        self.hear(self._batcher.rest())
+        smoothed = self._filtering.smoothed()
+        motions = smoothed or self._filtering.online()
+        repeated = self._batcher.repeated
+        warnings = [_left_out(repeated, "have the stamp of an earlier one")] if repeated else []
+        warnings += self._filtering.warnings(motions, bool(smoothed))
+        note = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
+        return Trajectory(tuple(motions), self._rig, tuple(warnings), {"motion": note})

@@ -1,0 +1,60 @@
+"""Poses from outside, for evaluation."""
+
+from __future__ import annotations
+
+import bisect
+from collections import deque
+
+import numpy as np
+
+from alight.geometry import Pose
+from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Trajectory
+from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
+from alight.settings import MotionSettings
+
+GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
+LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
+
+
+class GivenLane:
+    """Given poses, interpolated; each has errors of its own as large as the settings say, or none.
+
+    Args:
+        poses: stamps in ns, ascending, and `world_from_body` at each.
+        history: keep the motions for the end; without it memory does not grow with the flight.
+    """
+
+    def __init__(self, rig: Rig, poses: TimedPoses, settings: MotionSettings, history: bool = True) -> None:
+        self._rig = rig
+        sigma = np.repeat([settings.given_position_sigma, settings.given_attitude_sigma], 3)
+        self._covariance, self._exact = np.diag(np.maximum(sigma, GIVEN_SIGMA) ** 2), not sigma.any()
+        self._t, self._poses = [int(t) for t in poses[0]], poses[1]
+        self._motions: deque[Motion] = deque(maxlen=None if history else 1)
+        self._missed = 0  # exposures
+
+    def _at(self, t_ns: int) -> Pose | None:
+        k = bisect.bisect_left(self._t, t_ns)
+        if k < len(self._t) and self._t[k] == t_ns:
+            return self._poses[k]
+        if 0 < k < len(self._t) and self._t[k] - self._t[k - 1] <= LONGEST_GAP_NS:
+            share = (t_ns - self._t[k - 1]) / (self._t[k] - self._t[k - 1])
+            return self._poses[k - 1].interpolate(self._poses[k], share)
+        return None
+
+    def feed(self, event: Event) -> Navigation | None:
+        """The given pose at an exposure; None where there is none."""
+        if not isinstance(event, Frame):
+            return None
+        pose = self._at(event.t_ns)
+        if pose is None:
+            self._missed += 1
+            return None
+        cams = tuple(pose @ c.body_from_cam for c in self._rig.cameras)
+        motion = Motion(event.t_ns, pose, cams, self._covariance)
+        self._motions.append(motion)
+        return Navigation(event, motion, None if self._exact else KeyframePosterior((motion,), self._covariance))
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """The motions given out before."""
+        warnings = (f"poses: none for {self._missed} exposures, which are not used",) if self._missed else ()
+        return Trajectory(tuple(self._motions), self._rig, warnings, {"motion": "given poses, not estimated"})

@@ -1,0 +1,65 @@
+"""What the navigation lane hands out, and the interface of the three ways to find the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Pose
+from alight.pipeline.map_frame import MapFrame
+from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState, Rig
+
+Progress = Callable[[float], None]
+TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
+
+
+@dataclass(frozen=True, eq=False)
+class Navigation:
+    """One exposure with everything that the other lanes may know of its motion, by value."""
+
+    frame: Frame
+    motion: Motion | None  # None: it comes at the end, with all others (`Trajectory`)
+    posterior: KeyframePosterior | None = (
+        None  # joint posterior of the keyframes after this exposure; None: poses are exact
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The motions of a whole recording in the world, refined with everything that came."""
+
+    motions: tuple[Motion, ...]  # in order of time
+    rig: Rig  # with the lens as the estimator left it
+    warnings: tuple[str, ...] = ()
+    notes: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def usable(self) -> dict[int, Motion]:
+        """The motions that are not lost, by time."""
+        return {m.t_ns: m for m in self.motions if m.state is not MotionState.LOST}
+
+    @property
+    def place(self) -> MapFrame:
+        """The place of all motions in the world: no offset is left, and the best known one limits what they share."""
+        best = min(self.usable.values(), key=lambda m: float(np.trace(m.covariance[:3, :3])))
+        return MapFrame(self.motions[-1].map, np.zeros(3), best.covariance[:3, :3])
+
+    @property
+    def reason(self) -> str:
+        """Why there is no motion at all."""
+        otherwise = "there is no GPS/INS to start from (nav0), or no picture could be placed"
+        return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
+
+
+class NavigationLane(Protocol):
+    """One way to find the motion. Feed it events in the order of arrival, `finish` at the end."""
+
+    def feed(self, event: Event) -> Navigation | None:
+        """Take one event; an exposure that can be used gives a `Navigation`."""
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """All motions, refined together where that is possible."""

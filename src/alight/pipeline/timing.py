@@ -1,0 +1,29 @@
+"""How long the stages take, by a clock that the caller brings: the core has none of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Clock = Callable[[], float]  # seconds
+LAST_STEPS = 1000  # whose times are kept in flight
+
+
+class Timings:
+    """Seconds of every step, by stage.
+
+    Args:
+        history: keep all of them; without it, those of the last steps.
+    """
+
+    def __init__(self, clock: Clock = lambda: 0.0, history: bool = True) -> None:
+        self._clock, self._most = clock, None if history else LAST_STEPS
+        self.stages: dict[str, deque[float]] = {}
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        """Measure a step of a stage; one that fails is not counted."""
+        start = self._clock()
+        yield
+        self.stages.setdefault(stage, deque(maxlen=self._most)).append(self._clock() - start)
