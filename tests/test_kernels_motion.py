@@ -9,8 +9,10 @@ import twins_motion as twins
 from point_flight import DOWN
 
 from alight.geometry import Camera, Pose, so3_exp
-from alight.motion.ekf.observations import WindowObservations, WindowPoses, marginalise_points, triangulate_window
+from alight.motion.elimination import marginalise_points
+from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
+from alight.motion.triangulation import triangulate_window
 from alight.tracks.corners import corners, strength
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
@@ -116,13 +118,13 @@ def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
-    sights, poses = scene(seed)
-    x = triangulate_window(sights, poses, CAMS)
-    np.testing.assert_allclose(x[1:], twins.meet(sights, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
-    found, wanted = marginalise_points(sights, poses, CAMS, x), twins.eliminate(sights, poses, CAMS, x)
+    observations, poses = scene(seed)
+    x = triangulate_window(observations, poses, CAMS)
+    np.testing.assert_allclose(x[1:], twins.triangulate(observations, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
+    found, wanted = marginalise_points(observations, poses, CAMS, x), twins.eliminate(observations, poses, CAMS, x)
     for name in ("b", "misfit", "freedom", "point_covariance", "step"):
         np.testing.assert_allclose(getattr(found, name), wanted[name], rtol=1e-6, atol=1e-6, err_msg=name)
-    np.testing.assert_allclose(found.by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.point_by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
     one = np.zeros(30)
     one[4] = 1.0
     np.testing.assert_allclose(found.information(one)[0], wanted["A"][4], rtol=1e-6, atol=1e-5)
@@ -131,8 +133,10 @@ def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
 
 def test_nothing_seen_is_no_number_but_no_error() -> None:
     """A feature without a sight, and none at all."""
-    sights, poses = scene(0)
-    blind = WindowObservations(sights.ids[:1], np.full_like(sights.seen[:1], np.nan), sights.sigma[:1])
+    observations, poses = scene(0)
+    blind = WindowObservations(
+        observations.ids[:1], np.full_like(observations.normalised[:1], np.nan), observations.sigma[:1]
+    )
     assert np.isfinite(triangulate_window(blind, poses, CAMS)).all()
     assert marginalise_points(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
-    assert triangulate_window(sights.rows(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)
+    assert triangulate_window(observations.select(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)

@@ -51,7 +51,7 @@ def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
 def test_the_change_of_the_pose_is_as_uncertain_as_the_state_makes_it(imu: bool) -> None:
     """Against the derivatives of the prediction itself, by each error of the state; what time adds comes on top."""
     f, then, now, rows = after(2.0, imu)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     expected = said.cameras(now, then, rows)
     assert expected.covariance is not None
@@ -82,7 +82,7 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
 def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None:
     """As when tracking runs ahead by one exposure: two steps from one state, and less sure than one from the later."""
     f, then, now, rows = after(2.0)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     ahead = said.cameras(now + STEP, now, rows)
     assert ahead.earlier is not None
@@ -96,7 +96,7 @@ def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None
 
 def test_what_came_before_the_state_has_no_covariance() -> None:
     f, then, now, rows = after(2.0)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     assert said.cameras(now, then - STEP, rows).covariance is None
     assert said.cameras(now, None, rows).earlier is None

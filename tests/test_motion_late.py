@@ -92,7 +92,7 @@ def test_the_time_offset_is_found(offset: float, imu: bool) -> None:
     f = PointFlight(seed=5, seconds=8.0, count=60, imu=imu, time_offset=offset)
     free = SMALL.model_copy(update={"time_offset_sigma": 0.05})
     found, motions = flown(f.events, free)
-    state = found._filter._state
+    state = found.state
     assert state is not None
     sigma = float(np.sqrt(state.P[TIME, TIME][0, 0]))
     off = float(state.core[TIME][0]) - offset
@@ -110,7 +110,7 @@ def test_a_pose_at_another_time_agrees_with_differences() -> None:
     state.core[VEL] = rng.normal(size=3) * 4
     state.P[TIME, TIME] = 1e-10
     state.add_clone(0)
-    by_time = state.P[state.clone_at(0), TIME][:, 0] / 1e-10
+    by_time = state.P[state.clone_slice(0), TIME][:, 0] / 1e-10
     h = 1e-5
     turned = so3_log(state.R @ so3_exp(-h * state.rate) @ state.R.T) / h
     np.testing.assert_allclose(by_time, np.concatenate([turned, -state.core[VEL]]), rtol=1e-6)

@@ -10,14 +10,22 @@ Array = NDArray[np.float64]
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the (3, 3) matrix with `skew(a) @ b == cross(a, b)`."""
-    x, y, z = np.asarray(v, dtype=np.float64)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Return the (..., 3, 3) matrices with `skew(a) @ b == cross(a, b)` of (..., 3) vectors."""
+    a = np.asarray(v, dtype=np.float64)
+    if a.ndim == 1:
+        x, y, z = a
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = np.zeros((*a.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = a[..., 2], -a[..., 1], a[..., 0]
+    return out
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Array:
-    """Return the (3, 3) rotation of a (3,) rotation vector in radians (Rodrigues)."""
+    """Return the (..., 3, 3) rotations of (..., 3) rotation vectors in radians (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
+    if w.ndim > 1:
+        return _so3_exp_batch(w)
     angle2 = float(w @ w)
     if angle2 < 1e-12:  # series to second order: error below 1e-18
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -26,6 +34,16 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
         a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
     W = skew(w)
     return np.eye(3) + a * W + b * (W @ W)
+
+
+def _so3_exp_batch(w: Array) -> Array:
+    angle2 = (w * w).sum(axis=1)
+    angle = np.sqrt(np.maximum(angle2, 1e-12))
+    small = angle2 < 1e-12
+    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / angle**2)
+    W = skew(w)
+    return np.asarray(np.eye(3) + a[:, None, None] * W + b[:, None, None] * (W @ W))
 
 
 def so3_log(rotation: ArrayLike) -> Array:

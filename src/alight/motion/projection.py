@@ -1,11 +1,10 @@
-"""What a camera measures of a point, and its Jacobians (docs/method-motion.md, M11)."""
+"""Projection of points into the cameras of a rig, with Jacobians (docs/method-motion.md, M11)."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from alight.geometry import Camera, Pose
-from alight.motion.rotations import skews
+from alight.geometry import Camera, Pose, skew
 from alight.records import F64, Tracks
 from alight.settings import FilterSettings
 
@@ -29,15 +28,14 @@ def jacobians(R: F64, p: F64, rig_from_cam: Pose, x: F64) -> tuple[F64, F64]:
     J[..., 0, 0] = J[..., 1, 1] = w
     J[..., 0, 2], J[..., 1, 2] = -q[..., 0] * w**2, -q[..., 1] * w**2
     by_point = J @ cam_from_world
-    by_pose = np.concatenate([by_point @ skews(d), -by_point], axis=-1)
+    by_pose = np.concatenate([by_point @ skew(d), -by_point], axis=-1)
     return by_pose, by_point
 
 
 def observation_sigma(tracks: Tracks, camera: Camera, noise: FilterSettings) -> F64:
-    """Return the (N,) 1-sigma of normalised coordinates (M13): the SSD minimum is as sharp as the texture is strong.
+    """Return the (N,) 1-sigma of normalised coordinates (M13): the stronger the texture, the sharper the SSD minimum.
 
-    On the sample flight's rendered pond the tracks are off by 0.47 px RMS, on short grass by 0.12, on tall grass by
-    0.07; 1 / sqrt(texture) predicts 0.50, 0.22, 0.10.
+    It is proportional to 1 / sqrt(texture), which follows measured tracking errors (docs/method-motion.md, M13).
     """
     texture = np.full(len(tracks.ids), noise.texture_reference) if tracks.texture is None else tracks.texture
     relative = np.sqrt(noise.texture_reference / np.maximum(texture, 1e-9))

@@ -96,8 +96,8 @@ class FilterStep:
                 self.filter.feed_nav(e)
             else:
                 self.filter.feed_imu(e)
-        return self.filter.forecast()
+        return self.filter.predictor()
 
     def see(self, tracks: Tracks) -> tuple[Motion | None, MotionPredictor | None]:
         """Take the features of an exposure."""
-        return self.filter.feed_tracks(tracks), self.filter.forecast()
+        return self.filter.feed_tracks(tracks), self.filter.predictor()
