@@ -13,7 +13,7 @@ from alight.motion.elimination import marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
 from alight.motion.triangulation import triangulate_window
-from alight.tracks.corners import corners, strength
+from alight.tracks.corners import corner_response, detect_corners
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
 
@@ -31,13 +31,13 @@ def test_texture_is_that_of_the_whole_picture(window: int) -> None:
     """Inside, over the edge (mirrored), and outside (taken at the edge)."""
     image, rng = picture(0), np.random.default_rng(1)
     pixels = np.vstack([rng.uniform(0, 1, (200, 2)) * [159, 119], [[-5, 3], [400, 119], [159, 0]]]).astype(np.float32)
-    np.testing.assert_allclose(strength(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
+    np.testing.assert_allclose(corner_response(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
 
 
 def test_corners_are_the_strongest_of_their_boxes() -> None:
     image, cell = picture(2), 30.0
     taken = np.array([[45.0, 50.0], [100.5, 20.0]], np.float32)
-    found = corners(image, taken, cell, 1e-6)
+    found = detect_corners(image, taken, cell, 1e-6)
     soft = cv2.GaussianBlur(image, (3, 3), 0)
     wanted = []
     for top in range(0, 120, 30):
@@ -51,7 +51,7 @@ def test_corners_are_the_strongest_of_their_boxes() -> None:
 
 
 def test_an_empty_box_has_no_corner() -> None:
-    assert corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
+    assert detect_corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
 
 
 def test_patches_settle_where_least_squares_says() -> None:
@@ -64,7 +64,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
     there, turn = pixels @ map_[:, :2].T + map_[:, 2], np.tile(np.array([[c, s], [-s, c]]), (20, 1, 1))
     other = np.round(0.5 * turned + 20.0).astype(np.uint8)
-    found, good = patches.found(other, there + 0.6, turn, 15)
+    found, good = patches.locate(other, there + 0.6, turn, 15)
     assert good.sum() >= 15
     np.testing.assert_allclose(found[good], there[good], atol=0.05)
     for k in np.flatnonzero(good)[:6]:
@@ -79,12 +79,12 @@ def test_what_is_not_there_is_not_found() -> None:
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
     patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
-    assert patch.found(image, pixels, ahead, 15)[1].all()
-    assert not patch.found(elsewhere, pixels, ahead, 15)[1].any()
-    assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
-    assert not patch.found(image, pixels, 4.0 * ahead, 15)[1].any()
+    assert patch.locate(image, pixels, ahead, 15)[1].all()
+    assert not patch.locate(elsewhere, pixels, ahead, 15)[1].any()
+    assert not patch.locate(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
+    assert not patch.locate(image, pixels, 4.0 * ahead, 15)[1].any()
     flat = FeaturePatches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
-    assert not flat.found(image, pixels, ahead, 15)[1].any()
+    assert not flat.locate(image, pixels, ahead, 15)[1].any()
     assert len(FeaturePatches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 

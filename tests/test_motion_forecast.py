@@ -16,7 +16,7 @@ from alight.motion.ekf.state import POS, VEL
 from alight.records import F64, Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
 from alight.tracks import Tracker
-from alight.tracks.search_region import scatter, within
+from alight.tracks.search_region import inside_search_region, pixel_covariance
 
 STEP = 100_000_000  # ns between two exposures
 
@@ -115,7 +115,7 @@ def test_pixels_scatter_as_poses_and_depths_do() -> None:
     rng, at = np.random.default_rng(1), np.array([[1.0, -2.0, 20.0], [-4.0, 3.0, 30.0]])
     root = np.diag([2e-3, 1e-3, 3e-3, 0.02, 0.05, 0.1]) @ so3_pair(rng)
     deep = np.array([[0.2, 0.0, 0.5], [0.0, 0.1, -0.3]])
-    said = scatter(at, deep, FOCAL, root @ root.T)
+    said = pixel_covariance(at, deep, FOCAL, root @ root.T)
     for k in range(2):
         draw = rng.normal(size=(4000, 6)) @ root.T
         x = at[k] + rng.normal(size=(4000, 1)) * deep[k]
@@ -132,7 +132,7 @@ def so3_pair(rng: np.random.Generator) -> F64:
 def test_within_is_an_ellipse() -> None:
     covariance = np.tile(np.diag([9.0, 0.0]), (4, 1, 1))
     off = np.array([[12.0, 0.0], [13.0, 0.0], [0.0, 3.9], [0.0, 4.1]], np.float32)
-    assert within(off, covariance, 4.0, 1.0).tolist() == [True, False, True, False]
+    assert inside_search_region(off, covariance, 4.0, 1.0).tolist() == [True, False, True, False]
 
 
 def followed(sigma: float | None) -> tuple[int, int]:
