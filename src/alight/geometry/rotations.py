@@ -1,10 +1,12 @@
 """Rotations: SO(3) exponential and logarithm, quaternions (w, x, y, z; Hamilton), yaw-pitch-roll.
 
-A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`.
+A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`. Batches are SciPy's;
+single rotations have formulas of their own: SciPy's logarithm of one takes twenty times as long.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -22,10 +24,10 @@ def skew(v: ArrayLike) -> Array:
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Array:
-    """Return the (..., 3, 3) rotations of (..., 3) rotation vectors in radians (Rodrigues)."""
+    """Return the (3, 3) or (N, 3, 3) rotations of rotation vectors (3,) or (N, 3) in radians (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     if w.ndim > 1:
-        return _so3_exp_batch(w)
+        return np.asarray(Rotation.from_rotvec(w).as_matrix())
     angle2 = float(w @ w)
     if angle2 < 1e-12:  # series to second order: error below 1e-18
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -36,19 +38,12 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
     return np.eye(3) + a * W + b * (W @ W)
 
 
-def _so3_exp_batch(w: Array) -> Array:
-    angle2 = (w * w).sum(axis=1)
-    angle = np.sqrt(np.maximum(angle2, 1e-12))
-    small = angle2 < 1e-12
-    a = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
-    b = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / angle**2)
-    W = skew(w)
-    return np.asarray(np.eye(3) + a[:, None, None] * W + b[:, None, None] * (W @ W))
-
-
 def so3_log(rotation: ArrayLike) -> Array:
-    """Return the (3,) rotation vector in radians, of length at most pi, of a (3, 3) rotation."""
-    q = quaternion_from_matrix(rotation)
+    """Return the rotation vectors (3,) or (N, 3) in radians, of length at most pi, of rotations (3, 3) or (N, 3, 3)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    if R.ndim > 2:
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    q = quaternion_from_matrix(R)
     w, v = q[0], q[1:]
     sine = float(np.linalg.norm(v))
     if sine < 1e-9:

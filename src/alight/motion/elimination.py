@@ -13,7 +13,7 @@ import numpy as np
 
 from alight.geometry import Pose
 from alight.motion.observations import Ints, Mask, WindowObservations, WindowPoses, cameras_at
-from alight.motion.point_kernels import marginalise_tracks
+from alight.motion.point_kernels import eliminate_list, marginalise_tracks
 from alight.motion.triangulation import NEAR, WEAK_PRIOR
 from alight.records import F64
 
@@ -105,3 +105,65 @@ def unit_noise_rows(A: F64, b: F64) -> tuple[F64, F64]:
     keep = value > 1e-10 * max(float(value[-1]), 1e-300)
     root = np.sqrt(value[keep])
     return (vector[:, keep].T @ b) / root, root[:, None] * vector[:, keep].T
+
+
+@dataclass(frozen=True, eq=False)
+class EliminatedPoints:
+    """N points eliminated from a list of M observations, sorted by point: the Schur complement in factors.
+
+    With the couplings G of all observations of a point, stacked over the poses, the point takes G G' from the normal
+    matrix of the poses and G z from the right side, z = root' gradient.
+    """
+
+    starts: Ints  # (N + 1,) first observation of each point, then M
+    coupling: F64  # (M, 6, 3) G
+    gradient: F64  # (N, 3) right side of the points
+    root: F64  # (N, 3, 3), root root' is the covariance of a point
+    covariance: F64  # (N, 3, 3) for exact poses
+    by_point: F64  # (M, 2, 3) Jacobian, in sigmas
+
+    @property
+    def reduced_gradient(self) -> F64:
+        """(N, 3): z above."""
+        return np.asarray(np.einsum("nji,nj->ni", self.root, self.gradient))
+
+    def point_step(self, predicted: F64) -> F64:
+        """Return the (N, 3) steps of the points once the other unknowns have moved (back substitution).
+
+        Args:
+            predicted: (M, 2) change of the predicted observations by these unknowns, in sigmas.
+        """
+        moved = sum_by_point(self.starts, np.einsum("nki,nk->ni", self.by_point, predicted))
+        return np.asarray(np.einsum("nij,nj->ni", self.covariance, self.gradient - moved))
+
+
+def eliminate_points(
+    starts: Ints, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float = 0.0
+) -> EliminatedPoints:
+    """Eliminate N points from M linearised observations, sorted by point (M21).
+
+    Args:
+        starts: (N + 1,) first observation of each point, then M.
+        residual: (M, 2) observed less predicted, in sigmas.
+        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians, in sigmas.
+        regular: added to the diagonal of a point's information, so that every point has a covariance.
+        damping: share of that diagonal added to it (Levenberg-Marquardt).
+    """
+    n, m = len(starts) - 1, len(residual)
+    by_point = np.ascontiguousarray(by_point)
+    out = EliminatedPoints(
+        starts, np.empty((m, 6, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), by_point
+    )
+    rows = np.ascontiguousarray(residual), np.ascontiguousarray(by_pose), by_point
+    eliminate_list(starts, *rows, damping, regular, out.coupling, out.gradient, out.root, out.covariance)
+    return out
+
+
+def sum_by_point(starts: Ints, values: F64) -> F64:
+    """Sum (M, ...) values, sorted by point, into (N, ...); every point has at least one.
+
+    Args:
+        starts: (N + 1,) first value of each point, then M.
+        values: to be summed.
+    """
+    return np.add.reduceat(values, starts[:-1])

@@ -13,6 +13,19 @@ _MIN_MEDIAN = 1e-3  # squared sigmas; simulated features may have no residual at
 _ROUNDS = 3
 
 
+def cauchy(square: F64, scale: float) -> tuple[F64, float]:
+    """Return the Cauchy weights of (N,) squared residuals, and their cost."""
+    q = square / scale**2
+    return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
+
+
+def huber(square: F64, scale: float) -> tuple[F64, float]:
+    """Return the Huber weights of (N,) squared residuals, and their cost."""
+    n = np.sqrt(square)
+    cost = float(np.where(n <= scale, square, 2 * scale * n - scale**2).sum())
+    return scale / np.maximum(n, scale), cost
+
+
 def median_residual(misfit: F64) -> float:
     """Return the (upper) median of the squared residuals a row of N features."""
     middle = len(misfit) // 2  # np.median takes 80 microseconds for the same

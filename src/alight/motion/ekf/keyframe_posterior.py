@@ -75,5 +75,4 @@ def _relative_inflation(p: F64, factor: float) -> F64:
 def _moved(poses: WindowPoses, error: F64) -> WindowPoses:
     """Return the poses with (6K,) errors added."""
     e = error.reshape(-1, CLONE)
-    R = np.array([so3_exp(a[:3]) @ R for a, R in zip(e, poses.R, strict=True)])
-    return replace(poses, R=R, p=poses.p + e[:, 3:])
+    return replace(poses, R=so3_exp(e[:, :3]) @ poses.R, p=poses.p + e[:, 3:])

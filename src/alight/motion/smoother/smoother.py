@@ -112,7 +112,7 @@ class _Batch:
 
     def run(self) -> list[Motion]:
         """Gauss-Newton on all unknowns; the sights' weights follow the residuals."""
-        self._sights.meet(*self._rigs())
+        self._sights.triangulate(*self._rigs())
         for i in range(_ITERATIONS):
             rms = self._sights.reweigh(*self._rigs())
             factors = self._iterate()
