@@ -9,10 +9,10 @@ import twins_motion as twins
 from point_flight import DOWN
 
 from alight.geometry import Camera, Pose, so3_exp
-from alight.motion.elimination import marginalise_points
+from alight.motion.elimination import eliminate_points, marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
-from alight.motion.triangulation import triangulate_window
+from alight.motion.triangulation import triangulate_rays, triangulate_window
 from alight.tracks.corners import corner_response, detect_corners
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
@@ -140,3 +140,53 @@ def test_nothing_seen_is_no_number_but_no_error() -> None:
     assert np.isfinite(triangulate_window(blind, poses, CAMS)).all()
     assert marginalise_points(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
     assert triangulate_window(observations.select(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)
+
+
+def starts_of(rng: np.random.Generator, points: int) -> np.ndarray:
+    """First observation of each point, two to five a point, and their number."""
+    return np.concatenate([[0], np.cumsum(rng.integers(2, 6, points))])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_of_ray_lists_are_those_of_least_squares(seed: int) -> None:
+    """Random rays, two nearly parallel ones (0.1 degrees), and one with a weight of zero."""
+    rng = np.random.default_rng(seed)
+    starts = starts_of(rng, 12)
+    x = np.repeat(rng.uniform(-20, 20, (12, 3)), np.diff(starts), axis=0)
+    origins = rng.uniform(-20, 20, x.shape) + np.array([0.0, 0.0, 60.0])
+    origins[starts[3]], origins[starts[3] + 1] = x[starts[3]] + [0, 0, 60.0], x[starts[3]] + [0.1, 0, 60.0]
+    rays, weight = x - origins + 0.02 * rng.normal(size=x.shape), rng.uniform(0.2, 1.0, len(x))
+    weight[starts[5]] = 0.0
+    found = triangulate_rays(starts, rays, origins, weight)
+    np.testing.assert_allclose(found, twins.nearest_to_rays(starts, rays, origins, weight), rtol=1e-6, atol=1e-6)
+    assert triangulate_rays(starts[:1], rays[:0], origins[:0], weight[:0]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_eliminated_points_are_the_schur_complement_of_the_full_system(damping: float) -> None:
+    """Reduced matrix, right side and back substitution; one point is seen from one pose, one has no depth."""
+    rng = np.random.default_rng(4)
+    starts, poses = starts_of(rng, 9), 4
+    m = int(starts[-1])
+    pose = rng.integers(0, poses, m)
+    pose[starts[2] : starts[3]] = 1
+    residual, by_pose, by_point = rng.normal(size=(m, 2)), rng.normal(size=(m, 2, 6)), rng.normal(size=(m, 2, 3))
+    by_point[starts[6] : starts[7], :, 2] = 0.0
+    H, g, step = twins.schur(starts, residual, by_pose, by_point, 1e-3, damping, pose, poses)
+    points = eliminate_points(starts, residual, by_pose, by_point, 1e-3, damping)
+    G = np.zeros((6 * poses, 9, 3))
+    for k, point in enumerate(np.repeat(np.arange(9), np.diff(starts))):
+        G[6 * pose[k] : 6 * pose[k] + 6, point] += points.coupling[k]
+    G = G.reshape(6 * poses, -1)
+    full, right = np.zeros((6 * poses, 6 * poses)), np.zeros(6 * poses)
+    for k in range(m):
+        at = slice(6 * pose[k], 6 * pose[k] + 6)
+        full[at, at] += by_pose[k].T @ by_pose[k]
+        right[at] += by_pose[k].T @ residual[k]
+    np.testing.assert_allclose(full - G @ G.T, H, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(right - G @ points.reduced_gradient.ravel(), g, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(points.point_step(np.zeros((m, 2))), step, rtol=1e-8, atol=1e-8)
+    moved = np.linalg.solve(H + np.eye(len(H)), g)
+    predicted = np.einsum("nki,ni->nk", by_pose, moved.reshape(poses, 6)[pose])
+    left = twins.schur(starts, residual - predicted, by_pose, by_point, 1e-3, damping, pose, poses)[2]
+    np.testing.assert_allclose(points.point_step(predicted), left, rtol=1e-8, atol=1e-8)

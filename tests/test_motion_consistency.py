@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,12 +16,12 @@ from alight.motion.ekf.keyframe_posterior import refine_keyframes
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
 from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmark
 from alight.motion.elimination import marginalise_points, unit_noise_rows
-from alight.motion.gps_ins import measurements
+from alight.motion.gps_ins import Quantity, measurements
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
-from alight.records import F64, Motion, NavSample
+from alight.records import F64, Motion, NavSample, Tracks
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
@@ -280,3 +282,27 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
         seen.append(as_seen @ found.covariance @ as_seen.T)
     np.testing.assert_allclose(seen[1], seen[0] * (seen[1][0, 0] / seen[0][0, 0]), rtol=1e-6, atol=1e-12)
     assert 0.8 * 250.0 < seen[1][0, 0] / seen[0][0, 0] < 1.2 * 250.0
+
+
+@pytest.mark.parametrize("wrong", [None, Quantity.POSITION, Quantity.VELOCITY])
+def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) -> None:
+    """A position 100 m off, or a velocity 30 m/s off, is rejected alone: health and state follow the others."""
+    f = PointFlight(seed=3, seconds=2.0, count=40)
+    estimator, motions = run([e for e in f.events if f.seconds_of(e) < 1.5], SMALL)
+    last = motions[-1].world_from_body.translation
+    for k, row in enumerate(e for e in f.events if isinstance(e, NavSample) and f.seconds_of(e) >= 1.5):
+        assert row.position_world is not None
+        assert row.velocity_world is not None
+        if wrong is Quantity.POSITION:
+            row = replace(row, position_world=row.position_world + [100.0, 0.0, 0.0])
+        if wrong is Quantity.VELOCITY:
+            row = replace(row, velocity_world=row.velocity_world + [0.0, 30.0, 0.0])
+        estimator.feed_nav(row)
+        state = estimator.state
+        assert state is not None
+        assert np.linalg.norm(state.core[POS] - last) < 5.0
+        if k == 2:
+            break
+    motion = estimator.feed_tracks(next(e for e in f.events if isinstance(e, Tracks) and e.t_ns > state.t_ns))
+    assert motion is not None
+    assert ("GPS is at odds" in motion.why) == (wrong is Quantity.POSITION)

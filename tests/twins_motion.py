@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from alight.geometry import Camera, Pose, skew
-from alight.motion.observations import WindowObservations, WindowPoses
+from alight.motion.observations import Ints, WindowObservations, WindowPoses
 from alight.records import F32, F64, U8
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
@@ -122,3 +122,29 @@ def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequ
         V = np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3)
         x = x + np.linalg.solve(V, np.einsum("nkcdi,nkcd->ni", X, e)[..., None])[..., 0]
     return np.asarray(x)
+
+
+def nearest_to_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
+    """(N, 3) points nearest to weighted rays, point by point."""
+    out = []
+    for a, b in zip(starts[:-1], starts[1:], strict=True):
+        u = rays[a:b] / np.linalg.norm(rays[a:b], axis=1, keepdims=True)
+        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * weight[a:b, None, None]
+        A = across.sum(axis=0) + REGULAR * np.eye(3)
+        out.append(np.linalg.solve(A, np.einsum("nij,nj->i", across, origins[a:b])))
+    return np.array(out).reshape(-1, 3)
+
+
+def schur(
+    starts: Ints, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float, pose: Ints, poses: int
+) -> tuple[F64, F64, F64]:
+    """Reduced matrix, right side, and steps of the points when the poses stay: by the full dense system."""
+    m, n = len(residual), len(starts) - 1
+    J = np.zeros((2 * m, 6 * poses + 3 * n))
+    for k, point in enumerate(np.repeat(np.arange(n), np.diff(starts))):
+        J[2 * k : 2 * k + 2, 6 * pose[k] : 6 * pose[k] + 6] = by_pose[k]
+        J[2 * k : 2 * k + 2, 6 * poses + 3 * point : 6 * poses + 3 * point + 3] = by_point[k]
+    H, g, s = J.T @ J, J.T @ residual.ravel(), 6 * poses
+    H[s:, s:] += damping * np.diag(np.diag(H[s:, s:])) + regular * np.eye(3 * n)
+    gain = np.linalg.solve(H[s:, s:], H[s:, :s]).T
+    return H[:s, :s] - gain @ H[s:, :s], g[:s] - gain @ g[s:], np.linalg.solve(H[s:, s:], g[s:]).reshape(n, 3)
