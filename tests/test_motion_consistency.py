@@ -294,9 +294,9 @@ def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) ->
         assert row.position_world is not None
         assert row.velocity_world is not None
         if wrong is Quantity.POSITION:
-            row = replace(row, position_world=row.position_world + [100.0, 0.0, 0.0])
+            row = replace(row, position_world=row.position_world + np.array([100.0, 0.0, 0.0]))
         if wrong is Quantity.VELOCITY:
-            row = replace(row, velocity_world=row.velocity_world + [0.0, 30.0, 0.0])
+            row = replace(row, velocity_world=row.velocity_world + np.array([0.0, 30.0, 0.0]))
         estimator.feed_nav(row)
         state = estimator.state
         assert state is not None

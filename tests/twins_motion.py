@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -127,7 +128,7 @@ def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequ
 def nearest_to_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
     """(N, 3) points nearest to weighted rays, point by point."""
     out = []
-    for a, b in zip(starts[:-1], starts[1:], strict=True):
+    for a, b in pairwise(starts):
         u = rays[a:b] / np.linalg.norm(rays[a:b], axis=1, keepdims=True)
         across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * weight[a:b, None, None]
         A = across.sum(axis=0) + REGULAR * np.eye(3)

@@ -11,8 +11,7 @@ import logging
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,10 +27,11 @@ from alight.motion.dynamics import (
     nav_decay,
     propagate_covariance,
 )
-from alight.motion.ekf.health import GateCounts, Health, is_diverged
+from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import COURSE_ATTITUDE_SIGMA, MIN_GPS_BASELINE, attitude_from_course
 from alight.motion.ekf.keyframe_posterior import RefinedPoses
 from alight.motion.ekf.landmarks import Gate
+from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
 from alight.motion.ekf.state import (
     ACC,
@@ -64,48 +64,9 @@ _MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which th
 _MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
 _RATE_HALF_WINDOW_NS, _RATE_SAMPLES = 15_000_000, 7  # ns and samples over which the angular velocity is averaged
-_NEVER = -(1 << 62)  # ns
 _OPEN_RATE_SIGMA = 0.5  # rad/s, angular velocity at a start without IMU
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
 _MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the filter starts anew
-
-
-@dataclass(eq=False)
-class FilterMemory:
-    """All that changes from event to event, except the inertial measurements and the recording of the flight."""
-
-    visual: VisualUpdate
-    health: Health
-    state: FilterState | None = None
-    predicted: Step | None = None  # the state as last predicted: first estimate, where Jacobians are taken
-    inertial: bool = False  # whether an IMU drives the motion
-    nav_sigma: F64 = field(default_factory=lambda: np.ones(9))  # of the last GPS/INS row
-    last_exposure_ns: int = _NEVER
-    inflations: int = 0  # of the attitude, in a row
-    map_number: int = 0
-    lost: bool = False
-    last_nav: NavSample | None = None
-    last_positioned: tuple[Tracks, F64] | None = None  # last exposure with a GPS position (m) and no attitude
-
-    def copy(self) -> FilterMemory:
-        """Return an independent copy; records and arrays that are only replaced, never changed, are shared."""
-        state = self.state.copy() if self.state is not None else None
-        return replace(self, visual=self.visual.copy(), health=copy(self.health), state=state)
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """A filter at one moment."""
-
-    t_ns: int
-    memory: FilterMemory
-    exposures: int  # recorded so far
-    rows: int  # of GPS/INS, recorded so far
-
-    @property
-    def state(self) -> FilterState | None:
-        """State of the filter; None before the first GPS/INS row."""
-        return self.memory.state
 
 
 class MotionFilter:
@@ -246,7 +207,7 @@ class MotionFilter:
     @property
     def time_ns(self) -> int:
         """Time of the state, by the clock of GPS/INS."""
-        return self._memory.state.t_ns if self._memory.state is not None else _NEVER
+        return self._memory.state.t_ns if self._memory.state is not None else NEVER_NS
 
     @property
     def state(self) -> FilterState | None:

@@ -9,7 +9,7 @@ import numpy as np
 from alight.motion.ekf.state import ATT, VEL, FilterState
 from alight.records import MotionState
 
-_NEVER = -(1 << 62)  # ns
+NEVER_NS = -(1 << 62)  # ns, a time before all events
 _MIN_SUPPORT = 8  # features that pass their gates; with fewer the cameras do not hold the motion
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
 _PHOTO_INTERVALS = 2.5  # the same in intervals between exposures: photos come every few seconds
@@ -41,7 +41,7 @@ class Health:
     def __init__(self, coast: float) -> None:
         """Take the time [s] without any support after which the motion is lost."""
         self._coast = coast
-        self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = _NEVER
+        self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = NEVER_NS
         self._settled = self._contradictions = 0
         self._innovation = 1.0
         self._interval = 0.0  # s between the last two exposures

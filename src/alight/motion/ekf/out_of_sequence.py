@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
-from alight.motion.ekf.filter import MotionFilter, Snapshot
+from alight.motion.ekf.filter import MotionFilter
+from alight.motion.ekf.memory import Snapshot
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import FilterState
 from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, Prediction, Rig, Tracks
