@@ -8,6 +8,7 @@ from alight.geometry import Camera, Pose, skew
 from alight.records import F64, Tracks
 from alight.settings import FilterSettings
 
+POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])  # takes (rotation, position) of a pose to (position, rotation)
 MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
 
 

@@ -15,14 +15,13 @@ from scipy import sparse
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion.bundle.matching import BundleObservations
 from alight.motion.elimination import EliminatedPoints, eliminate_points, sum_by_point
-from alight.motion.projection import MIN_DEPTH, in_camera, jacobians
+from alight.motion.projection import MIN_DEPTH, POSITION_FIRST, in_camera, jacobians
 from alight.motion.robust import cauchy, huber
 from alight.motion.triangulation import triangulate_rays
 from alight.records import F64
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
-_POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])  # (rotation, position) to the order of a photo's unknowns
 _CAMERA = Pose(np.eye(3))  # a photo's pose is that of its camera
 
 
@@ -113,7 +112,7 @@ def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> t
         [(camera.distort(xy + e) - camera.distort(xy - e)) / (2 * h) for e in ([h, 0.0], [0.0, h])], axis=2
     )
     lens = by_xy * f[:, None]  # pixels by normalised coordinates
-    pose, point = lens @ by_pose[:, :, _POSITION_FIRST], lens @ by_point
+    pose, point = lens @ by_pose[:, :, POSITION_FIRST], lens @ by_point
     return residuals(state, obs, priors), pose, point, _by_lens(state, xy, priors)
 
 

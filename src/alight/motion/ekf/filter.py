@@ -46,7 +46,6 @@ from alight.motion.ekf.state import (
     NAV_POS,
     OFFSET,
     POS,
-    POSITION_FIRST,
     TIME,
     VEL,
     FilterState,
@@ -54,6 +53,7 @@ from alight.motion.ekf.state import (
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.preintegration import Preintegral
+from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import F64, ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Prediction, Rig, Tracks
 from alight.settings import FilterSettings

@@ -34,7 +34,6 @@ TIME = slice(30, 31)  # s that the cameras' stamps are ahead of the clock of GPS
 CORE = 31
 CLONE = 6  # errors of a clone: (rotation, position)
 LANDMARK = 3
-POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])  # rows of a clone in the order of records: (position, rotation)
 _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 
 
