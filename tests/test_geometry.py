@@ -97,6 +97,18 @@ def test_no_rotation_has_no_vector() -> None:
     assert_allclose(so3_exp([0.0, 0.0, 0.0]), np.eye(3))
 
 
+def test_batches_of_rotations_are_those_of_one() -> None:
+    """Exponential, logarithm and cross product; zero, tiny angles and nearly half a turn included."""
+    rng = np.random.default_rng(0)
+    w = rng.normal(size=(40, 3))
+    w *= (np.geomspace(1e-12, np.pi - 1e-6, 40) / np.linalg.norm(w, axis=1))[:, None]
+    w[0] = 0.0
+    assert_allclose(so3_exp(w), [so3_exp(v) for v in w], atol=2e-15)
+    assert_allclose(so3_log(so3_exp(w)), [so3_log(so3_exp(v)) for v in w], atol=1e-9)
+    assert_allclose(skew(w.reshape(8, 5, 3))[3, 2], skew(w[17]))
+    assert so3_exp(np.zeros((0, 3))).shape == (0, 3, 3)
+
+
 @given(vector, vector)
 def test_skew_is_the_cross_product(a: np.ndarray, b: np.ndarray) -> None:
     assert_allclose(skew(a) @ b, np.cross(a, b), atol=1e-15)

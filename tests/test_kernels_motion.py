@@ -9,9 +9,11 @@ import twins_motion as twins
 from point_flight import DOWN
 
 from alight.geometry import Camera, Pose, so3_exp
-from alight.motion.ekf.observations import WindowObservations, WindowPoses, marginalise_points, triangulate_window
+from alight.motion.elimination import eliminate_points, marginalise_points
+from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
-from alight.tracks.corners import corners, strength
+from alight.motion.triangulation import triangulate_rays, triangulate_window
+from alight.tracks.corners import corner_response, detect_corners
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
 
@@ -29,13 +31,13 @@ def test_texture_is_that_of_the_whole_picture(window: int) -> None:
     """Inside, over the edge (mirrored), and outside (taken at the edge)."""
     image, rng = picture(0), np.random.default_rng(1)
     pixels = np.vstack([rng.uniform(0, 1, (200, 2)) * [159, 119], [[-5, 3], [400, 119], [159, 0]]]).astype(np.float32)
-    np.testing.assert_allclose(strength(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
+    np.testing.assert_allclose(corner_response(image, pixels, window), twins.texture(image, pixels, window), rtol=1e-4)
 
 
 def test_corners_are_the_strongest_of_their_boxes() -> None:
     image, cell = picture(2), 30.0
     taken = np.array([[45.0, 50.0], [100.5, 20.0]], np.float32)
-    found = corners(image, taken, cell, 1e-6)
+    found = detect_corners(image, taken, cell, 1e-6)
     soft = cv2.GaussianBlur(image, (3, 3), 0)
     wanted = []
     for top in range(0, 120, 30):
@@ -49,7 +51,7 @@ def test_corners_are_the_strongest_of_their_boxes() -> None:
 
 
 def test_an_empty_box_has_no_corner() -> None:
-    assert corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
+    assert detect_corners(np.full((60, 80), 9, np.uint8), np.zeros((0, 2), np.float32), 20.0, 1e-6).shape == (0, 2)
 
 
 def test_patches_settle_where_least_squares_says() -> None:
@@ -62,7 +64,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
     there, turn = pixels @ map_[:, :2].T + map_[:, 2], np.tile(np.array([[c, s], [-s, c]]), (20, 1, 1))
     other = np.round(0.5 * turned + 20.0).astype(np.uint8)
-    found, good = patches.found(other, there + 0.6, turn, 15)
+    found, good = patches.locate(other, there + 0.6, turn, 15)
     assert good.sum() >= 15
     np.testing.assert_allclose(found[good], there[good], atol=0.05)
     for k in np.flatnonzero(good)[:6]:
@@ -77,12 +79,12 @@ def test_what_is_not_there_is_not_found() -> None:
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
     patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
-    assert patch.found(image, pixels, ahead, 15)[1].all()
-    assert not patch.found(elsewhere, pixels, ahead, 15)[1].any()
-    assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
-    assert not patch.found(image, pixels, 4.0 * ahead, 15)[1].any()
+    assert patch.locate(image, pixels, ahead, 15)[1].all()
+    assert not patch.locate(elsewhere, pixels, ahead, 15)[1].any()
+    assert not patch.locate(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
+    assert not patch.locate(image, pixels, 4.0 * ahead, 15)[1].any()
     flat = FeaturePatches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
-    assert not flat.found(image, pixels, ahead, 15)[1].any()
+    assert not flat.locate(image, pixels, ahead, 15)[1].any()
     assert len(FeaturePatches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 
@@ -116,13 +118,13 @@ def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
-    sights, poses = scene(seed)
-    x = triangulate_window(sights, poses, CAMS)
-    np.testing.assert_allclose(x[1:], twins.meet(sights, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
-    found, wanted = marginalise_points(sights, poses, CAMS, x), twins.eliminate(sights, poses, CAMS, x)
+    observations, poses = scene(seed)
+    x = triangulate_window(observations, poses, CAMS)
+    np.testing.assert_allclose(x[1:], twins.triangulate(observations, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
+    found, wanted = marginalise_points(observations, poses, CAMS, x), twins.eliminate(observations, poses, CAMS, x)
     for name in ("b", "misfit", "freedom", "point_covariance", "step"):
         np.testing.assert_allclose(getattr(found, name), wanted[name], rtol=1e-6, atol=1e-6, err_msg=name)
-    np.testing.assert_allclose(found.by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(found.point_by_poses(), wanted["by_poses"], rtol=1e-6, atol=1e-6)
     one = np.zeros(30)
     one[4] = 1.0
     np.testing.assert_allclose(found.information(one)[0], wanted["A"][4], rtol=1e-6, atol=1e-5)
@@ -131,8 +133,60 @@ def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
 
 def test_nothing_seen_is_no_number_but_no_error() -> None:
     """A feature without a sight, and none at all."""
-    sights, poses = scene(0)
-    blind = WindowObservations(sights.ids[:1], np.full_like(sights.seen[:1], np.nan), sights.sigma[:1])
+    observations, poses = scene(0)
+    blind = WindowObservations(
+        observations.ids[:1], np.full_like(observations.normalised[:1], np.nan), observations.sigma[:1]
+    )
     assert np.isfinite(triangulate_window(blind, poses, CAMS)).all()
     assert marginalise_points(blind, poses, CAMS, np.zeros((1, 3))).freedom[0] == -3
-    assert triangulate_window(sights.rows(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)
+    assert triangulate_window(observations.select(np.zeros(30, bool)), poses, CAMS).shape == (0, 3)
+
+
+def starts_of(rng: np.random.Generator, points: int) -> np.ndarray:
+    """First observation of each point, two to five a point, and their number."""
+    return np.concatenate([[0], np.cumsum(rng.integers(2, 6, points))])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_of_ray_lists_are_those_of_least_squares(seed: int) -> None:
+    """Random rays, two nearly parallel ones (0.1 degrees), and one with a weight of zero."""
+    rng = np.random.default_rng(seed)
+    starts = starts_of(rng, 12)
+    x = np.repeat(rng.uniform(-20, 20, (12, 3)), np.diff(starts), axis=0)
+    origins = rng.uniform(-20, 20, x.shape) + np.array([0.0, 0.0, 60.0])
+    origins[starts[3]], origins[starts[3] + 1] = x[starts[3]] + [0, 0, 60.0], x[starts[3]] + [0.1, 0, 60.0]
+    rays, weight = x - origins + 0.02 * rng.normal(size=x.shape), rng.uniform(0.2, 1.0, len(x))
+    weight[starts[5]] = 0.0
+    found = triangulate_rays(starts, rays, origins, weight)
+    np.testing.assert_allclose(found, twins.nearest_to_rays(starts, rays, origins, weight), rtol=1e-6, atol=1e-6)
+    assert triangulate_rays(starts[:1], rays[:0], origins[:0], weight[:0]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+def test_eliminated_points_are_the_schur_complement_of_the_full_system(damping: float) -> None:
+    """Reduced matrix, right side and back substitution; one point is seen from one pose, one has no depth."""
+    rng = np.random.default_rng(4)
+    starts, poses = starts_of(rng, 9), 4
+    m = int(starts[-1])
+    pose = rng.integers(0, poses, m)
+    pose[starts[2] : starts[3]] = 1
+    residual, by_pose, by_point = rng.normal(size=(m, 2)), rng.normal(size=(m, 2, 6)), rng.normal(size=(m, 2, 3))
+    by_point[starts[6] : starts[7], :, 2] = 0.0
+    H, g, step = twins.schur(starts, residual, by_pose, by_point, 1e-3, damping, pose, poses)
+    points = eliminate_points(starts, residual, by_pose, by_point, 1e-3, damping)
+    G = np.zeros((6 * poses, 9, 3))
+    for k, point in enumerate(np.repeat(np.arange(9), np.diff(starts))):
+        G[6 * pose[k] : 6 * pose[k] + 6, point] += points.coupling[k]
+    G = G.reshape(6 * poses, -1)
+    full, right = np.zeros((6 * poses, 6 * poses)), np.zeros(6 * poses)
+    for k in range(m):
+        at = slice(6 * pose[k], 6 * pose[k] + 6)
+        full[at, at] += by_pose[k].T @ by_pose[k]
+        right[at] += by_pose[k].T @ residual[k]
+    np.testing.assert_allclose(full - G @ G.T, H, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(right - G @ points.reduced_gradient.ravel(), g, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(points.point_step(np.zeros((m, 2))), step, rtol=1e-8, atol=1e-8)
+    moved = np.linalg.solve(H + np.eye(len(H)), g)
+    predicted = np.einsum("nki,ni->nk", by_pose, moved.reshape(poses, 6)[pose])
+    left = twins.schur(starts, residual - predicted, by_pose, by_point, 1e-3, damping, pose, poses)[2]
+    np.testing.assert_allclose(points.point_step(predicted), left, rtol=1e-8, atol=1e-8)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,20 +12,16 @@ from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
 from alight.geometry import Pose, skew, so3_exp, so3_log
-from alight.motion.ekf.keyframe_posterior import refine
-from alight.motion.ekf.landmarks import MISSES, count_misses
-from alight.motion.ekf.observations import (
-    WindowObservations,
-    WindowPoses,
-    as_rows,
-    marginalise_points,
-    triangulate_window,
-)
-from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Point
-from alight.motion.gps_ins import measurements
+from alight.motion.ekf.keyframe_posterior import refine_keyframes
+from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
+from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmark
+from alight.motion.elimination import marginalise_points, unit_noise_rows
+from alight.motion.gps_ins import Quantity, measurements
+from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
-from alight.motion.robust import agree_on_poses
-from alight.records import F64, Motion, NavSample
+from alight.motion.robust import robust_pose_weights
+from alight.motion.triangulation import triangulate_window
+from alight.records import F64, Motion, NavSample, Tracks
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected
@@ -107,37 +105,39 @@ def test_misfits_follow_the_poses(seed: int) -> None:
     """What features miss by after their poses have moved a little: as computed anew from there."""
     rng = np.random.default_rng(seed)
     poses, x = row_of_poses(rng), ground(rng)
-    sights, error = seen_from(poses, x, rng, 1e-3), 1e-4 * rng.normal(size=24) * np.tile([1, 1, 1, 20, 20, 20], 4)
+    observations, error = seen_from(poses, x, rng, 1e-3), 1e-4 * rng.normal(size=24) * np.tile([1, 1, 1, 20, 20, 20], 4)
     e = error.reshape(-1, 6)
     R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
     moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-    there = marginalise_points(sights, moved, CAMS, triangulate_window(sights, moved, CAMS)).misfit
-    said = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS)).misfits(error)
+    there = marginalise_points(observations, moved, CAMS, triangulate_window(observations, moved, CAMS)).misfit
+    said = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS)).misfit_at(error)
     np.testing.assert_allclose(said, there, rtol=0.05, atol=0.2)
 
 
-def test_most_of_the_ground_is_believed() -> None:
-    """A third of the features drifts along together by a sigma from pose to pose, as water does: inside every gate.
-    They get little weight, and the ring is less than twice as far off as with the others alone; believed alike, three
-    times as far as that."""
+def test_features_that_drift_together_get_little_weight() -> None:
+    """A third of the features drifts by a sigma from pose to pose, as water does: inside every gate.
+
+    They get little weight, and the poses are less than twice as far off as with the others alone; with equal weights
+    three times as far as that.
+    """
     rng, drift = np.random.default_rng(9), np.array([1.0, 0.4]) * 1e-3
     off: dict[str, list[float]] = {"all": [], "still": [], "alike": []}
     for _ in range(10):
         poses, x = row_of_poses(rng, 6), ground(rng, 60)
-        sights = seen_from(poses, x, rng, 3e-4)
+        observations = seen_from(poses, x, rng, 3e-4)
         moves = np.arange(60) < 20
-        sights.seen[moves] += np.arange(6)[:, None, None] * drift
+        observations.normalised[moves] += np.arange(6)[:, None, None] * drift
         state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
         for k in range(6):
             state.R, state.core[3:6] = poses.R[k], poses.p[k]
             state.add_clone(k)
         state.P[CORE:, :] = state.P[:, CORE:] = 0.0
         state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 1e-2], 3), 6))
-        found = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS))
-        weight = agree_on_poses(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
+        found = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS))
+        weight = robust_pose_weights(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
-        for name, some in (("all", sights), ("still", sights.rows(~moves))):
-            p = refine(state, some, CAMS, ALIKE).p - poses.p
+        for name, some in (("all", observations), ("still", observations.select(~moves))):
+            p = refine_keyframes(state, some, CAMS, ALIKE).p - poses.p
             off[name].append(float(np.linalg.norm(p[-1] - p[0])))
         A, b = found.information(np.ones(60))
         e = (np.linalg.solve(np.eye(36) + state.P[CORE:, CORE:] @ A, state.P[CORE:, CORE:] @ b)).reshape(-1, 6)
@@ -150,12 +150,12 @@ def test_most_of_the_ground_is_believed() -> None:
 def test_a_point_that_lags_behind_is_dropped() -> None:
     """Residuals always on one side, among points whose residuals are nearly as large and on any side."""
     rng = np.random.default_rng(2)
-    points = [Point(k, np.zeros(3), np.zeros(3)) for k in range(12)]
+    points = [Landmark(k, np.zeros(3), np.zeros(3)) for k in range(12)]
     for _ in range(12):
         residual = 0.5 * rng.normal(size=(12, 4)) / 2.0
         residual[0] = 0.4 * np.array([1.0, -1.0, 1.0, -1.0]) + 0.02 * rng.normal(size=4)
-        count_misses(points, residual)
-    assert [q.misses >= MISSES for q in points] == [True] + [False] * 11
+        reject_moving(points, residual)
+    assert [q.rejections >= MAX_REJECTIONS for q in points] == [True] + [False] * 11
 
 
 def test_gps_and_ins_rows_agree_with_differences() -> None:
@@ -169,9 +169,11 @@ def test_gps_and_ins_rows_agree_with_differences() -> None:
     def left(error: F64) -> F64:
         R = so3_exp(error[:3]) @ state.R
         core = np.concatenate([state.core[:3], state.core[3:] + error[3:]])
-        return np.concatenate([r for r, _, _ in measurements(FilterState(0, R, core, state.P), sample, sigma, NOISE)])
+        return np.concatenate(
+            [z.residual for z in measurements(FilterState(0, R, core, state.P), sample, sigma, NOISE)]
+        )
 
-    H = np.concatenate([H for _, H, _ in measurements(state, sample, sigma, NOISE)])
+    H = np.concatenate([z.H for z in measurements(state, sample, sigma, NOISE)])
     numeric = np.column_stack([(left(h * e) - left(-h * e)) / (2 * h) for e in np.eye(CORE)])
     np.testing.assert_allclose(-H, numeric, atol=5e-3)
 
@@ -183,7 +185,7 @@ def test_a_new_clone_agrees_with_differences() -> None:
     state.core[MOUNT], state.P[TIME, TIME] = 1e-3 * rng.normal(size=3), 0.0
     before = np.maximum(state.P.diagonal(), 1.0)
     state.add_clone(0)
-    J = state.P[state.clone_at(0), :CORE] / before
+    J = state.P[state.clone_slice(0), :CORE] / before
     for part in (ATT, MOUNT):
         for k, e in enumerate(h * np.eye(3)):
             R = so3_exp(e) @ state.R if part is ATT else state.R
@@ -197,25 +199,29 @@ def test_eliminated_rows_agree_with_differences() -> None:
     """The gradient of the misfit, points at their best, by the poses: numerical and -2 b."""
     rng = np.random.default_rng(5)
     poses, x = row_of_poses(rng, 3), ground(rng, 6)
-    sights = seen_from(poses, x, rng, 1e-3)
+    observations = seen_from(poses, x, rng, 1e-3)
 
     def misfit(d: F64) -> float:
         e = d.reshape(-1, 6)
         R = np.array([so3_exp(a[:3]) @ Q for a, Q in zip(e, poses.R, strict=True)])
         moved = WindowPoses(R, poses.p + e[:, 3:], R, poses.p + e[:, 3:])
-        return float(marginalise_points(sights, moved, CAMS, triangulate_window(sights, moved, CAMS)).misfit.sum())
+        return float(
+            marginalise_points(observations, moved, CAMS, triangulate_window(observations, moved, CAMS)).misfit.sum()
+        )
 
-    _, b = marginalise_points(sights, poses, CAMS, triangulate_window(sights, poses, CAMS)).information(np.ones(6))
+    _, b = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS)).information(
+        np.ones(6)
+    )
     h = 1e-6
     numeric = np.array([(misfit(h * e) - misfit(-h * e)) / (2 * h) for e in np.eye(18)])
     np.testing.assert_allclose(-2.0 * b, numeric, rtol=1e-3, atol=2e-3 * np.abs(b).max())
 
 
-def test_rows_say_what_the_information_says() -> None:
+def test_rows_of_unit_noise_have_the_information() -> None:
     rng = np.random.default_rng(6)
     J = rng.normal(size=(9, 12))
     A, b = J.T @ J, J.T @ rng.normal(size=9)  # rank 9 of 12
-    r, H = as_rows(A, b)
+    r, H = unit_noise_rows(A, b)
     assert len(r) == 9
     np.testing.assert_allclose(H.T @ H, A, atol=1e-9)
     np.testing.assert_allclose(H.T @ r, b, atol=1e-9)
@@ -235,7 +241,7 @@ def test_a_correction_is_that_of_least_squares() -> None:
 
 
 def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
-    """Poses of a loose prior and many sights come out where the sights want them, and claim no less than they are."""
+    """Poses with a loose prior and many observations: errors are small, and as large as their covariance."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
     state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
@@ -244,10 +250,10 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
         off = np.zeros(6) if k == 0 else rng.normal(size=6) * np.repeat([2e-3, 0.2], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
         state.add_clone(k)
-        at = state.clone_at(k)
+        at = state.clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))
-    found = refine(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE)
+    found = refine_keyframes(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE)
     e = (found.p - true.p).ravel()
     assert np.abs(e).max() < 0.15
     sigma = np.sqrt(np.diag(found.covariance).reshape(4, 6)[1:, 3:]).ravel()
@@ -255,8 +261,8 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
 
 
 def test_a_ring_claims_less_where_the_sights_disagree() -> None:
-    """Sights that miss by five times their sigma, ten of which count as one: poses as seen from the last one get 10 x
-    25 times the variance, and what is claimed of that one stays."""
+    """Residuals of five sigmas, ten observations counted as one: poses relative to the last one get 10 x 25 times the
+    variance, and the covariance of the last one stays."""
     rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
     true, x = row_of_poses(rng, 4), ground(rng, 200)
     state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
@@ -265,8 +271,8 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
         state.add_clone(k)
     state.P[CORE:, :] = state.P[:, CORE:] = 0.0
     state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-2, 100.0], 3), 4))
-    sights = seen_from(true, x, rng, 5e-3)
-    tight, loose = (refine(state, sights, CAMS, s) for s in (ALIKE, wide))
+    observations = seen_from(true, x, rng, 5e-3)
+    tight, loose = (refine_keyframes(state, observations, CAMS, s) for s in (ALIKE, wide))
     np.testing.assert_array_equal(loose.p, tight.p)
     np.testing.assert_allclose(loose.covariance[-6:, -6:], tight.covariance[-6:, -6:])
     seen = []
@@ -276,3 +282,27 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
         seen.append(as_seen @ found.covariance @ as_seen.T)
     np.testing.assert_allclose(seen[1], seen[0] * (seen[1][0, 0] / seen[0][0, 0]), rtol=1e-6, atol=1e-12)
     assert 0.8 * 250.0 < seen[1][0, 0] / seen[0][0, 0] < 1.2 * 250.0
+
+
+@pytest.mark.parametrize("wrong", [None, Quantity.POSITION, Quantity.VELOCITY])
+def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) -> None:
+    """A position 100 m off, or a velocity 30 m/s off, is rejected alone: health and state follow the others."""
+    f = PointFlight(seed=3, seconds=2.0, count=40)
+    estimator, motions = run([e for e in f.events if f.seconds_of(e) < 1.5], SMALL)
+    last = motions[-1].world_from_body.translation
+    for k, row in enumerate(e for e in f.events if isinstance(e, NavSample) and f.seconds_of(e) >= 1.5):
+        assert row.position_world is not None
+        assert row.velocity_world is not None
+        if wrong is Quantity.POSITION:
+            row = replace(row, position_world=row.position_world + np.array([100.0, 0.0, 0.0]))
+        if wrong is Quantity.VELOCITY:
+            row = replace(row, velocity_world=row.velocity_world + np.array([0.0, 30.0, 0.0]))
+        estimator.feed_nav(row)
+        state = estimator.state
+        assert state is not None
+        assert np.linalg.norm(state.core[POS] - last) < 5.0
+        if k == 2:
+            break
+    motion = estimator.feed_tracks(next(e for e in f.events if isinstance(e, Tracks) and e.t_ns > state.t_ns))
+    assert motion is not None
+    assert ("GPS is at odds" in motion.why) == (wrong is Quantity.POSITION)

@@ -16,7 +16,7 @@ from alight.motion.ekf.state import POS, VEL
 from alight.records import F64, Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
 from alight.tracks import Tracker
-from alight.tracks.search_region import scatter, within
+from alight.tracks.search_region import inside_search_region, pixel_covariance
 
 STEP = 100_000_000  # ns between two exposures
 
@@ -51,7 +51,7 @@ def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
 def test_the_change_of_the_pose_is_as_uncertain_as_the_state_makes_it(imu: bool) -> None:
     """Against the derivatives of the prediction itself, by each error of the state; what time adds comes on top."""
     f, then, now, rows = after(2.0, imu)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     expected = said.cameras(now, then, rows)
     assert expected.covariance is not None
@@ -82,7 +82,7 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
 def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None:
     """As when tracking runs ahead by one exposure: two steps from one state, and less sure than one from the later."""
     f, then, now, rows = after(2.0)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     ahead = said.cameras(now + STEP, now, rows)
     assert ahead.earlier is not None
@@ -96,7 +96,7 @@ def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None
 
 def test_what_came_before_the_state_has_no_covariance() -> None:
     f, then, now, rows = after(2.0)
-    said = f.forecast()
+    said = f.predictor()
     assert said is not None
     assert said.cameras(now, then - STEP, rows).covariance is None
     assert said.cameras(now, None, rows).earlier is None
@@ -115,7 +115,7 @@ def test_pixels_scatter_as_poses_and_depths_do() -> None:
     rng, at = np.random.default_rng(1), np.array([[1.0, -2.0, 20.0], [-4.0, 3.0, 30.0]])
     root = np.diag([2e-3, 1e-3, 3e-3, 0.02, 0.05, 0.1]) @ so3_pair(rng)
     deep = np.array([[0.2, 0.0, 0.5], [0.0, 0.1, -0.3]])
-    said = scatter(at, deep, FOCAL, root @ root.T)
+    said = pixel_covariance(at, deep, FOCAL, root @ root.T)
     for k in range(2):
         draw = rng.normal(size=(4000, 6)) @ root.T
         x = at[k] + rng.normal(size=(4000, 1)) * deep[k]
@@ -132,7 +132,7 @@ def so3_pair(rng: np.random.Generator) -> F64:
 def test_within_is_an_ellipse() -> None:
     covariance = np.tile(np.diag([9.0, 0.0]), (4, 1, 1))
     off = np.array([[12.0, 0.0], [13.0, 0.0], [0.0, 3.9], [0.0, 4.1]], np.float32)
-    assert within(off, covariance, 4.0, 1.0).tolist() == [True, False, True, False]
+    assert inside_search_region(off, covariance, 4.0, 1.0).tolist() == [True, False, True, False]
 
 
 def followed(sigma: float | None) -> tuple[int, int]:

@@ -13,12 +13,12 @@ from point_flight import PointFlight, best, run
 from test_motion_consistency import ALIKE, CAMS, ground, row_of_poses, seen_from
 
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.ekf.keyframe_posterior import refine
+from alight.motion.ekf.keyframe_posterior import refine_keyframes
 from alight.motion.ekf.state import CORE, FilterState
 
 
 def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndarray]:
-    """Poses off by what their prior says; the sights of forty points from where they truly are."""
+    """Poses off by what their prior says; the observations of forty points from where they truly are."""
     rng = np.random.default_rng(seed)
     true, x = row_of_poses(rng, count), ground(rng, 40)
     state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
@@ -26,19 +26,21 @@ def loose_state(seed: int, count: int = 5) -> tuple[FilterState, object, np.ndar
         off = rng.normal(size=6) * np.repeat([2e-3, 0.1], 3)
         state.R, state.core[3:6] = so3_exp(off[:3]) @ true.R[k], true.p[k] + off[3:]
         state.add_clone(k)
-        at = state.clone_at(k)
+        at = state.clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 1e-2], 3))
     return state, seen_from(true, x, rng, 1e-3), x
 
 
 def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same priors and sights, every sight believed alike, solved by gtsam's Levenberg-Marquardt over all points:
-    poses to 2 mm and 0.05 mrad, claimed sigmas to 3 %."""
-    monkeypatch.setattr("alight.motion.robust.robust_weights", lambda misfit, usual: np.ones(len(misfit)))
+    """The same priors and observations with equal weights, solved by gtsam's Levenberg-Marquardt over all points.
+
+    Poses agree to 2 mm and 0.05 mrad, sigmas to 3 %.
+    """
+    monkeypatch.setattr("alight.motion.robust.robust_weights", lambda misfit, median: np.ones(len(misfit)))
     gtsam = pytest.importorskip("gtsam", reason="gtsam is not installed: pip install 'alight[reference]'")
-    state, sights, x = loose_state(1)
-    found = refine(state, sights, CAMS, ALIKE)  # type: ignore[arg-type]
+    state, observations, x = loose_state(1)
+    found = refine_keyframes(state, observations, CAMS, ALIKE)  # type: ignore[arg-type]
     graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([2e-3, 0.1], 3))
     pixel, lens = gtsam.noiseModel.Isotropic.Sigma(2, 1e-3), gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
@@ -51,7 +53,7 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
         start.insert(1000 + j, point)
         for k in range(len(state.clones)):
             for i, body in enumerate(bodies):
-                z = sights.seen[j, k, i]  # type: ignore[attr-defined]
+                z = observations.normalised[j, k, i]  # type: ignore[attr-defined]
                 graph.add(gtsam.GenericProjectionFactorCal3_S2(z, pixel, k, 1000 + j, lens, body))
     result = gtsam.LevenbergMarquardtOptimizer(graph, start).optimize()
     marginals = gtsam.Marginals(graph, result)

@@ -9,9 +9,9 @@ import pytest
 from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import TracksSettings as Settings
-from alight.tracks import Tracker, corners, epipolar_distance, inverse_depth, strength
+from alight.tracks import Tracker, corner_response, detect_corners, epipolar_distance, inverse_depth
 from alight.tracks.lens import Lens
-from alight.tracks.patches import GroundPlane, view_warps
+from alight.tracks.patches import GroundPlane, patch_warps
 
 HEIGHT, FOCAL = 20.0, 300.0
 CAMERA = Camera(320, 240, FOCAL, FOCAL, 159.5, 119.5)
@@ -111,7 +111,7 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
     here = pose(0.0) @ Pose(so3_exp([tilt, 0.0, 0.0]))
     then = pose(0.4, -0.2, 0.1) @ Pose(so3_exp([tilt, 0.05, 0.0]))
     pixels = np.array([[160.0, 120.0], [60.0, 200.0], [250.0, 180.0]])
-    below, then_from_here = GroundPlane.below(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
+    below, then_from_here = GroundPlane.under(here, np.full(3, HEIGHT / np.cos(tilt))), then.inverse @ here
 
     def there(at: np.ndarray) -> np.ndarray:
         rays = camera.rays(at)
@@ -119,7 +119,7 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
         depth = HEIGHT / -world[:, 2] if tilt < 1.0 else np.full(len(at), HEIGHT / np.cos(tilt))
         return camera.project(then_from_here.apply(rays * depth[:, None]))
 
-    found = view_warps(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
+    found = patch_warps(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
     for k, step in enumerate(np.eye(2)):
         wanted = (there(pixels + step) - there(pixels - step)) / 2
         np.testing.assert_allclose(found[:, :, k], wanted, atol=0.004)
@@ -241,7 +241,7 @@ def test_colour_and_grey_give_the_same(ground: np.ndarray) -> None:
 def test_corners_keep_clear_of_what_is_taken(ground: np.ndarray) -> None:
     image = picture(ground, pose(0.0))
     taken = np.array([[50.0, 60.0], [200.0, 100.0]], np.float32)
-    found = corners(image, taken, 30.0, 1e-5)
+    found = detect_corners(image, taken, 30.0, 1e-5)
     distance = np.linalg.norm(found[:, None] - taken[None], axis=2)
     assert len(found) > 40
     assert distance.min() > 0.6 * 30.0
@@ -251,7 +251,7 @@ def test_strength_grows_with_contrast(ground: np.ndarray) -> None:
     image = picture(ground, pose(0.0))
     weak = (128 + (image.astype(float) - 128) / 4).astype(np.uint8)
     at = np.array([[100.0, 100.0], [-3.0, 500.0]], np.float32)  # outside is taken at the edge
-    ratio = strength(image, at, 21) / strength(weak, at, 21)
+    ratio = corner_response(image, at, 21) / corner_response(weak, at, 21)
     np.testing.assert_allclose(ratio, 16.0, rtol=0.15)
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cv2
 import numpy as np
 
-from alight.geometry import Camera, Pose
-from alight.motion.ekf.observations import WindowObservations, WindowPoses
-from alight.motion.rotations import skews
+from alight.geometry import Camera, Pose, skew
+from alight.motion.observations import Ints, WindowObservations, WindowPoses
 from alight.records import F32, F64, U8
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
@@ -65,27 +65,29 @@ def _in_cameras(R: F64, p: F64, cams: Sequence[Pose], x: F64) -> F64:
     return np.stack([(rig - c.translation) @ c.rotation for c in cams], axis=2)
 
 
-def linearise(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> tuple[F64, F64, F64]:
+def linearise(
+    observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64
+) -> tuple[F64, F64, F64]:
     """Residuals (N, K, C, 2) at the estimates, Jacobians by pose and by point at the first ones (M11)."""
     now, first = _in_cameras(poses.R, poses.p, cams, x), _in_cameras(poses.first_R, poses.first_p, cams, x)
-    ok = np.isfinite(sights.seen[..., 0]) & (now[..., 2] > NEAR) & (first[..., 2] > NEAR)
-    weight = np.where(ok, 1.0 / sights.sigma[..., None], 0.0)
+    ok = np.isfinite(observations.normalised[..., 0]) & (now[..., 2] > NEAR) & (first[..., 2] > NEAR)
+    weight = np.where(ok, 1.0 / observations.sigma[..., None], 0.0)
     now, first = np.where(ok[..., None], now, 1.0), np.where(ok[..., None], first, 1.0)
-    residual = np.where(ok[..., None], sights.seen - now[..., :2] / now[..., 2:], 0.0) * weight[..., None]
+    residual = np.where(ok[..., None], observations.normalised - now[..., :2] / now[..., 2:], 0.0) * weight[..., None]
     w = weight / first[..., 2]
     J = np.zeros((*ok.shape, 2, 3))
     J[..., 0, 0] = J[..., 1, 1] = w
     J[..., 0, 2], J[..., 1, 2] = -w * first[..., 0] / first[..., 2], -w * first[..., 1] / first[..., 2]
     turn = np.stack([(R @ c.rotation).T for R in poses.first_R for c in cams]).reshape(*ok.shape[1:], 3, 3)
     by_point = J @ turn
-    by_pose = np.concatenate([by_point @ skews(x[:, None] - poses.first_p)[:, :, None], -by_point], axis=-1)
+    by_pose = np.concatenate([by_point @ skew(x[:, None] - poses.first_p)[:, :, None], -by_point], axis=-1)
     return residual, by_pose, by_point
 
 
-def eliminate(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
+def eliminate(observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose], x: F64) -> dict[str, F64]:
     """The fields of `PoseConstraint` that do not depend on the root taken, and A of every feature in full (M21)."""
-    e, P, X = linearise(sights, poses, cams, x)
-    n, k = sights.sigma.shape
+    e, P, X = linearise(observations, poses, cams, x)
+    n, k = observations.sigma.shape
     inverse = np.linalg.inv(np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3))
     g = np.einsum("nkcdi,nkcd->ni", X, e)
     W = np.einsum("nkcdi,nkcdj->nkij", P, X).reshape(n, 6 * k, 3)
@@ -104,20 +106,46 @@ def eliminate(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pos
     }
 
 
-def meet(sights: WindowObservations, poses: WindowPoses, cams: Sequence[Pose]) -> F64:
+def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequence[Pose]) -> F64:
     """(N, 3) points by least squares (M12): the place nearest to the rays, then three steps of Gauss-Newton."""
-    rays = np.concatenate([sights.seen, np.ones((*sights.seen.shape[:-1], 1))], axis=-1)
+    rays = np.concatenate([observations.normalised, np.ones((*observations.normalised.shape[:-1], 1))], axis=-1)
     turn = np.stack([R @ c.rotation for R in poses.R for c in cams]).reshape(*rays.shape[1:3], 3, 3)
     origin = np.stack([poses.R @ c.translation + poses.p for c in cams], axis=1)
     u = np.nan_to_num(np.einsum("kcij,nkcj->nkci", turn, rays))
     u /= np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-12)
-    seen = np.isfinite(sights.seen[..., 0])
+    seen = np.isfinite(observations.normalised[..., 0])
     A = np.where(seen[..., None, None], np.eye(3) - u[..., :, None] * u[..., None, :], 0.0)
     N = A.sum(axis=(1, 2)) + REGULAR * np.eye(3)
     x = np.linalg.solve(N, np.einsum("nkcij,kcj->ni", A, origin)[..., None])[..., 0]
     level = WindowPoses(poses.R, poses.p, poses.R, poses.p)
     for _ in range(3):
-        e, _, X = linearise(sights, level, cams, x)
+        e, _, X = linearise(observations, level, cams, x)
         V = np.einsum("nkcdi,nkcdj->nij", X, X) + REGULAR * np.eye(3)
         x = x + np.linalg.solve(V, np.einsum("nkcdi,nkcd->ni", X, e)[..., None])[..., 0]
     return np.asarray(x)
+
+
+def nearest_to_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
+    """(N, 3) points nearest to weighted rays, point by point."""
+    out = []
+    for a, b in pairwise(starts):
+        u = rays[a:b] / np.linalg.norm(rays[a:b], axis=1, keepdims=True)
+        across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * weight[a:b, None, None]
+        A = across.sum(axis=0) + REGULAR * np.eye(3)
+        out.append(np.linalg.solve(A, np.einsum("nij,nj->i", across, origins[a:b])))
+    return np.array(out).reshape(-1, 3)
+
+
+def schur(
+    starts: Ints, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float, pose: Ints, poses: int
+) -> tuple[F64, F64, F64]:
+    """Reduced matrix, right side, and steps of the points when the poses stay: by the full dense system."""
+    m, n = len(residual), len(starts) - 1
+    J = np.zeros((2 * m, 6 * poses + 3 * n))
+    for k, point in enumerate(np.repeat(np.arange(n), np.diff(starts))):
+        J[2 * k : 2 * k + 2, 6 * pose[k] : 6 * pose[k] + 6] = by_pose[k]
+        J[2 * k : 2 * k + 2, 6 * poses + 3 * point : 6 * poses + 3 * point + 3] = by_point[k]
+    H, g, s = J.T @ J, J.T @ residual.ravel(), 6 * poses
+    H[s:, s:] += damping * np.diag(np.diag(H[s:, s:])) + regular * np.eye(3 * n)
+    gain = np.linalg.solve(H[s:, s:], H[s:, :s]).T
+    return H[:s, :s] - gain @ H[s:, :s], g[:s] - gain @ g[s:], np.linalg.solve(H[s:, s:], g[s:]).reshape(n, 3)

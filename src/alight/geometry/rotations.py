@@ -1,23 +1,33 @@
 """Rotations: SO(3) exponential and logarithm, quaternions (w, x, y, z; Hamilton), yaw-pitch-roll.
 
-A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`.
+A rotation matrix is named `dst_from_src` and takes coordinates in `src` to coordinates in `dst`. Batches are SciPy's;
+single rotations have formulas of their own: SciPy's logarithm of one takes twenty times as long.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
 
 def skew(v: ArrayLike) -> Array:
-    """Return the (3, 3) matrix with `skew(a) @ b == cross(a, b)`."""
-    x, y, z = np.asarray(v, dtype=np.float64)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Return the (..., 3, 3) matrices with `skew(a) @ b == cross(a, b)` of (..., 3) vectors."""
+    a = np.asarray(v, dtype=np.float64)
+    if a.ndim == 1:
+        x, y, z = a
+        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out = np.zeros((*a.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -a[..., 2], a[..., 1], -a[..., 0]
+    out[..., 1, 0], out[..., 2, 0], out[..., 2, 1] = a[..., 2], -a[..., 1], a[..., 0]
+    return out
 
 
 def so3_exp(rotation_vector: ArrayLike) -> Array:
-    """Return the (3, 3) rotation of a (3,) rotation vector in radians (Rodrigues)."""
+    """Return the (3, 3) or (N, 3, 3) rotations of rotation vectors (3,) or (N, 3) in radians (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
+    if w.ndim > 1:
+        return np.asarray(Rotation.from_rotvec(w).as_matrix())
     angle2 = float(w @ w)
     if angle2 < 1e-12:  # series to second order: error below 1e-18
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
@@ -29,8 +39,11 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
 
 
 def so3_log(rotation: ArrayLike) -> Array:
-    """Return the (3,) rotation vector in radians, of length at most pi, of a (3, 3) rotation."""
-    q = quaternion_from_matrix(rotation)
+    """Return the rotation vectors (3,) or (N, 3) in radians, of length at most pi, of rotations (3, 3) or (N, 3, 3)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    if R.ndim > 2:
+        return np.asarray(Rotation.from_matrix(R).as_rotvec())
+    q = quaternion_from_matrix(R)
     w, v = q[0], q[1:]
     sine = float(np.linalg.norm(v))
     if sine < 1e-9:

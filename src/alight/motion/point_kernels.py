@@ -1,6 +1,7 @@
-"""Points out of their sights, and what is left of the sights without the points (docs/method/motion.md, M12, M21).
+"""Triangulation of features, and their elimination from the normal equations of the poses (M12, M21): kernels.
 
-N features, K poses of a rig, C cameras. NumPy takes forty small steps for what is a few thousand multiplications.
+N features, K poses of a rig, C cameras. Filter: dense arrays over a short window, linearised in the same pass. Batch
+adjustments: lists of observations sorted by point. NumPy would take forty small steps for a few thousand products.
 """
 
 import numpy as np
@@ -16,7 +17,7 @@ I64 = NDArray[np.int64]
 def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
     """Write the inverse of a symmetric positive definite (3, 3) and an upper `root` with root root' = inverse.
 
-    Pivots below `least` are rounding.
+    Pivots below `least` are rounding errors and set to it.
     """
     a = np.sqrt(max(A[0, 0], least))
     b, c = A[1, 0] / a, A[2, 0] / a
@@ -33,47 +34,130 @@ def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
 
 
 @inline
-def _seen_from(turn: F64, origin: F64, x: F64, q: F64) -> None:
-    """Write a world point in a camera's frame."""
+def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
+    """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
     for i in range(3):
         q[i] = (
-            turn[0, i] * (x[0] - origin[0]) + turn[1, i] * (x[1] - origin[1]) + turn[2, i] * (x[2] - origin[2])
+            R[0, i] * (x[0] - origin[0]) + R[1, i] * (x[1] - origin[1]) + R[2, i] * (x[2] - origin[2])
         )  # fmt: skip
 
 
 @inline
-def _nearest(seen: F64, turn: F64, origin: F64, regular: float, A: F64, y: F64) -> None:
-    """Sum up the equations of the place nearest to all rays of one feature."""
-    A[:], y[:] = 0.0, 0.0
+def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
+    """Add a unit ray `u` from `o` to the equations A x = y of the point nearest to all rays."""
+    along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
     for i in range(3):
-        A[i, i] = regular
-    for k in range(seen.shape[0]):
-        for c in range(seen.shape[1]):
-            if np.isfinite(seen[k, c, 0]):
-                T, o = turn[k, c], origin[k, c]
-                u = T[:, 0] * seen[k, c, 0] + T[:, 1] * seen[k, c, 1] + T[:, 2]
-                u /= np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-                along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
-                for i in range(3):
-                    y[i] += o[i] - u[i] * along
-                    A[i, i] += 1.0
-                    for j in range(3):
-                        A[i, j] -= u[i] * u[j]
+        y[i] += weight * (o[i] - u[i] * along)
+        A[i, i] += weight
+        for j in range(3):
+            A[i, j] -= weight * u[i] * u[j]
 
 
 @inline
-def _improve(seen: F64, sigma: F64, turn: F64, origin: F64, near: float, x: F64, q: F64, A: F64, y: F64) -> None:
-    """Add the normal equations of one feature's point at `x` to A, y."""
-    for k in range(seen.shape[0]):
-        for c in range(seen.shape[1]):
-            if not np.isfinite(seen[k, c, 0]):
+def _add_row(X: F64, e: float, V: F64, g: F64) -> None:
+    """Add a row of a point's Jacobian (3,) and its residual to the normal equations V, g of the point."""
+    for i in range(3):
+        g[i] += X[i] * e
+        for j in range(3):
+            V[i, j] += X[i] * X[j]
+
+
+@inline
+def _times_root(W: F64, root: F64) -> None:
+    """Multiply (6, 3) by the upper root of a point's covariance, in place."""
+    for i in range(6):
+        u, v, w = W[i, 0], W[i, 1], W[i, 2]
+        W[i, 0] = u * root[0, 0]
+        W[i, 1] = u * root[0, 1] + v * root[1, 1]
+        W[i, 2] = u * root[0, 2] + v * root[1, 2] + w * root[2, 2]
+
+
+@kernel
+def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: float, out: F64) -> None:
+    """Write the (N, 3) points nearest to weighted rays (midpoint method).
+
+    Args:
+        starts: (N + 1,) first ray of each point, then the number of rays M.
+        ray, origin: (M, 3) unit directions and origins, sorted by point.
+        weight: (M,)
+        regular: on the diagonal, relative to a weight of one.
+        out: (N, 3)
+    """
+    A, root, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for n in range(starts.shape[0] - 1):
+        A[:], y[:] = 0.0, 0.0
+        for i in range(3):
+            A[i, i] = regular
+        for k in range(starts[n], starts[n + 1]):
+            _add_ray(ray[k], origin[k], weight[k], A, y)
+        _invert(A, regular, root, inverse)
+        for j in range(3):
+            out[n, j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
+
+
+@kernel
+def eliminate_list(
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, damping: float, regular: float,
+    coupling: F64, gradient: F64, root: F64, inverse: F64,
+) -> None:  # fmt: skip
+    """Eliminate N points from M linearised observations, sorted by point (M21; eq. 8 of the bundle).
+
+    Args:
+        starts: (N + 1,) first observation of each point, then M.
+        residual: (M, 2) in sigmas.
+        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians in sigmas.
+        damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
+        regular: added to that diagonal.
+        coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
+        gradient: (N, 3) out: right side of the points.
+        root, inverse: (N, 3, 3) out: covariance of the points for exact poses, and its root.
+    """
+    V = np.empty((3, 3))
+    for n in range(starts.shape[0] - 1):
+        V[:], gradient[n] = 0.0, 0.0
+        for k in range(starts[n], starts[n + 1]):
+            for h in range(2):
+                _add_row(by_point[k, h], residual[k, h], V, gradient[n])
+        for i in range(3):
+            V[i, i] += damping * V[i, i] + regular
+        _invert(V, regular, root[n], inverse[n])
+        for k in range(starts[n], starts[n + 1]):
+            for i in range(6):
+                for j in range(3):
+                    coupling[k, i, j] = by_pose[k, 0, i] * by_point[k, 0, j] + by_pose[k, 1, i] * by_point[k, 1, j]
+            _times_root(coupling[k], root[n])
+
+
+@inline
+def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F64) -> None:
+    """Write the equations of the point nearest to all rays of one feature."""
+    A[:], y[:] = 0.0, 0.0
+    for i in range(3):
+        A[i, i] = regular
+    for k in range(normalised.shape[0]):
+        for c in range(normalised.shape[1]):
+            if np.isfinite(normalised[k, c, 0]):
+                T = R[k, c]
+                u = T[:, 0] * normalised[k, c, 0] + T[:, 1] * normalised[k, c, 1] + T[:, 2]
+                u /= np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+                _add_ray(u, origin[k, c], 1.0, A, y)
+
+
+@inline
+def _linearise_point(
+    normalised: F64, sigma: F64, R: F64, origin: F64, near: float, x: F64, q: F64, A: F64, y: F64
+) -> None:
+    """Add the normal equations of one feature's point at `x` to A, y; only the lower half of A."""
+    for k in range(normalised.shape[0]):
+        for c in range(normalised.shape[1]):
+            if not np.isfinite(normalised[k, c, 0]):
                 continue
-            T = turn[k, c]
-            _seen_from(T, origin[k, c], x, q)
+            T = R[k, c]
+            _to_camera(T, origin[k, c], x, q)
             if q[2] > near:
                 for d in range(2):
                     at = q[d] / q[2]
-                    e, w = (seen[k, c, d] - at) / sigma[k], 1.0 / (sigma[k] * q[2])
+                    e, w = (normalised[k, c, d] - at) / sigma[k], 1.0 / (sigma[k] * q[2])
                     r0, r1, r2 = (
                         w * (T[0, d] - at * T[0, 2]),
                         w * (T[1, d] - at * T[1, 2]),
@@ -92,20 +176,22 @@ def _improve(seen: F64, sigma: F64, turn: F64, origin: F64, near: float, x: F64,
 
 @kernel
 def triangulate_tracks(
-    seen: F64, sigma: F64, turn: F64, origin: F64, iterations: int, near: float, regular: float, out: F64
+    normalised: F64, sigma: F64, R: F64, origin: F64, iterations: int, near: float, regular: float, out: F64
 ) -> None:
-    """Write the (N, 3) points of least squares: the place nearest to the rays, then Gauss-Newton (M12).
+    """Write the (N, 3) points of least squares: the point nearest to the rays, then Gauss-Newton (M12).
 
     Args:
-        seen: (N, K, C, 2) normalised coordinates, NaN = not seen.
+        normalised: (N, K, C, 2) normalised coordinates, NaN = not observed.
         sigma: (N, K) of them.
-        turn, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
+        R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
+        iterations: of Gauss-Newton.
         near: m along the axis that a point must have.
         regular: 1/m^2 on the diagonal.
+        out: (N, 3)
     """
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    for n in range(seen.shape[0]):
-        _nearest(seen[n], turn, origin, regular, A, y)
+    for n in range(normalised.shape[0]):
+        _nearest(normalised[n], R, origin, regular, A, y)
         _invert(A, regular, root, inverse)
         x = out[n]
         x[:] = 0.0
@@ -117,48 +203,51 @@ def triangulate_tracks(
             A[:], y[:] = 0.0, 0.0
             for j in range(3):
                 A[j, j] = regular
-            _improve(seen[n], sigma[n], turn, origin, near, x, q, A, y)
+            _linearise_point(normalised[n], sigma[n], R, origin, near, x, q, A, y)
             _invert(A, regular, root, inverse)
 
 
 @kernel
 def marginalise_tracks(
-    seen: F64, sigma: F64, x: F64,
-    turn: F64, origin: F64, first_turn: F64, first_origin: F64, first_p: F64, near: float, regular: float,
-    own: F64, mixed: F64, b: F64, misfit: F64, freedom: I64, root: F64, inverse: F64, step: F64,
+    normalised: F64, sigma: F64, x: F64,
+    R: F64, origin: F64, first_R: F64, first_origin: F64, first_p: F64, near: float, regular: float,
+    own: F64, coupling: F64, b: F64, misfit: F64, freedom: I64, root: F64, inverse: F64, step: F64,
 ) -> None:  # fmt: skip
-    """Linearise the sights of N points, residuals now and Jacobians at first estimates; eliminate the points (M21).
+    """Linearise observations of N points, residuals now and Jacobians at first estimates; eliminate the points (M21).
 
     Args:
+        normalised, sigma: as in `triangulate_tracks`.
         x: (N, 3) points.
-        first_turn, first_origin, first_p: the first estimates of the cameras, and (K, 3) of the rig.
-        own: (N, K, 6, 6) information of each pose by itself.
-        mixed: (N, K, 6, 3): A of a feature is its blocks less mixed mixed'.
-        b: (N, K, 6) right side, the point eliminated.
-        misfit: (N,) squared residual that no place of the point takes away.
-        freedom: (N,) rows less three.
-        root, inverse: (N, 3, 3) covariance of the point for exact poses, and its root.
-        step: (N, 3) from `x` to the best place for the poses as they are.
+        R, origin: (K, C, 3, 3), (K, C, 3) world_from_cam.
+        first_R, first_origin, first_p: the first estimates of the cameras, and (K, 3) of the rig.
+        near, regular: as in `triangulate_tracks`.
+        own: (N, K, 6, 6) out: information of each pose by itself.
+        coupling: (N, K, 6, 3) out: A of a feature is its blocks less coupling coupling'.
+        b: (N, K, 6) out: right side, the point eliminated.
+        misfit: (N,) out: squared residual at the best point.
+        freedom: (N,) out: rows less three.
+        root, inverse: (N, 3, 3) out: covariance of the point for exact poses, and its root.
+        step: (N, 3) out: from `x` to the best point for the poses as they are.
     """
     V, g, q, f = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     P, X = np.empty((2, 6)), np.empty((2, 3))
-    for n in range(seen.shape[0]):
-        own[n], mixed[n], b[n] = 0.0, 0.0, 0.0
+    for n in range(normalised.shape[0]):
+        own[n], coupling[n], b[n] = 0.0, 0.0, 0.0
         V[:], g[:] = 0.0, 0.0
         square, rows = 0.0, -3
-        for k in range(seen.shape[1]):
+        for k in range(normalised.shape[1]):
             d = x[n] - first_p[k]
-            for c in range(seen.shape[2]):
-                if not np.isfinite(seen[n, k, c, 0]):
+            for c in range(normalised.shape[2]):
+                if not np.isfinite(normalised[n, k, c, 0]):
                     continue
-                _seen_from(turn[k, c], origin[k, c], x[n], q)
-                _seen_from(first_turn[k, c], first_origin[k, c], x[n], f)
+                _to_camera(R[k, c], origin[k, c], x[n], q)
+                _to_camera(first_R[k, c], first_origin[k, c], x[n], f)
                 if q[2] <= near or f[2] <= near:
                     continue
                 rows += 2
-                T = first_turn[k, c]
+                T = first_R[k, c]
                 for h in range(2):
-                    e = (seen[n, k, c, h] - q[h] / q[2]) / sigma[n, k]
+                    e = (normalised[n, k, c, h] - q[h] / q[2]) / sigma[n, k]
                     w, at = 1.0 / (sigma[n, k] * f[2]), f[h] / f[2]
                     for i in range(3):
                         X[h, i] = w * (T[i, h] - at * T[i, 2])
@@ -172,28 +261,17 @@ def marginalise_tracks(
                         for j in range(6):
                             own[n, k, i, j] += P[h, i] * P[h, j]
                         for j in range(3):
-                            mixed[n, k, i, j] += P[h, i] * X[h, j]
-                    for i in range(3):
-                        g[i] += X[h, i] * e
-                        for j in range(3):
-                            V[i, j] += X[h, i] * X[h, j]
+                            coupling[n, k, i, j] += P[h, i] * X[h, j]
+                    _add_row(X[h], e, V, g)
         for i in range(3):
             V[i, i] += regular
         _invert(V, regular, root[n], inverse[n])
-        _eliminate(mixed[n], b[n], g, root[n], inverse[n], step[n])
+        for i in range(3):
+            step[n, i] = inverse[n, i, 0] * g[0] + inverse[n, i, 1] * g[1] + inverse[n, i, 2] * g[2]
+        for k in range(normalised.shape[1]):
+            for i in range(6):
+                W = coupling[n, k, i]
+                b[n, k, i] -= W[0] * step[n, 0] + W[1] * step[n, 1] + W[2] * step[n, 2]
+            _times_root(coupling[n, k], root[n])
         misfit[n] = square - (g[0] * step[n, 0] + g[1] * step[n, 1] + g[2] * step[n, 2])
         freedom[n] = rows
-
-
-@kernel
-def _eliminate(mixed: F64, b: F64, g: F64, root: F64, inverse: F64, step: F64) -> None:
-    """Take one point out: `mixed` times the root of its covariance, `b` less what the point takes."""
-    for i in range(3):
-        step[i] = inverse[i, 0] * g[0] + inverse[i, 1] * g[1] + inverse[i, 2] * g[2]
-    for k in range(mixed.shape[0]):
-        for i in range(6):
-            u, v, w = mixed[k, i, 0], mixed[k, i, 1], mixed[k, i, 2]
-            b[k, i] -= u * step[0] + v * step[1] + w * step[2]
-            mixed[k, i, 0] = u * root[0, 0]
-            mixed[k, i, 1] = u * root[0, 1] + v * root[1, 1]
-            mixed[k, i, 2] = u * root[0, 2] + v * root[1, 2] + w * root[2, 2]

@@ -1,7 +1,7 @@
-"""Inertial measurements between two instants, summed once and for all (docs/method/motion.md, M4-M6).
+"""Preintegration of inertial measurements between two instants (docs/method/motion.md, M4-M6).
 
-The sums do not depend on where the vehicle is, so the filter and the smoother use the same ones
-(Lupton and Sukkarieh 2012; Forster et al. 2017, on-manifold preintegration).
+The result does not depend on the pose or velocity, so filter and smoother share it (Lupton and Sukkarieh 2012;
+Forster et al. 2017, on-manifold preintegration).
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight.geometry import skew, so3_exp
-from alight.motion.rotations import skews, so3_exps
 from alight.records import F64, ImuSample
 from alight.settings import FilterSettings
 
-GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; what it is off by goes into the accelerometer's bias
-_GAP = 0.05  # s; samples further apart than this are a hole in the stream
+GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is taken up by the accelerometer bias
+IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
+_MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
 Segment = tuple[float, F64, F64]  # s, rad/s, m/s^2
 
 
 @dataclass(frozen=True, eq=False)
 class Preintegral:
-    """What the IMU says about the motion from one instant to a later one.
+    """Motion from one instant to a later one by the IMU.
 
-    Errors are ordered (rotation in the later body frame, velocity, position in the earlier one).
+    Errors: `IMU_ROTATION` in the later body frame, `IMU_VELOCITY` and `IMU_POSITION` in the earlier one.
     """
 
     dt: float  # s
     rotation: F64  # (3, 3) earlier_from_later
-    velocity: F64  # (3,) m/s in the earlier body frame, gravity left out
-    position: F64  # (3,) m in the earlier body frame, gravity left out
+    velocity: F64  # (3,) m/s in the earlier body frame, without gravity
+    position: F64  # (3,) m in the earlier body frame, without gravity
     bias_jacobian: F64  # (9, 6) of the errors by (gyro, accelerometer) bias
     covariance: F64  # (9, 9)
-    gyro_bias: F64  # (3,) rad/s, at which it was summed
+    gyro_bias: F64  # (3,) rad/s, at which it was integrated
     accelerometer_bias: F64  # (3,) m/s^2
 
 
@@ -46,13 +46,13 @@ def right_jacobian(phi: F64) -> F64:
 
 
 def segments(samples: Sequence[ImuSample], start_ns: int, end_ns: int) -> list[Segment]:
-    """Cut [start, end] at the samples and give each piece its mean rates; beyond the samples the last one holds."""
+    """Cut [start, end] at the samples; each segment has the mean of its ends, beyond the last sample that one holds."""
     if not samples or end_ns <= start_ns:
         return []
     times = [s.t_ns for s in samples]
     first, last = bisect_right(times, start_ns), bisect_right(times, end_ns)
     cuts = [start_ns, *times[first:last], end_ns]
-    rates = [_at(samples, times, t) for t in cuts]
+    rates = [_interpolated(samples, times, t) for t in cuts]
     return [
         ((b - a) * 1e-9, (u[0] + v[0]) / 2.0, (u[1] + v[1]) / 2.0)
         for a, b, u, v in zip(cuts, cuts[1:], rates, rates[1:], strict=False)
@@ -60,7 +60,7 @@ def segments(samples: Sequence[ImuSample], start_ns: int, end_ns: int) -> list[S
     ]
 
 
-def _at(samples: Sequence[ImuSample], times: list[int], t_ns: int) -> tuple[F64, F64]:
+def _interpolated(samples: Sequence[ImuSample], times: list[int], t_ns: int) -> tuple[F64, F64]:
     i = bisect_right(times, t_ns)
     a, b = samples[max(i - 1, 0)], samples[min(i, len(samples) - 1)]
     f = (t_ns - a.t_ns) / (b.t_ns - a.t_ns) if b.t_ns > a.t_ns and t_ns >= a.t_ns else 0.0
@@ -71,22 +71,22 @@ def _at(samples: Sequence[ImuSample], times: list[int], t_ns: int) -> tuple[F64,
 
 
 def preintegrate(
-    pieces: Sequence[Segment], gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings
+    parts: Sequence[Segment], gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings
 ) -> Preintegral:
-    """Sum the pieces by the midpoint rule (M4) with bias Jacobian (M5) and covariance (M6)."""
+    """Integrate segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6)."""
     R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
-    if not pieces:
+    if not parts:
         return Preintegral(0.0, R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
-    dt = np.array([piece[0] for piece in pieces])
-    w = np.array([piece[1] for piece in pieces]) - gyro_bias
-    a = np.array([piece[2] for piece in pieces]) - accelerometer_bias
-    half = so3_exps(w * (dt[:, None] / 2.0))
-    middle = np.empty_like(half)  # attitude at the middle of each piece
+    dt = np.array([s[0] for s in parts])
+    w = np.array([s[1] for s in parts]) - gyro_bias
+    a = np.array([s[2] for s in parts]) - accelerometer_bias
+    half = so3_exp(w * (dt[:, None] / 2.0))
+    middle = np.empty_like(half)  # attitude at the middle of each segment
     for i, h in enumerate(half):
         middle[i] = R @ h
         R = middle[i] @ h
     dv = np.einsum("nij,nj->ni", middle, a) * dt[:, None]
-    A, B = _errors(dt, w, a, half, middle)
+    A, B = _error_transitions(dt, w, a, half, middle)
     Q = (B * _variance(dt, noise)[:, None, :]) @ B.transpose(0, 2, 1)
     for i in range(len(dt)):
         J = A[i] @ J - B[i]
@@ -96,33 +96,41 @@ def preintegrate(
     return Preintegral(float(dt.sum()), R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
 
 
-def _errors(dt: F64, w: F64, a: F64, half: F64, middle: F64) -> tuple[F64, F64]:
-    """(N, 9, 9) derivative of the errors after each piece by those before it, (N, 9, 6) by its rate and force."""
+def _error_transitions(dt: F64, w: F64, a: F64, half: F64, middle: F64) -> tuple[F64, F64]:
+    """Derivatives of the errors after each of N segments: (N, 9, 9) by those before it, (N, 9, 6) by rate and force.
+
+    Args:
+        dt: (N,) s.
+        w, a: (N, 3) angular velocity and specific force, biases removed.
+        half: (N, 3, 3) rotation over half a segment.
+        middle: (N, 3, 3) attitude at the middle of each segment.
+    """
     n, t, eye = len(dt), dt[:, None, None], np.eye(3)
     A, B = np.zeros((n, 9, 9)), np.zeros((n, 9, 6))
     A[:] = np.eye(9)
-    A[:, 0:3, 0:3] = (half @ half).transpose(0, 2, 1)
-    turned = -(middle @ skews(a)) * t  # of the force by a rotation at the midpoint
-    A[:, 3:6, 0:3] = turned @ half.transpose(0, 2, 1)
-    A[:, 6:9, 0:3] = A[:, 3:6, 0:3] * (t / 2.0)
-    A[:, 6:9, 3:6] = eye * t
-    W = skews(w * dt[:, None])
-    B[:, 0:3, 0:3] = (eye - W / 2.0 + W @ W / 6.0) * t
-    B[:, 3:6, 0:3] = turned * (t / 2.0)
-    B[:, 6:9, 0:3] = turned * (t * t / 4.0)
-    B[:, 3:6, 3:6] = middle * t
-    B[:, 6:9, 3:6] = middle * (t * t / 2.0)
+    A[:, IMU_ROTATION, IMU_ROTATION] = (half @ half).transpose(0, 2, 1)
+    force_by_rotation = -(middle @ skew(a)) * t  # at the midpoint
+    A[:, IMU_VELOCITY, IMU_ROTATION] = force_by_rotation @ half.transpose(0, 2, 1)
+    A[:, IMU_POSITION, IMU_ROTATION] = A[:, IMU_VELOCITY, IMU_ROTATION] * (t / 2.0)
+    A[:, IMU_POSITION, IMU_VELOCITY] = eye * t
+    W = skew(w * dt[:, None])
+    rate, force = slice(0, 3), slice(3, 6)
+    B[:, IMU_ROTATION, rate] = (eye - W / 2.0 + W @ W / 6.0) * t
+    B[:, IMU_VELOCITY, rate] = force_by_rotation * (t / 2.0)
+    B[:, IMU_POSITION, rate] = force_by_rotation * (t * t / 4.0)
+    B[:, IMU_VELOCITY, force] = middle * t
+    B[:, IMU_POSITION, force] = middle * (t * t / 2.0)
     return A, B
 
 
 def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preintegral:
-    """Return the sums as they would be at other biases, to first order (M5)."""
+    """Return the preintegral at other biases, to first order (M5)."""
     d = m.bias_jacobian @ np.concatenate([gyro_bias - m.gyro_bias, accelerometer_bias - m.accelerometer_bias])
     return replace(
         m,
-        rotation=m.rotation @ so3_exp(d[0:3]),
-        velocity=m.velocity + d[3:6],
-        position=m.position + d[6:9],
+        rotation=m.rotation @ so3_exp(d[IMU_ROTATION]),
+        velocity=m.velocity + d[IMU_VELOCITY],
+        position=m.position + d[IMU_POSITION],
         gyro_bias=gyro_bias.copy(),
         accelerometer_bias=accelerometer_bias.copy(),
     )
@@ -131,7 +139,7 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
 def _variance(dt: F64, noise: FilterSettings) -> F64:
     """(N, 6) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
     gyro, accelerometer = noise.gyro_noise**2 / dt, noise.accelerometer_noise**2 / dt
-    hole = dt > _GAP  # nobody measured: as uncertain as the constant-velocity model
-    gyro = gyro + np.where(hole, noise.angular_acceleration_sigma**2 * dt, 0.0)
-    accelerometer = accelerometer + np.where(hole, noise.acceleration_sigma**2 / dt, 0.0)
+    gap = dt > _MAX_SAMPLE_INTERVAL  # not measured: as uncertain as the constant-velocity model
+    gyro = gyro + np.where(gap, noise.angular_acceleration_sigma**2 * dt, 0.0)
+    accelerometer = accelerometer + np.where(gap, noise.acceleration_sigma**2 / dt, 0.0)
     return np.repeat(np.stack([gyro, accelerometer], axis=1), 3, axis=1)

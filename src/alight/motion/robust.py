@@ -1,45 +1,58 @@
-"""Which features to believe: most of the ground stands still, and the rest is held to what most of it says (M28)."""
+"""Robust weights: the cost functions of all estimators, and the weights of features that constrain poses (M28)."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.motion.ekf.observations import PoseConstraint
+from alight.motion.elimination import PoseConstraint
+from alight.motion.observations import Mask
 from alight.records import F64
 
-Mask = NDArray[np.bool_]
-
-_KNEE = 3.0  # times the usual misfit from which on a feature counts for little
-_LEAST = 1e-3  # of the usual misfit, in squared sigmas: simulated features may have none
+_KNEE = 3.0  # times the median residual: from here on the weight of a feature falls off
+_MIN_MEDIAN = 1e-3  # squared sigmas; simulated features may have no residual at all
 _ROUNDS = 3
 
 
+def cauchy(square: F64, scale: float) -> tuple[F64, float]:
+    """Return the Cauchy weights of (N,) squared residuals, and their cost."""
+    q = square / scale**2
+    return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
+
+
+def huber(square: F64, scale: float) -> tuple[F64, float]:
+    """Return the Huber weights of (N,) squared residuals, and their cost."""
+    n = np.sqrt(square)
+    cost = float(np.where(n <= scale, square, 2 * scale * n - scale**2).sum())
+    return scale / np.maximum(n, scale), cost
+
+
 def median_residual(misfit: F64) -> float:
-    """What features miss by: the (upper) median of their squared misfits a row."""
+    """Return the (upper) median of the squared residuals a row of N features."""
     middle = len(misfit) // 2  # np.median takes 80 microseconds for the same
-    return max(float(np.partition(misfit, middle)[middle]), _LEAST) if len(misfit) else 1.0
+    return max(float(np.partition(misfit, middle)[middle]), _MIN_MEDIAN) if len(misfit) else 1.0
 
 
-def robust_weights(misfit: F64, usual_misfit: float) -> F64:
-    """Weights (Geman and McClure) of features by their squared misfit a row; one where it is no more than usual."""
-    relative = misfit / usual_misfit
+def robust_weights(misfit: F64, median: float) -> F64:
+    """Return the Geman-McClure weights (1987) of squared residuals, relative to their median; one up to the median."""
+    relative = misfit / median
     return np.asarray(np.minimum(1.0, ((1.0 + _KNEE) / (relative + _KNEE)) ** 2))
 
 
-def agree_on_poses(found: PoseConstraint, P: F64, which: Mask, error: F64) -> tuple[F64, float]:
-    """Weights of N features that measure poses together, by what each misses when all have had their say; the usual.
+def robust_pose_weights(constraint: PoseConstraint, P: F64, used: Mask, error: F64) -> tuple[F64, float]:
+    """Return the weights of N features in one update of the poses, and their median residual.
+
+    Iteratively reweighted least squares: each feature is weighted by its residual after the update.
 
     Args:
-        P: (6K, 6K) covariance of the poses before.
-        which: (N,) those that take part; the others get none.
-        error: (6K,) by which the poses have been moved from where `P` is about.
+        P: (6K, 6K) covariance of the poses before the update.
+        used: (N,) features that take part; the others have weight zero.
+        error: (6K,) by which the poses have moved from the mean of the prior.
     """
-    weight, freedom, step, typical = which.astype(float), np.maximum(found.freedom, 1), np.zeros(len(P)), 0.0
-    for _ in range(_ROUNDS if which.any() else 0):
-        misfit = np.maximum(found.misfits(step), 0.0) / freedom
-        typical = median_residual(misfit[which])
-        weight = which * robust_weights(misfit, typical)
-        A, b = found.information(weight)
+    weight, freedom, step, median = used.astype(float), np.maximum(constraint.freedom, 1), np.zeros(len(P)), 0.0
+    for _ in range(_ROUNDS if used.any() else 0):
+        misfit = np.maximum(constraint.misfit_at(step), 0.0) / freedom
+        median = median_residual(misfit[used])
+        weight = used * robust_weights(misfit, median)
+        A, b = constraint.information(weight)
         step = P @ np.linalg.solve(np.eye(len(P)) + A @ P, b + A @ error) - error
-    return weight, typical
+    return weight, median

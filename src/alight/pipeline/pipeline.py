@@ -61,7 +61,7 @@ class Pipeline:
         if not self._turns.takes(event):
             return None
         with self._timings.of("motion"):
-            navigation = self._navigation.feed(event)  # features, motion: docs/method-motion.md
+            navigation = self._navigation.feed(event)  # features, motion: docs/method/motion.md
         if navigation is None:
             return None
         seen = self.map(navigation)
@@ -73,12 +73,12 @@ class Pipeline:
         """Improve the map with an exposure; the map as it is then, where it is to be judged."""
         if not self._turns.maps(navigation):
             return None
-        update = self._mapping.feed(navigation)  # planar parallax: docs/method.md
+        update = self._mapping.feed(navigation)  # planar parallax: docs/method/parallax.md
         return self._mapping.snapshot() if update is not None and self._turns.judges(update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""
-        return self._judging.judge(seen)  # docs/method-ground.md, docs/method-hazards.md
+        return self._judging.judge(seen)  # docs/method/land-cover.md, docs/method/hazards.md
 
     def judge_now(self) -> Verdict | None:
         """Judge the ground under the newest keyframe, as an executive asks at its way-points; None without a map."""

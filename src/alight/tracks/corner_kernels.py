@@ -1,4 +1,4 @@
-"""What the tracker asks of a picture's gradients, and the table that takes the lens out."""
+"""Corner responses (Shi and Tomasi 1994) from image gradients, and the table of undistorted rays: kernels."""
 
 import math
 
@@ -17,7 +17,7 @@ _GREY = 4.0 * 255.0  # of a Sobel gradient: what cv2.cornerMinEigenVal divides b
 
 
 @inline
-def _smaller(xx: float, xy: float, yy: float) -> float:
+def _min_eigenvalue(xx: float, xy: float, yy: float) -> float:
     """The smaller eigenvalue of [[xx, xy], [xy, yy]]."""
     return 0.5 * (xx + yy) - math.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
 
@@ -28,7 +28,7 @@ def _mirror(i: int, n: int) -> int:
 
 
 @kernel
-def textures(gx: I16, gy: I16, pixels: F32, window: int, out: F64) -> None:
+def corner_responses(gx: I16, gy: I16, pixels: F32, window: int, out: F64) -> None:
     """Write the Shi-Tomasi response a pixel over the window about each of (N, 2) pixels, mirrored at the edge.
 
     Args:
@@ -51,11 +51,11 @@ def textures(gx: I16, gy: I16, pixels: F32, window: int, out: F64) -> None:
                 xy += a * b
                 yy += b * b
         unit = 1.0 / (window * window * _GREY * _GREY)
-        out[k] = _smaller(xx * unit, xy * unit, yy * unit)
+        out[k] = _min_eigenvalue(xx * unit, xy * unit, yy * unit)
 
 
 @kernel
-def _columns(gx: I16, gy: I16, row: int, left: int, right: int, half: int, sums: I32) -> None:
+def _column_sums(gx: I16, gy: I16, row: int, left: int, right: int, half: int, sums: I32) -> None:
     """Sum the products of the gradients over a column of the window."""
     n = right - left
     xx, xy, yy = sums[0, :n], sums[1, :n], sums[2, :n]
@@ -70,8 +70,8 @@ def _columns(gx: I16, gy: I16, row: int, left: int, right: int, half: int, sums:
 
 
 @kernel
-def _respond(sums: I32, n: int, half: int, unit: float, out: F32) -> None:
-    """Sum the columns over the window's rows and respond."""
+def _row_responses(sums: I32, n: int, half: int, unit: float, out: F32) -> None:
+    """Sum the column sums over the window and write the response."""
     scale = np.float32(unit)
     for x in range(n):
         xx, xy, yy = np.int32(0), np.int32(0), np.int32(0)
@@ -85,15 +85,16 @@ def _respond(sums: I32, n: int, half: int, unit: float, out: F32) -> None:
 
 
 @kernel
-def strongest(
+def strongest_corners(
     gx: I16, gy: I16, boxes: I64, taken: F32, away: float, half: int, response: F32, sums: I32, out: F64
 ) -> None:
-    """Find the strongest corner of every box that keeps away from what is taken.
+    """Find the strongest corner of every box, at a distance from the features present.
 
     Args:
         gx, gy: (H, W) Sobel gradients.
-        boxes: (E, 4) first row, end row, first column, end column; `half` inside the picture.
-        taken: (M, 2) pixels; corners nearer than `away` do not count.
+        boxes: (E, 4) first row, end row, first column, end column; `half` inside the image.
+        taken: (M, 2) pixels of present features.
+        away: px, smallest distance of a corner from these.
         half: of the window that the response is summed over, less the middle.
         response: (rows, columns) of the largest box, scratch.
         sums: (3, columns of the largest box + 2 half), scratch.
@@ -103,8 +104,8 @@ def strongest(
     for e in range(boxes.shape[0]):
         top, bottom, left, right = boxes[e]
         for y in range(top, bottom):
-            _columns(gx, gy, y, left - half, right + half, half, sums)
-            _respond(sums, right - left, half, unit, response[y - top])
+            _column_sums(gx, gy, y, left - half, right + half, half, sums)
+            _row_responses(sums, right - left, half, unit, response[y - top])
         for k in range(taken.shape[0]):
             for y in range(max(top, int(taken[k, 1] - away)), min(bottom, int(taken[k, 1] + away) + 2)):
                 for x in range(max(left, int(taken[k, 0] - away)), min(right, int(taken[k, 0] + away) + 2)):
@@ -121,8 +122,8 @@ def strongest(
 
 
 @kernel
-def look_up_rays(table: F64, pixels: F64, out: F64) -> None:
-    """Write the table's (R, C, 2) value, bilinear, at (N, 2) places (column, row); taken at its edge outside.
+def interpolate_rays(table: F64, pixels: F64, out: F64) -> None:
+    """Interpolate a table (R, C, 2) bilinearly at (N, 2) places (column, row); outside, at its edge.
 
     NaN stays NaN.
     """

@@ -1,4 +1,4 @@
-"""Corners to follow: spread over a grid, each as strong as its texture (Shi-Tomasi)."""
+"""Corner detection (Shi and Tomasi 1994), spread over a grid."""
 
 from __future__ import annotations
 
@@ -7,42 +7,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.records import F32, F64, U8
-from alight.tracks.corner_kernels import strongest, textures
+from alight.tracks.corner_kernels import corner_responses, strongest_corners
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
 
-BORDER = 4  # px; nearer to the edge the SSD window hangs over it
-_HALF = 2  # px of the window, less its middle, that a corner is told from
-_PER_CELL = 3  # features that may run together in one cell of the grid before the younger are dropped
+BORDER = 4  # px; closer to the edge the SSD window leaves the image
+_RESPONSE_HALF = 2  # px, half side of the window of the response, without its centre
+_MAX_PER_CELL = 3  # features in one cell of the grid; younger ones are dropped
 
 
-def strength(image: U8, pixels: F32, window_px: int) -> F64:
-    """Return the (N,) Shi-Tomasi response a pixel over the SSD window: how sharp the minimum of the SSD is."""
+def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
+    """Return the (N,) Shi-Tomasi response a pixel over the SSD window: the sharpness of the minimum of the SSD."""
     out = np.empty(len(pixels))
-    textures(*cv2.spatialGradient(image), np.asarray(pixels, dtype=np.float32), window_px, out)
+    corner_responses(*cv2.spatialGradient(image), np.asarray(pixels, dtype=np.float32), window_px, out)
     return out
 
 
-def spread_corners(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
-    """Keep the `_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
+def oldest_per_cell(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
+    """Keep the `_MAX_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
     key = row * 100_000 + column
     order = np.argsort(key, kind="stable")  # ids grow with the row, so the oldest of a cell come first
     ranked = key[order]
     rank = np.arange(len(at)) - np.searchsorted(ranked, ranked)
-    keep[at[order[rank < _PER_CELL]]] = True
+    keep[at[order[rank < _MAX_PER_CELL]]] = True
     return keep
 
 
-def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
-    """Return the best Shi-Tomasi corner of every grid cell that holds no feature yet, (N, 2) pixels.
+def detect_corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
+    """Return the strongest Shi-Tomasi corner of each grid cell without a feature, (N, 2) pixels.
 
     Args:
-        taken: (M, 2) pixels of the features that are there; new ones keep 0.7 of a cell away.
+        taken: (M, 2) pixels of the present features; new ones keep a distance of 0.7 cells.
         cell: px, side of a cell.
-        texture: least response.
+        texture: smallest response.
     """
     height, width = image.shape
     rows, cols = (int(np.ceil(n / cell)) for n in image.shape)
@@ -57,6 +57,6 @@ def corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
     found = np.empty((len(boxes), 3))
     gx, gy = cv2.spatialGradient(cv2.GaussianBlur(image, (3, 3), 0))
     near, side = taken[beside[line, column] > 0], int(cell) + 2
-    response, sums = np.empty((side, side), np.float32), np.empty((3, side + 2 * _HALF), np.int32)
-    strongest(gx, gy, boxes, near, max(2.0, 0.7 * cell), _HALF, response, sums, found)
+    response, sums = np.empty((side, side), np.float32), np.empty((3, side + 2 * _RESPONSE_HALF), np.int32)
+    strongest_corners(gx, gy, boxes, near, max(2.0, 0.7 * cell), _RESPONSE_HALF, response, sums, found)
     return np.asarray(found[found[:, 2] > texture, :2], dtype=np.float32)

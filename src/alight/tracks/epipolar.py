@@ -1,4 +1,4 @@
-"""Two views of a feature: its inverse depth, and how far it is from the epipolar line (M2, M3)."""
+"""Two-view geometry of a feature: inverse depth and distance from the epipolar line (M2, M3)."""
 
 from __future__ import annotations
 

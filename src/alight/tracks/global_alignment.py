@@ -1,4 +1,4 @@
-"""Pictures matched as a whole: where the features are to be looked for when the prediction is poor (M1b, M1c)."""
+"""Global image alignment: predicted pixels of all features when the prediction of the motion is poor (M1b, M1c)."""
 
 from __future__ import annotations
 
@@ -10,39 +10,41 @@ from alight.records import F32, U8
 
 Mask = NDArray[np.bool_]
 
-_LEAST = 12  # features that a common turn of the image is told from
-_SMALL = 160  # px, about the shorter side of a picture shrunk to be looked at as a whole
-_OVERLAP = 0.2  # share of the image that two pictures must have in common
-_REACH = 160  # px, at most, of an error that all guesses share
-_EVERY = 4  # px between those that tell how bright a picture is
-_MOST_GAIN, _SAME_GAIN, _SAME_GREY = 4.0, 0.05, 4.0  # ratios of contrast, grey levels: the latter two are no jump
-TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried when all else fails
+_MIN_FEATURES = 12  # for an affine warp of the whole image
+_SMALL_SIDE = 160  # px, approximate shorter side of a downsampled image
+_MIN_OVERLAP = 0.2  # share of the image that two images must have in common
+_MAX_COMMON_SHIFT = 160  # px, of the common error of all predicted pixels
+_SAMPLING = 4  # px between those used for the brightness of an image
+_MAX_GAIN, _SAME_GAIN, _SAME_GREY = 4.0, 0.05, 4.0  # ratios of contrast; grey levels. Smaller changes are left
+TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried last
 
 
-def warp_whole(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
-    """Turn, scale and shear an earlier image as a whole to how the motion lets expect the present one (M1b).
+def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
+    """Warp an earlier image by one affine map to the predicted present view (M1b).
 
-    The SSD window only shifts: at 0.03 rad a frame its matches drift by 0.17 px in five frames, so by 0.014 px; on the
-    sample flight the relative error over a second falls from 0.091 to 0.037 px and the tilt from 1.9 to 0.5 mrad.
-    Returns the image and the features' (N, 2) places in it; unchanged where there are too few to tell.
+    The SSD window is only shifted: at 0.03 rad a frame its matches drift by 0.17 px in five frames, with the warp by
+    0.014 px.
+
+    Returns:
+        the image and the (N, 2) pixels of the features in it; unchanged where features are too few.
     """
-    if len(pixels) < _LEAST:
+    if len(pixels) < _MIN_FEATURES:
         return image, pixels
     ones = np.column_stack([pixels, np.ones(len(pixels))]).astype(np.float64)
-    affine = np.linalg.lstsq(ones, guess.astype(np.float64), rcond=None)[0].T
-    size = (image.shape[1], image.shape[0])  # linear as the matching itself samples: cubic doubles the drift
+    affine = np.linalg.lstsq(ones, predicted.astype(np.float64), rcond=None)[0].T
+    size = (image.shape[1], image.shape[0])  # linear, as the matching samples: cubic doubles the drift
     warped = cv2.warpAffine(image, affine, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 
-def lit_as(image: U8, other: U8) -> U8:
-    """Take one picture to the brightness and contrast of another of the same ground (M1d).
+def match_brightness(image: U8, other: U8) -> U8:
+    """Adapt an image to the brightness and contrast of another one of the same ground (M1d).
 
-    The SSD has no notion of exposure: a step of 20 % between two pictures cost 0.4 px, of 50 % nine of ten features.
-    Small differences come from what the pictures do not share (taken out: ring of the sample 0.18 px instead of 0.14).
+    The SSD does not model exposure: a step of 20 % between two images cost 0.4 px, one of 50 % nine of ten features.
+    Small differences are left: they come from ground that only one image shows.
     """
-    a, b = image[::_EVERY, ::_EVERY].astype(np.float32), other[::_EVERY, ::_EVERY].astype(np.float32)
-    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MOST_GAIN, _MOST_GAIN))
+    a, b = image[::_SAMPLING, ::_SAMPLING].astype(np.float32), other[::_SAMPLING, ::_SAMPLING].astype(np.float32)
+    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MAX_GAIN, _MAX_GAIN))
     shift = float(b.mean()) - gain * float(a.mean())
     if abs(gain - 1.0) < _SAME_GAIN and abs(float(b.mean() - a.mean())) < _SAME_GREY:
         return image
@@ -50,68 +52,71 @@ def lit_as(image: U8, other: U8) -> U8:
     return np.asarray(cv2.LUT(image, levels))
 
 
-def common_shift(then: U8, now: U8, pixels: F32, guess: F32) -> F32:
-    """Return the (2,) px that all guesses are off by alike: a degree of tilt is 34 px, more than a search may bound."""
-    a, b = shrunken(then), shrunken(now)
-    k = factor_of(now)
-    warped, there = _warped(a, b, pixels, guess, k)
-    r = _REACH // k
-    if there.mean() < _OVERLAP or min(a.shape) <= 4 * r:
+def common_shift(then: U8, now: U8, pixels: F32, predicted: F32) -> F32:
+    """Return the (2,) px of the common error of all predicted pixels: a degree of tilt is 34 px, beyond the search."""
+    a, b = downsampled(then), downsampled(now)
+    k = downsampling_factor(now)
+    warped, valid = _warped(a, b, pixels, predicted, k)
+    r = _MAX_COMMON_SHIFT // k
+    if valid.mean() < _MIN_OVERLAP or min(a.shape) <= 4 * r:
         return np.zeros(2, np.float32)
-    high = [_high(warped), _high(b)]
-    inner = high[0][r:-r, r:-r] * there[r:-r, r:-r]
-    score = cv2.matchTemplate(high[1], inner, cv2.TM_CCORR_NORMED, mask=there[r:-r, r:-r].astype(np.float32))
+    high = [_high_pass(warped), _high_pass(b)]
+    inner = high[0][r:-r, r:-r] * valid[r:-r, r:-r]
+    score = cv2.matchTemplate(high[1], inner, cv2.TM_CCORR_NORMED, mask=valid[r:-r, r:-r].astype(np.float32))
     y, x = np.unravel_index(int(np.argmax(score)), score.shape)
     return np.array([(x - r) * k, (y - r) * k], np.float32)
 
 
-def found_again(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
-    """Where (N, 2) pixels of one picture are in another of which nothing is known: turned about the axis and shifted.
+def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:
+    """Return (N, 2) pixels of one image in another, without any prediction: rotated about the axis and shifted.
 
-    Phase correlation of shrunken pictures; the turn whose peak is the highest.
+    Phase correlation of the downsampled images (Kuglin and Hines 1975), for each rotation of `turns` in rad; the
+    rotation with the highest peak is taken.
     """
     middle = (np.array([then.shape[1], then.shape[0]], np.float64) - 1.0) / 2.0
-    k, a, b = factor_of(now), shrunken(then), shrunken(now)
+    k, a, b = downsampling_factor(now), downsampled(then), downsampled(now)
     window = cv2.createHanningWindow((b.shape[1], b.shape[0]), cv2.CV_32F)
     best, found = -1.0, pixels
     for turn in turns:
         R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-        guess = ((pixels - middle) @ R.T + middle).astype(np.float32)
-        warped, _ = _warped(a, b, pixels, guess, k)
-        shift, peak = cv2.phaseCorrelate(_high(warped), _high(b), window)
+        predicted = ((pixels - middle) @ R.T + middle).astype(np.float32)
+        warped, _ = _warped(a, b, pixels, predicted, k)
+        shift, peak = cv2.phaseCorrelate(_high_pass(warped), _high_pass(b), window)
         if peak > best:
-            best, found = peak, guess + np.array(shift, np.float32) * k
+            best, found = peak, predicted + np.array(shift, np.float32) * k
     return found.astype(np.float32)
 
 
-def _high(image: U8) -> F32:
-    """A picture less its slow changes."""
+def _high_pass(image: U8) -> F32:
+    """The image less a Gaussian mean."""
     x = image.astype(np.float32)
     return np.asarray(x - cv2.GaussianBlur(x, (0, 0), 4.0), dtype=np.float32)
 
 
-def factor_of(image: U8) -> int:
-    return max(1, round(int(min(image.shape)) / _SMALL))
+def downsampling_factor(image: U8) -> int:
+    """Return the factor by which an image is downsampled."""
+    return max(1, round(int(min(image.shape)) / _SMALL_SIDE))
 
 
-def shrunken(image: U8) -> U8:
-    k = 1.0 / factor_of(image)
+def downsampled(image: U8) -> U8:
+    """Return a small version of the image."""
+    k = 1.0 / downsampling_factor(image)
     return np.asarray(cv2.resize(image, None, fx=k, fy=k, interpolation=cv2.INTER_AREA))
 
 
-def _warped(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> tuple[U8, Mask]:
-    """A shrunken picture under the affine map from `pixels` to `guess` (full size), and where it has something."""
-    a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, guess))
+def _warped(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> tuple[U8, Mask]:
+    """Warp a downsampled image by the affine map from `pixels` to `predicted` (full size); also where it is valid."""
+    a, b = ((x.astype(np.float64) + 0.5) / factor - 0.5 for x in (pixels, predicted))
     affine = np.linalg.lstsq(np.column_stack([a, np.ones(len(a))]), b, rcond=None)[0].T
     size = (now.shape[1], now.shape[0])
-    there = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
-    return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(there)
+    valid = cv2.warpAffine(np.ones_like(then), affine, size, flags=cv2.INTER_NEAREST) > 0
+    return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(valid)
 
 
-def agreement(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> float:
-    """Correlation of two shrunken pictures where the affine map from `pixels` to `guess` (full size) overlaps them."""
-    warped, there = _warped(then, now, pixels, guess, factor)
-    if there.mean() < _OVERLAP:
+def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> float:
+    """Correlation of two downsampled images where they overlap by the affine map from `pixels` to `predicted`."""
+    warped, valid = _warped(then, now, pixels, predicted, factor)
+    if valid.mean() < _MIN_OVERLAP:
         return -1.0
-    x, y = warped[there].astype(np.float64), now[there].astype(np.float64)
+    x, y = warped[valid].astype(np.float64), now[valid].astype(np.float64)
     return float(np.corrcoef(x, y)[0, 1]) if x.std() > 0 and y.std() > 0 else -1.0

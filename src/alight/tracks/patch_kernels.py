@@ -1,4 +1,4 @@
-"""Patches of earlier pictures found again in a present one (docs/method/tracks.md, M1e)."""
+"""Alignment of patches of earlier images with the present one: kernels (docs/method/tracks.md, M1e)."""
 
 import math
 
@@ -12,24 +12,24 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
-_LEAST_GAIN = np.float32(0.2)  # of contrast; a patch that is hardly there any more is not matched
+_MIN_GAIN = np.float32(0.2)  # of contrast; a patch with less contrast is not matched
 
 
 @kernel
-def _lay(patch: U8, x: float, y: float, turn: F64, half: int, out: F32) -> bool:
-    """Sample a patch, bilinear, `half` px about a place, as it lies in the present picture; False: it ends."""
+def _sample_patch(patch: U8, x: float, y: float, warp: F64, half: int, out: F32) -> bool:
+    """Sample a warped patch bilinearly, `half` px around a place; False: the patch is too small."""
     n = patch.shape[0]
-    wide = half * (abs(turn[0, 0]) + abs(turn[0, 1]))
-    high = half * (abs(turn[1, 0]) + abs(turn[1, 1]))
+    wide = half * (abs(warp[0, 0]) + abs(warp[0, 1]))
+    high = half * (abs(warp[1, 0]) + abs(warp[1, 1]))
     if not (x >= wide and y >= high and x + wide < n - 1 and y + high < n - 1):
         return False
-    along, aslant = np.float32(turn[0, 0]), np.float32(turn[1, 0])
+    along, aslant = np.float32(warp[0, 0]), np.float32(warp[1, 0])
     for r in range(2 * half + 1):
-        left = np.float32(x + turn[0, 1] * (r - half) - turn[0, 0] * half)
-        top = np.float32(y + turn[1, 1] * (r - half) - turn[1, 0] * half)
+        left = np.float32(x + warp[0, 1] * (r - half) - warp[0, 0] * half)
+        top = np.float32(y + warp[1, 1] * (r - half) - warp[1, 0] * half)
         for c in range(2 * half + 1):
             px, py = left + along * np.float32(c), top + aslant * np.float32(c)
-            i, j = np.uint32(py), np.uint32(px)  # not negative, and numba need not ask
+            i, j = np.uint32(py), np.uint32(px)  # not negative: saves a check
             b, a = py - np.float32(i), px - np.float32(j)
             p, q = np.float32(patch[i, j]), np.float32(patch[i + 1, j])
             upper = p + a * (np.float32(patch[i, j + 1]) - p)
@@ -39,8 +39,8 @@ def _lay(patch: U8, x: float, y: float, turn: F64, half: int, out: F32) -> bool:
 
 
 @sum_kernel
-def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
-    """Take the mean out of a patch, and of its gradients; sums: xx, xy, yy of these, the patch's power, both."""
+def _normalise_patch(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
+    """Subtract the means of a patch and of its gradients; sums: xx, xy, yy, square of the patch, x and y by patch."""
     m = gx.shape[0]
     mean, mx, my = _ZERO, _ZERO, _ZERO
     for r in range(m):
@@ -68,8 +68,8 @@ def _slopes(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
 
 
 @sum_kernel
-def _compare(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F64, step: F64) -> float:
-    """One step of least squares over shift, gain and offset of brightness; the correlation where it was taken."""
+def _gauss_newton_step(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F64, step: F64) -> float:
+    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before it."""
     m = gx.shape[0]
     half = m // 2
     top, left = int(y) - half, int(x) - half
@@ -89,7 +89,7 @@ def _compare(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F6
             ey += gy[r, c] * value
     gain = cross / np.float32(sums[3])
     variance = square - total * total / np.float32(m * m)
-    if gain <= _LEAST_GAIN or variance <= 0:
+    if gain <= _MIN_GAIN or variance <= 0:
         return -1.0
     off_x, off_y = ex / gain - np.float32(sums[4]), ey / gain - np.float32(sums[5])
     det = sums[0] * sums[2] - sums[1] * sums[1]
@@ -99,41 +99,41 @@ def _compare(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F6
 
 
 @kernel
-def settle(
-    patches: U8, places: F64, turns: F64, image: U8, stop: float, rounds: int, lay: F32, slopes: F32, found: F64,
+def align_patches(
+    patches: U8, places: F64, warps: F64, image: U8, stop: float, rounds: int, lay: F32, slopes: F32, found: F64,
     fit: F64,
 ) -> None:  # fmt: skip
-    """Move features to where their patches match best: least squares over a shift, a gain and an offset of brightness.
+    """Align patches with an image by least squares over a shift, a gain and an offset of brightness.
 
-    Inverse compositional Gauss-Newton: the gradients are the patch's, taken once.
+    Inverse compositional Gauss-Newton (Baker and Matthews 2004): gradients are taken once, of the patch.
 
     Args:
-        patches: (N, S, S) grey, cut from earlier pictures.
+        patches: (N, S, S) grey, cut from earlier images.
         places: (N, 2) column and row of the features in them.
-        turns: (N, 2, 2) px of the patch by px of the picture.
+        warps: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
         image: (H, W) grey.
-        stop: px, of the last step.
-        rounds: steps at most; where the last is no smaller than `stop` there is no match.
+        stop: px, largest last step.
+        rounds: most steps; without a last step below `stop` there is no match.
         lay: (M + 2, M + 2) scratch for a window of M px, M odd.
         slopes: (2, M, M) scratch.
-        found: (N, 2) pixels, from where to search; where the patch is found after.
-        fit: (N,) out: correlation, -1 = not found.
+        found: (N, 2) start pixels; replaced by the aligned ones.
+        fit: (N,) out: correlation, -1 = no match.
     """
     h, w = image.shape
     half, gx, gy = slopes.shape[1] // 2, slopes[0], slopes[1]
     sums, step = np.empty(6), np.empty(2)
     for k in range(patches.shape[0]):
         fit[k] = -1.0
-        if not _lay(patches[k], places[k, 0], places[k, 1], turns[k], half + 1, lay):
+        if not _sample_patch(patches[k], places[k, 0], places[k, 1], warps[k], half + 1, lay):
             continue
-        _slopes(lay, gx, gy, sums)
+        _normalise_patch(lay, gx, gy, sums)
         if sums[0] * sums[2] - sums[1] * sums[1] <= 1e-6:
             continue
         x, y = found[k, 0], found[k, 1]
         for _ in range(rounds):
             if not (x >= half and y >= half and x < w - 1 - half and y < h - 1 - half):
                 break
-            correlation = _compare(image, x, y, lay, gx, gy, sums, step)
+            correlation = _gauss_newton_step(image, x, y, lay, gx, gy, sums, step)
             if correlation < 0:
                 break
             x, y = x - step[0], y - step[1]

@@ -1,8 +1,7 @@
 """Feature tracks: Shi-Tomasi corners followed in time and across the rig by pyramidal Lucas-Kanade.
 
-The search starts where the predicted motion puts a feature and is bounded about that place; every match is made
-forward and backward; matches between cameras are held against the patch and the epipolar line (docs/method/tracks.md,
-M1-M3).
+The search starts at the predicted pixel of a feature and is bounded about it. Each match in time is checked forward and
+backward; matches between cameras are checked by the patch and the epipolar line (docs/method/tracks.md, M1-M3).
 """
 
 from __future__ import annotations
@@ -17,21 +16,21 @@ from numpy.typing import NDArray
 from alight.geometry import Camera, Pose
 from alight.records import F32, F64, U8, Frame, Prediction, Rig, Tracks
 from alight.settings import TracksSettings
-from alight.tracks.corners import BORDER, corners, spread_corners, strength
+from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import (
     TURNS,
-    agreement,
     common_shift,
-    factor_of,
-    found_again,
-    lit_as,
-    shrunken,
-    warp_whole,
+    downsampled,
+    downsampling_factor,
+    image_correlation,
+    match_brightness,
+    relocate,
+    warp_affine,
 )
 from alight.tracks.lens import Lens
-from alight.tracks.patches import Anchors, FeaturePatches, GroundPlane, smooth_image, view_warps
-from alight.tracks.search_region import scatter, within
+from alight.tracks.patches import AnchorPatches, FeaturePatches, GroundPlane, patch_warps, smooth_image
+from alight.tracks.search_region import inside_search_region, pixel_covariance
 
 Mask = NDArray[np.bool_]
 Ids = NDArray[np.int64]
@@ -39,15 +38,15 @@ Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
-_STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # of the way back, and where patches settle
-_FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
-_FEW = 0.1  # share of the features found below which the prediction is doubted
-_PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
-_SWEEP_STEP = 0.12  # of the logarithm of depth
-_SURE = 5.0  # px; where nine of ten guesses were off by more, nobody knows how patches lie (photos: 0.08, 0.04 degrees)
-_SPAN = 0.125  # of the width; features that moved further look otherwise by now
-_DEPTH_PX, _UNKNOWN = 0.3, 0.5  # px, sigma of the parallax that gives a depth; share of the median where there is none
-_CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
+_STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # backward, and before patches
+_LARGE_MOTION = 40.0  # px between two images; above it the common error of the prediction is corrected first
+_MIN_FOUND = 0.1  # share of the features; with fewer found, the prediction may be wrong as a whole
+_MIN_PARALLAX = 10.0  # px of motion due to depth; above it the depth is taken from it
+_DEPTH_STEP = 0.12  # of the logarithm of depth, between the depths tried
+_MAX_WARP_ERROR = 5.0  # px, 90th percentile of the prediction error; above it predicted patch warps are not used
+_PATCH_REACH = 0.125  # of the image width; features that moved further get a new patch
+_PARALLAX_SIGMA, _UNKNOWN_DEPTH_SIGMA = 0.3, 0.5  # px; share of the median depth where a depth is unknown
+_SMALL_ERROR = 1.5  # px, 90th percentile of the prediction error; below it no pyramid is needed, above it two levels
 
 
 def grey(image: U8) -> U8:
@@ -56,8 +55,8 @@ def grey(image: U8) -> U8:
 
 
 @dataclass(eq=False)
-class _Memory:
-    """What is kept of the last exposure that had a left image."""
+class _LastExposure:
+    """The last exposure that had a left image."""
 
     t_ns: int
     image: U8
@@ -68,15 +67,15 @@ class _Memory:
 
 
 @dataclass(frozen=True, eq=False)
-class Guess:
-    """Where features are looked for."""
+class PredictedPixels:
+    """Predicted pixels of features, where the search starts."""
 
     pixels: F32  # (N, 2)
-    scatter: F64 | None = None  # (N, 2, 2) px^2, covariance of these; None: nothing is known of it
+    covariance: F64 | None = None  # (N, 2, 2) px^2 of the prediction; None: unknown
 
 
 class Tracker:
-    """Follows features through the exposures of a rig; `feed` gives one `TracksSettings` an exposure."""
+    """Follows features through the exposures of a rig; `feed` returns one `Tracks` an exposure."""
 
     def __init__(self, rig: Rig, settings: TracksSettings) -> None:
         self._settings = settings
@@ -84,154 +83,182 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
-        arms = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
-        self._arm = max([a for a in arms if a > 0], default=np.inf)  # m px: over depth, the parallax that gave it
-        self._anchors = Anchors(self._lenses[0], _SPAN * self._cameras[0].width, settings.window_px)
-        self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
+        baselines = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
+        self._rig_baseline_px = max(
+            [b for b in baselines if b > 0], default=np.inf
+        )  # m px: over the depth, the disparity
+        self._anchors = AnchorPatches(self._lenses[0], _PATCH_REACH * self._cameras[0].width, settings.window_px)
+        # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
+        self._prediction_error = [np.inf] * len(rig.cameras)
         self._next_id = 0
-        self._memory: _Memory | None = None
+        self._last: _LastExposure | None = None
 
     @property
     def last_ns(self) -> int | None:
-        """Stamp of the exposure that features are followed from; None: none yet."""
-        return self._memory.t_ns if self._memory else None
+        """Stamp of the exposure from which features are tracked; None: none yet."""
+        return self._last.t_ns if self._last else None
 
     def feed(self, frame: Frame, prediction: Prediction | None = None) -> Tracks:
-        """Follow the features into one exposure and take up new ones where the image has none.
+        """Track the features into one exposure and add new corners where the image has none.
 
         Args:
-            prediction: the cameras at this exposure as the motion expects them, seen from that at `last_ns`.
+            prediction: of the cameras at this exposure, relative to that at `last_ns`.
 
         Returns:
-            the features seen; no rows when the left image is missing (the features wait for the next one).
+            the features observed; none when the left image is missing (tracking goes on at the next one).
         """
         if frame.images[0] is None:
-            return self._record(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
+            return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
-        ids, pixels, depth = self._follow(image, prediction)
+        ids, pixels, depth = self._track_in_time(image, prediction)
         poses = prediction.world_from_cams if prediction else None
-        pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth_image(image)
-        pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
-        ids, pixels, depth = self._take_up(image, ids, pixels, depth)
-        self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
-        seen, depth = self._across(frame, image, soft, pixels, depth, pose)
-        self._memory = _Memory(frame.t_ns, image, poses, ids, pixels, depth)
-        return self._record(frame.t_ns, ids, seen, strength(image, pixels, self._settings.window_px))
+        pose, soft = poses[0] if poses and self._prediction_error[0] < _MAX_WARP_ERROR else None, smooth_image(image)
+        pixels = self._anchors.refine(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
+        ids, pixels, depth = self._add_corners(image, ids, pixels, depth)
+        self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
+        observed, depth = self._match_across_rig(frame, image, soft, pixels, depth, pose)
+        self._last = _LastExposure(frame.t_ns, image, poses, ids, pixels, depth)
+        return self._tracks_of(frame.t_ns, ids, observed, corner_response(image, pixels, self._settings.window_px))
 
-    def _follow(self, image: U8, prediction: Prediction | None) -> tuple[Ids, F32, F64]:
-        m = self._memory
+    def _track_in_time(self, image: U8, prediction: Prediction | None) -> tuple[Ids, F32, F64]:
+        m = self._last
         if m is None or not len(m.ids):
             return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
         earlier = (prediction.earlier or m.poses) if prediction else None
         now_from_then = prediction.world_from_cams[0].inverse @ earlier[0] if prediction and earlier else None
         if prediction is None or now_from_then is None:
-            guess = Guess(found_again(m.image, image, m.pixels, (0.0,)))
+            predicted = PredictedPixels(relocate(m.image, image, m.pixels, (0.0,)))
         else:
-            guess = self._expected(m, image, now_from_then, prediction.covariance)
-        pixels, good = self._matched(m, image, guess, now_from_then is not None)
+            predicted = self._predicted_pixels(m, image, now_from_then, prediction.covariance)
+        pixels, good = self._match_in_time(m, image, predicted, now_from_then is not None)
         if good.mean() < 0.5 and now_from_then is not None:
-            pixels, good = self._matched(m, image, Guess(guess.pixels))
-        if good.mean() < _FEW:  # the prediction may be wrong as a whole
-            other = self._matched(m, image, Guess(found_again(m.image, image, m.pixels, TURNS)))
+            pixels, good = self._match_in_time(m, image, PredictedPixels(predicted.pixels))
+        if good.mean() < _MIN_FOUND:  # the prediction may be wrong as a whole: try without it
+            other = self._match_in_time(m, image, PredictedPixels(relocate(m.image, image, m.pixels, TURNS)))
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
-        good &= spread_corners(m.ids, pixels, good, self._cell)
-        depth = self._carried(m, pixels, now_from_then) if now_from_then is not None else m.depth
+        good &= oldest_per_cell(m.ids, pixels, good, self._cell)
+        depth = self._updated_depths(m, pixels, now_from_then) if now_from_then is not None else m.depth
         return m.ids[good], pixels[good], depth[good]
 
-    def _expected(self, m: _Memory, image: U8, now_from_then: Pose, change: F64 | None) -> Guess:
-        """Where the motion puts the features; where that is far away, its common error is found first (M1c)."""
-        known = bool(np.isfinite(m.depth).any())
-        depth = m.depth if known else self._swept(m, image, now_from_then)
-        guess = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], change)
-        if np.linalg.norm(guess.pixels - m.pixels, axis=1).mean() > _FAR:
-            return Guess(guess.pixels + common_shift(m.image, image, m.pixels, guess.pixels))
-        return guess if known and change is not None else Guess(guess.pixels)
+    def _predicted_pixels(
+        self, m: _LastExposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
+    ) -> PredictedPixels:
+        """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
+        has_depth = bool(np.isfinite(m.depth).any())
+        depth = m.depth if has_depth else self._common_depth(m, image, now_from_then)
+        predicted = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], relative_covariance)
+        if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > _LARGE_MOTION:
+            return PredictedPixels(predicted.pixels + common_shift(m.image, image, m.pixels, predicted.pixels))
+        return predicted if has_depth and relative_covariance is not None else PredictedPixels(predicted.pixels)
 
-    def _matched(self, m: _Memory, image: U8, guess: Guess, expected: bool = False) -> tuple[F32, Mask]:
-        held = expected and self._off[0] < _CLOSE
-        then, start = (m.image, m.pixels) if held else warp_whole(m.image, m.pixels, guess.pixels)
-        return self._match(then, image, start, guess, 0, expected)
+    def _match_in_time(
+        self, m: _LastExposure, image: U8, predicted: PredictedPixels, expected: bool = False
+    ) -> tuple[F32, Mask]:
+        patched = expected and self._prediction_error[0] < _SMALL_ERROR
+        then, start = (m.image, m.pixels) if patched else warp_affine(m.image, m.pixels, predicted.pixels)
+        return self._match(then, image, start, predicted, 0, expected)
 
-    def _swept(self, m: _Memory, image: U8, now_from_then: Pose) -> F64:
-        """One depth for all features when none is known: the plane across the view that makes the pictures agree (M1c).
+    def _common_depth(self, m: _LastExposure, image: U8, now_from_then: Pose) -> F64:
+        """Return one depth for all features when none is known: that of the best correlation of the images (M1c).
 
-        Without it a camera alone could not be followed over the 127 px between two photos.
+        A single camera needs it between photos, where features move by more than a search covers.
         """
-        way, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
+        baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
         least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
-        shifts = np.geomspace(least, most, int(np.log(most / least) / _SWEEP_STEP))
-        if way * camera.fu < least:
+        shifts = np.geomspace(least, most, int(np.log(most / least) / _DEPTH_STEP))
+        if baseline * camera.fu < least:
             return m.depth
-        small, now = shrunken(m.image), shrunken(image)
+        small, now = downsampled(m.image), downsampled(image)
         scores = [
-            agreement(
-                small, now, m.pixels, self._transfer(m.pixels, depth, now_from_then, camera).pixels, factor_of(image)
+            image_correlation(
+                small,
+                now,
+                m.pixels,
+                self._transfer(m.pixels, depth, now_from_then, camera).pixels,
+                downsampling_factor(image),
             )
-            for depth in (np.full(len(m.ids), way / s) for s in shifts)
+            for depth in (np.full(len(m.ids), baseline / s) for s in shifts)
         ]
-        return np.full(len(m.ids), way / shifts[int(np.argmax(scores))])
+        return np.full(len(m.ids), baseline / shifts[int(np.argmax(scores))])
 
-    def _carried(self, m: _Memory, pixels: F32, now_from_then: Pose) -> F64:
-        """Depths in the present view: by parallax where there is enough, else the old ones carried on."""
+    def _updated_depths(self, m: _LastExposure, pixels: F32, now_from_then: Pose) -> F64:
+        """Return depths in the present view: by parallax where it suffices, else the old depths moved on."""
         camera = self._cameras[0]
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (m.pixels, pixels))
         w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > _PARALLAX, 1.0 / np.maximum(w, 1e-9), m.depth)
+        z = np.where(w * arm * camera.fu > _MIN_PARALLAX, 1.0 / np.maximum(w, 1e-9), m.depth)
         points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
         return np.asarray(now_from_then.apply(points)[:, 2])
 
-    def _flow(self, a: U8, b: U8, pixels: F32, guess: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
+    def _lucas_kanade(self, a: U8, b: U8, pixels: F32, predicted: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
         options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": stop}
-        there, ok, _ = cv2.calcOpticalFlowPyrLK(
-            a, b, pixels, guess.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
+        found, ok, _ = cv2.calcOpticalFlowPyrLK(
+            a, b, pixels, predicted.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
-        return np.asarray(there), np.asarray(ok[:, 0] > 0)
+        return np.asarray(found), np.asarray(ok[:, 0] > 0)
 
     def _transfer(
-        self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera, change: F64 | None = None
-    ) -> Guess:
-        """Take pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
-        known = np.isfinite(depth)
-        z = np.where(known, depth, np.median(depth[known]) if known.any() else 1e6)
+        self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera, relative_covariance: F64 | None = None
+    ) -> PredictedPixels:
+        """Project pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
+        has_depth = np.isfinite(depth)
+        z = np.where(has_depth, depth, np.median(depth[has_depth]) if has_depth.any() else 1e6)
         flat = self._lenses[0].normalise(pixels.astype(np.float64))
         points = np.column_stack([flat, np.ones(len(flat))]) * z[:, None]
-        there = other_from_first.apply(points)
-        out = other.project(there).astype(np.float32)
-        vague = np.where(known, _DEPTH_PX / np.minimum(self._arm / np.maximum(z, 1e-9), _PARALLAX), _UNKNOWN)
-        by_depth = (points * vague[:, None]) @ other_from_first.rotation.T
-        open_ = scatter(there, by_depth, other.fu, change) if known.any() else None
-        return Guess(np.where(np.isfinite(out), out, pixels), open_)
+        moved = other_from_first.apply(points)
+        out = other.project(moved).astype(np.float32)
+        relative_sigma = np.where(
+            has_depth,
+            _PARALLAX_SIGMA / np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), _MIN_PARALLAX),
+            _UNKNOWN_DEPTH_SIGMA,
+        )
+        by_depth = (points * relative_sigma[:, None]) @ other_from_first.rotation.T
+        covariance = pixel_covariance(moved, by_depth, other.fu, relative_covariance) if has_depth.any() else None
+        return PredictedPixels(np.where(np.isfinite(out), out, pixels), covariance)
 
-    def _match(self, a: U8, b: U8, pixels: F32, guess: Guess, cam: int, expected: bool = False) -> tuple[F32, Mask]:
-        """Lucas-Kanade from `a` to `b` (of camera `cam`), in time there and back; good near the guess and inside.
+    def _match(
+        self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
+    ) -> tuple[F32, Mask]:
+        """Lucas-Kanade from `a` to `b` (of camera `cam`), in time forward and backward.
 
         Args:
-            expected: the guesses are good to some pixels, so the coarse levels are not needed.
+            a, b: images.
+            pixels: (N, 2) in `a`.
+            predicted: in `b`.
+            cam: index of the camera of `b`; 0: a match in time.
+            expected: the prediction is good to some pixels, so that coarse pyramid levels are not needed.
+
+        Returns:
+            (N, 2) pixels in `b`; (N,) which are inside the image and the search region.
         """
-        a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
-        held = expected and near == 1  # its patch settles it
-        levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
-        there, ok = self._flow(a, b, pixels, guess.pixels, levels, stop)
-        good = ok & _inside(there, self._cameras[cam])
-        if cam == 0:  # a match in another camera is held against its patch instead
-            back, ok = self._flow(b, a, there, pixels, 1, _STOP_ROUGH)  # from where it must end: wrong ones slide away
+        a, s = match_brightness(a, b), self._settings
+        enough_levels = 1 if self._prediction_error[cam] < _SMALL_ERROR else 2
+        patched = expected and enough_levels == 1  # refined by its patch afterwards
+        levels, stop = min(s.levels, enough_levels) if expected else s.levels, _STOP_ROUGH if patched else _STOP
+        found, ok = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, stop)
+        good = ok & _inside(found, self._cameras[cam])
+        if cam == 0:  # a match in another camera is checked by its patch instead
+            # the backward match starts where it must end: wrong matches drift away
+            back, ok = self._lucas_kanade(b, a, found, pixels, 1, _STOP_ROUGH)
             good &= ok & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
-        off = there - guess.pixels
-        far = np.linalg.norm(off, axis=1)
-        good &= far < s.search_px
-        if guess.scatter is not None:
-            good &= within(off, guess.scatter, s.search_sigmas, s.search_sigma_px)
-        self._off[cam] = float(np.sort(far[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
-        return there, good
+        error = found - predicted.pixels
+        distance = np.linalg.norm(error, axis=1)
+        good &= distance < s.search_px
+        if predicted.covariance is not None:
+            good &= inside_search_region(error, predicted.covariance, s.search_sigmas, s.search_sigma_px)
+        self._prediction_error[cam] = (
+            float(np.sort(distance[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
+        )
+        return found, good
 
     @property
     def _cell(self) -> float:
         camera = self._cameras[0]
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
-    def _take_up(self, image: U8, ids: Ids, pixels: F32, depth: F64) -> tuple[Ids, F32, F64]:
-        new = corners(image, pixels, self._cell, self._settings.texture)
+    def _add_corners(self, image: U8, ids: Ids, pixels: F32, depth: F64) -> tuple[Ids, F32, F64]:
+        new = detect_corners(image, pixels, self._cell, self._settings.texture)
         fresh = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
         return (
@@ -240,52 +267,55 @@ class Tracker:
             np.concatenate([depth, np.full(len(new), np.nan)]),
         )
 
-    def _across(self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None) -> tuple[F64, F64]:
-        """Match the features of the left camera in every other camera; pixels (N, cameras, 2) and depth (N,)."""
+    def _match_across_rig(
+        self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None
+    ) -> tuple[F64, F64]:
+        """Match features of the left camera in all other cameras; pixels (N, cameras, 2) and depths (N,)."""
         patches = FeaturePatches.cut(
             soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1
         )
-        seen = np.full((len(pixels), len(self._cameras), 2), np.nan)
-        seen[:, 0] = pixels
+        observed = np.full((len(pixels), len(self._cameras), 2), np.nan)
+        observed[:, 0] = pixels
         for i in range(1, len(self._cameras)):
             other = frame.images[i]
             if other is not None and len(pixels):
-                found, z = self._stereo(i, image, grey(other), pixels, depth, (patches, pose))
-                seen[:, i] = found
+                found, z = self._match_stereo(i, image, grey(other), pixels, depth, (patches, pose))
+                observed[:, i] = found
                 depth = np.where(np.isfinite(z), z, depth)
-        return seen, depth
+        return observed, depth
 
-    def _stereo(
+    def _match_stereo(
         self, i: int, left: U8, right: U8, pixels: F32, depth: F64, soft: tuple[FeaturePatches, Pose | None]
     ) -> tuple[F64, F64]:
-        """Match along the epipolar line from the expected disparity on; pixels (N, 2) and depth (N,), NaN = none."""
+        """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
-        guess = self._transfer(pixels, depth, pose, camera)
-        there, good = self._match(left, right, pixels, guess, i, bool(np.isfinite(depth).any()))
-        there = self._settled(i, smooth_image(right), *soft, there, good, depth)
-        found = np.where(good[:, None], there.astype(np.float64), np.nan)
+        predicted = self._transfer(pixels, depth, pose, camera)
+        matched, good = self._match(left, right, pixels, predicted, i, bool(np.isfinite(depth).any()))
+        matched = self._refine_by_patches(i, smooth_image(right), *soft, matched, good, depth)
+        found = np.where(good[:, None], matched.astype(np.float64), np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
             w, arm = inverse_depth(a, b, pose)
             good &= epipolar_distance(a, b, pose) * camera.fu < self._settings.epipolar_px
             good &= w > -2.0 / (camera.fu * arm)  # behind the camera by more than two pixels: a wrong match
-            z = np.where(good & (w * arm * camera.fu > 1.0), 1.0 / w, np.nan)  # under a pixel it says nothing
+            # a disparity of less than a pixel does not determine the depth
+            z = np.where(good & (w * arm * camera.fu > 1.0), 1.0 / w, np.nan)
         found[~good] = np.nan
         return found, z
 
-    def _settled(
-        self, i: int, right: U8, patches: FeaturePatches, pose: Pose | None, there: F32, good: Mask, depth: F64
+    def _refine_by_patches(
+        self, i: int, right: U8, patches: FeaturePatches, pose: Pose | None, found: F32, good: Mask, depth: F64
     ) -> F32:
-        """Matches in another camera made better by their patches; those that are not found so are no longer good."""
-        held = patches.rows(good[patches.ids])
-        to_first, at = self._cam_from_first[i].inverse, held.ids
-        ground = GroundPlane.below(pose @ to_first if pose is not None else None, depth)
-        guess = there[at].astype(np.float64)
-        turn = view_warps(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
-        there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
-        return there
+        """Refine matches in another camera by their patches; a match that fails is marked in `good`."""
+        patched = patches.select(good[patches.ids])
+        to_first, at = self._cam_from_first[i].inverse, patched.ids
+        ground = GroundPlane.under(pose @ to_first if pose is not None else None, depth)
+        predicted = found[at].astype(np.float64)
+        warps = patch_warps(predicted, self._lenses[i], [to_first], ground, patched.pixels, self._lenses[0])
+        found[at], good[at] = patched.locate(right, predicted, warps, self._settings.window_px | 1)
+        return found
 
-    def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
+    def _tracks_of(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
         for i, lens in enumerate(self._lenses):
             normalised[:, i] = lens.normalise(pixels[:, i])

@@ -1,4 +1,4 @@
-"""Motion of photos far apart: features, first poses, and a bundle adjustment held by GPS, gimbal and the maker's lens.
+"""Motion of photos far apart: features, first poses, and a bundle adjustment with GPS, gimbal and lens priors.
 
 Method and equation numbers: docs/method/bundle.md. Needs pycolmap (extra `photos`).
 """
@@ -24,8 +24,8 @@ from alight.motion.bundle.matching import (
     tracks,
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
-from alight.motion.bundle.priors import make_priors, mended, safe_lens
-from alight.motion.bundle.resection import misplaced, resect, without
+from alight.motion.bundle.priors import corrected_priors, make_priors, observable_lens
+from alight.motion.bundle.resection import misplaced, resect, without_photos
 from alight.motion.bundle.solver import (
     Adjustment,
     BundleState,
@@ -36,19 +36,19 @@ from alight.motion.bundle.solver import (
     residuals,
     triangulate_bundle,
 )
-from alight.motion.bundle.summary import LEAST_SEEN, FirstPoses, Solved, notes_of, warn, why_no_motion
+from alight.motion.bundle.summary import LEAST_SEEN, FirstPoses, Solved, bundle_warnings, notes_of, why_no_motion
 from alight.records import F64, Frame, InputError, Motion, NavSample, Rig
 from alight.settings import BundleSettings
 
 log = logging.getLogger(__name__)
 
 _ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
-_LENS_ROUND = 2  # from here on the lens is free: before, it would soak up the errors of the first poses
-_ASIDE_ROUND = 2  # here photos that lost most of their observations are set aside
-_LEAST_SIGMA = 0.3  # px; features are not independent to better
-_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
+_LENS_ROUND = 2  # from here on the lens is free: earlier it would take up the errors of the first poses
+_SET_ASIDE_ROUND = 2  # before it photos that lost most of their observations are set aside
+_LEAST_SIGMA = 0.3  # px; below it errors of features are correlated
+_FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _COARSE = 300  # observations a photo in all rounds but the last
-_ANGLE = np.radians(1.0)  # least angle between the rays of a point
+_MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def adjust(
     settings: BundleSettings,
     progress: Callable[[float], None] | None = None,
 ) -> BundleResult:
-    """Find the pose of every photo from the pictures, with GPS, gimbal attitude and the maker's lens as priors.
+    """Find the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
     `nav[i]` belongs to `frames[i]`: position in metres, attitude body to world, their sigmas; None is 'not
     measured'. Camera 0 of the rig is used. Photos that cannot be registered have None and a warning.
@@ -109,47 +109,47 @@ def solve_bundle(
     settings: BundleSettings,
     tell: Callable[[float], None] = lambda _: None,
 ) -> Solved | None:
-    """First poses, then rounds of triangulation, selection and adjustment; None when no two photos hang together."""
+    """First poses, then rounds of triangulation, selection and adjustment; None when no two photos are connected."""
     first = first_poses(pairs, priors)
     if first is None:
         return None
     photos = first.photos
-    priors = safe_lens(mended(priors, first.turned, first.contradicted), len(photos))
+    priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), len(photos))
     obs, _ = obs.keep(np.isin(obs.photo, photos))
     state = BundleState(first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
     few, most = select(obs, min(_COARSE, settings.observations)), select(obs, settings.observations)
-    state, aside = _settle(state, few, priors, first.jumped, tell)
+    state, aside = _coarse_rounds(state, few, priors, first.jumped, tell)
     placed = np.empty(0, dtype=np.int64)
     if len(aside):
         state, priors, placed = resect(state, most, aside, priors)
         lost = np.setdiff1d(aside, placed)
-        few, most, obs = (without(o, lost)[0] for o in (few, most, obs))
+        few, most, obs = (without_photos(o, lost)[0] for o in (few, most, obs))
         photos = np.setdiff1d(photos, lost)
         state, _ = _round(state, few, priors, *_ROUNDS[-2])
     state, used = _round(state, most, priors, *_ROUNDS[-1])
     tell(0.85)
     sigma = max(_LEAST_SIGMA, 1.4826 * float(np.median(np.abs(residuals(state, used, priors)))))
-    last = Adjustment(used, priors, sigma, _LOSS)
+    last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
     covariance = last.covariance(state)
-    state, every = refresh(state, obs, priors, 4.0, 2.0)
+    state, every = retriangulate(state, obs, priors, 4.0, 2.0)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
     registered = np.intersect1d(photos, np.flatnonzero(seen >= LEAST_SEEN))
     free = priors.sigma_lens > 0
     return Solved(state, registered, every, covariance, sigma, first, placed, free)
 
 
-def _settle(
+def _coarse_rounds(
     state: BundleState, few: BundleObservations, priors: Priors, aside: Index, tell: Callable[[float], None]
 ) -> tuple[BundleState, Index]:
-    """Go through the coarse rounds without the photos that jumped; those that turn out misplaced are set aside too."""
+    """Coarse rounds without the photos that jumped; photos that prove misplaced are set aside, too."""
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
-    few = without(few, aside)[0]
+    few = without_photos(few, aside)[0]
     for k, (loss, cut) in enumerate(_ROUNDS[:-1]):
-        if k == _ASIDE_ROUND:
-            more = misplaced(few, refresh(state, few, priors, cut, loss)[1], len(priors.centres))
+        if k == _SET_ASIDE_ROUND:
+            more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
             if len(more):
-                aside, few = np.union1d(aside, more), without(few, more)[0]
+                aside, few = np.union1d(aside, more), without_photos(few, more)[0]
                 state, _ = _round(state, few, held, *_ROUNDS[k - 1])
         state, _ = _round(state, few, priors if k >= _LENS_ROUND else held, loss, cut)
         tell(0.15 * (k + 1))
@@ -159,8 +159,8 @@ def _settle(
 def _round(
     state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float
 ) -> tuple[BundleState, BundleObservations]:
-    """Triangulate, leave out, adjust; returns what was used."""
-    state, used = refresh(state, obs, priors, cut, loss)
+    """Triangulate, remove outliers, adjust; return the state and the observations used."""
+    state, used = retriangulate(state, obs, priors, cut, loss)
     if len(used.photo):
         state = Adjustment(used, priors, 1.0, loss).solve(state, 15, 1e-4)
         left = float(np.median(np.abs(residuals(state, used, priors))))
@@ -169,15 +169,15 @@ def _round(
 
 
 def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
-    """Orient every connected component; None when no two photos with GPS hang together."""
+    """Orient every connected component; None when no two photos with GPS are connected."""
     n = len(priors.centres)
     gimbal = priors.world_from_body @ priors.body_from_cam
-    rotations, centres = np.tile(np.eye(3), (n, 1, 1)), _fill(priors.centres, pairs)
-    known = np.asarray(np.isfinite(priors.centres).all(axis=1))
+    rotations, centres = np.tile(np.eye(3), (n, 1, 1)), _fill_missing(priors.centres, pairs)
+    located = np.asarray(np.isfinite(priors.centres).all(axis=1))
     found = [
         orient(group, pairs, priors.centres, priors.sigma_centres, gimbal)
         for group in components(n, pairs)
-        if known[group].sum() >= 2
+        if located[group].sum() >= 2
     ]
     if not found:
         return None
@@ -196,20 +196,20 @@ def _who(found: Sequence[Oriented]) -> list[tuple[Index, ...]]:
     return [(f.photos, f.turned, f.contradicted, f.jumped) for f in found]
 
 
-def _fill(centres: F64, pairs: Sequence[Pair]) -> F64:
+def _fill_missing(centres: F64, pairs: Sequence[Pair]) -> F64:
     """Give photos without GPS the mean position of the photos they match, weighted by matches."""
     out = centres.copy()
     for _ in range(len(centres)):
         missing = np.flatnonzero(~np.isfinite(out).all(axis=1))
-        said: dict[int, list[tuple[int, int]]] = {int(i): [] for i in missing}
+        matched: dict[int, list[tuple[int, int]]] = {int(i): [] for i in missing}
         for p in pairs:
             for a, b in ((p.i, p.j), (p.j, p.i)):
-                if a in said and np.isfinite(out[b]).all():
-                    said[a].append((b, len(p.matches)))
-        known = {a: s for a, s in said.items() if s}
-        for a, s in known.items():
+                if a in matched and np.isfinite(out[b]).all():
+                    matched[a].append((b, len(p.matches)))
+        located = {a: s for a, s in matched.items() if s}
+        for a, s in located.items():
             out[a] = np.average(out[[b for b, _ in s]], axis=0, weights=[m for _, m in s])
-        if not known:
+        if not located:
             break
     return np.nan_to_num(out)
 
@@ -227,21 +227,19 @@ def select(obs: BundleObservations, cap: int) -> BundleObservations:
     return obs.keep(take[obs.point])[0]
 
 
-def refresh(
+def retriangulate(
     state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
 ) -> tuple[BundleState, BundleObservations]:
-    """Triangulate all tracks again; leave out what misses by more than `cut` px or meets at a small angle."""
+    """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
     camera = lens_camera(priors.camera, state.lens)
     for _ in range(2):
         points = triangulate_bundle(state.centres, state.rotations, camera, obs, scale_px=scale)
         state = replace(state, points=points)
         pixels, in_cam = project_points(state, obs, camera)
-        miss = np.linalg.norm(pixels - obs.pixels, axis=1)
-        wide = intersection_angle(points, state.centres, obs) > _ANGLE
-        good = (
-            (in_cam[:, 2] > 0) & wide[obs.point] & (np.nan_to_num(miss, nan=np.inf) < cut if np.isfinite(cut) else True)
-        )
-        obs, old = obs.keep(good)
+        residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
+        wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
+        good = (in_cam[:, 2] > 0) & wide[obs.point]
+        obs, old = obs.keep(good & (residual < cut) if np.isfinite(cut) else good)
         state = replace(state, points=points[old])
     return state, obs
 
@@ -269,6 +267,6 @@ def _result(
     refined = Rig((replace(rig.cameras[0], camera=camera), *rig.cameras[1:]))
     use = np.isin(obs.photo, solved.registered)
     kept, old = obs.keep(use)
-    warnings = solved.first.warnings + warn(frames, features, motions, priors, solved)
+    warnings = solved.first.warnings + bundle_warnings(frames, features, motions, priors, solved)
     notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
     return BundleResult(motions, refined, state.points[old], warnings, notes)

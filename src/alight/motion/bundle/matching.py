@@ -1,6 +1,6 @@
-"""Photos to tracks: SIFT features, pairs of neighbours, matches that pass two-view geometry, tracks through all photos.
+"""Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Features and two-view geometry are pycolmap's. Everything stays in memory; random seeds are fixed.
+Features and two-view geometry are those of pycolmap. All data stay in memory; random seeds are fixed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from alight.settings import BundleSettings
 Index = NDArray[np.int64]
 _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
-_TWO_VIEW_PX = 4.0  # inlier threshold: the maker's distortion is wrong by as much in the corners
+_TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
 _THREADS = 2
 
@@ -38,7 +38,7 @@ class PhotoFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two photos that see the same ground."""
+    """Two photos of the same ground, matched."""
 
     i: int
     j: int
@@ -49,7 +49,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class BundleObservations:
-    """What the photos saw of the points, sorted by point."""
+    """Observations of all photos, sorted by point."""
 
     photo: Index  # (N,)
     point: Index  # (N,) 0 .. points - 1, every number occurs
@@ -92,7 +92,7 @@ def colmap() -> ModuleType:
 
 
 def colmap_camera(camera: Camera) -> object:
-    """Give our camera to pycolmap, whose pixel (0, 0) is the corner and not the centre of the first pixel."""
+    """Return a camera of pycolmap, where pixel (0, 0) is the corner and not the centre of the first pixel."""
     k = [camera.fu, camera.fv, camera.cu + 0.5, camera.cv + 0.5]
     d = list(camera.distortion)
     model, params = {
@@ -120,7 +120,7 @@ def extract(image: U8, settings: BundleSettings) -> PhotoFeatures:
     options = pc.FeatureExtractionOptions()
     options.num_threads = 1
     options.sift.max_num_features = settings.features
-    options.sift.first_octave = 0  # doubling the photo first costs five times the time for no better poses
+    options.sift.first_octave = 0  # upsampling the photo first takes five times as long for no better poses
     grey, factor = _shrunk(image, settings.image_px)
     keypoints, descriptors = pc.FeatureExtractor.create(options).extract_from_uint8_array(grey)
     place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
@@ -228,7 +228,7 @@ def match_pairs(
 
 
 def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> BundleObservations:
-    """Join matches that share a feature into tracks; a track that meets a photo twice holds a wrong match and goes."""
+    """Join matches that share a feature into tracks; a track with two features of one photo is wrong and removed."""
     offset = np.concatenate([[0], np.cumsum([0 if f is None else len(f.pixels) for f in features])])
     total = int(offset[-1])
     if not pairs:

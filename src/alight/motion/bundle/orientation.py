@@ -1,6 +1,6 @@
-"""First poses: rotations from the pictures, turned into the world by GPS baselines and the gimbal's attitude.
+"""First poses: relative rotations averaged, then aligned with the world by GPS baselines and gimbal attitudes.
 
-The pictures decide. A gimbal tag is believed only where it agrees with them, so that tags turned half round do no harm.
+Images decide: a gimbal tag is used only where it agrees with them, so that tags that are half a turn off do no harm.
 """
 
 from __future__ import annotations
@@ -12,21 +12,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.spatial.transform import Rotation
 
 from alight.geometry import so3_exp, so3_log
 from alight.motion.bundle.matching import Index, Pair
 from alight.records import F64
 
-_AGREES = (
-    0.35  # rad between gimbal and pictures: chains of relative rotations drift by a third of it, mistakes are far above
-)
+# rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
+_MAX_DISAGREEMENT = 0.35
 _AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
-_DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground shift and turn look alike
-_DOWN = np.diag([1.0, -1.0, -1.0])  # a camera that looks straight down, where nothing is known of any attitude
-_DOWN_SIGMA = 0.5  # rad
-_OFF = 5.0  # sigmas that make a baseline wrong
-_MOST = 0.6  # share of wrong baselines of a photo that jumped
-_SWEEPS = 30
+_DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
+_NADIR = np.diag(
+    [1.0, -1.0, -1.0]
+)  # world_from_cam of a camera that looks straight down: assumed where no photo has an attitude
+_NADIR_SIGMA = 0.5  # rad
+_MAX_BASELINE_ERROR = 5.0  # sigmas; a baseline with a larger one is wrong
+_JUMP_SHARE = 0.6  # share of wrong baselines of a photo that jumped
+_SWEEPS = 30  # over all photos, of the rotation averaging
+_MEDIAN_STEPS, _MIN_ANGLE = 3, 1e-3  # of Weiszfeld; rad, below which all rotations have the same weight
+_ALIGNMENT_ROUNDS = 20
 HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 
 
@@ -53,12 +57,12 @@ def components(count: int, pairs: Sequence[Pair]) -> list[Index]:
     return [np.flatnonzero(label == k) for k in np.argsort(-sizes, kind="stable") if sizes[k] > 1]
 
 
-def _median_rotation(rotations: list[F64], start: F64) -> F64:
-    """Return the geometric median on SO(3) by Weiszfeld steps: a minority of wrong neighbours does not move it."""
+def _median_rotation(rotations: F64, start: F64) -> F64:
+    """Return the geometric median of (k, 3, 3) rotations by Weiszfeld steps: robust to a minority of wrong ones."""
     R = start
-    for _ in range(3):
-        logs = np.array([so3_log(Q @ R.T) for Q in rotations])
-        weight = 1.0 / np.maximum(np.linalg.norm(logs, axis=1), 1e-3)
+    for _ in range(_MEDIAN_STEPS):
+        logs = so3_log(rotations @ R.T)
+        weight = 1.0 / np.maximum(np.linalg.norm(logs, axis=1), _MIN_ANGLE)
         R = so3_exp((weight[:, None] * logs).sum(axis=0) / weight.sum()) @ R
     return R
 
@@ -66,44 +70,44 @@ def _median_rotation(rotations: list[F64], start: F64) -> F64:
 def average_rotations(photos: Index, pairs: Sequence[Pair]) -> F64:
     """Return (k, 3, 3) `frame_from_cam` of one component, the frame being the first photo's camera (L1 averaging).
 
-    Start: the spanning tree of most matches. Then each photo takes the median of what its neighbours say
-    (Hartley et al. 2011, L1 rotation averaging).
+    Start: the spanning tree of most matches. Then each photo takes the median of the rotations by its neighbours
+    (L1 rotation averaging, Hartley et al. 2011 and 2013).
     """
     slot = {int(p): s for s, p in enumerate(photos)}
     edges = [(slot[p.i], slot[p.j], p.j_from_i, len(p.matches)) for p in pairs if p.i in slot]
-    says: list[list[tuple[int, F64]]] = [[] for _ in photos]  # R_s = R_other @ other_from_s
+    neighbours: list[list[tuple[int, F64]]] = [[] for _ in photos]  # (other, other_from_s) of s
     for i, j, j_from_i, _ in edges:
-        says[i].append((j, j_from_i))
-        says[j].append((i, j_from_i.T))
+        neighbours[i].append((j, j_from_i))
+        neighbours[j].append((i, j_from_i.T))
     e = np.array([(i, j, 1.0 / m) for i, j, _, m in edges])
     graph = sparse.coo_array((e[:, 2], (e[:, 0].astype(int), e[:, 1].astype(int))), shape=(len(photos),) * 2).tocsr()
     order, parent = breadth_first_order(minimum_spanning_tree(graph), 0, directed=False)
     R = np.tile(np.eye(3), (len(photos), 1, 1))
     for s in order[1:]:
-        R[s] = next(R[o] @ Q for o, Q in says[s] if o == parent[s])
+        R[s] = next(R[o] @ Q for o, Q in neighbours[s] if o == parent[s])
     for _ in range(_SWEEPS):
         for s in order[1:]:
-            R[s] = _median_rotation([R[o] @ Q for o, Q in says[s]], R[s])
+            R[s] = _median_rotation(np.array([R[o] @ Q for o, Q in neighbours[s]]), R[s])
     return R
 
 
-def _wahba(world: F64, frame: F64, weight: F64) -> F64:
-    """Return the rotation `world_from_frame` that best takes unit vectors (q, 3) to unit vectors (q, 3)."""
-    U, _, Vt = np.linalg.svd((weight[:, None] * world).T @ frame)
-    return np.asarray(U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt)
+def _alignment(world: F64, frame: F64, weight: F64) -> F64:
+    """Return `world_from_frame` that best takes unit vectors `frame` to `world`, both (q, 3) (Wahba's problem)."""
+    return np.asarray(Rotation.align_vectors(world, frame, weights=weight)[0].as_matrix())
 
 
-def _robust_wahba(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
+def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
+    """Return the same with Cauchy weights, `sigma` (q,) in rad."""
     R = start
-    for _ in range(20):
+    for _ in range(_ALIGNMENT_ROUNDS):
         r2 = ((world - frame @ R.T) ** 2).sum(axis=1) / sigma**2
-        R = _wahba(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
+        R = _alignment(world, frame, 1.0 / (sigma**2 * (1.0 + r2)))
     return R
 
 
 @dataclass(frozen=True, eq=False)
 class _Baselines:
-    """Unit directions between photos: by GPS, and by the pictures in the frame of the averaged rotations."""
+    """Unit directions between photos: by GPS, and by the images in the frame of the averaged rotations."""
 
     ends: Index  # (q, 2) photo numbers
     world: F64  # (q, 3)
@@ -126,20 +130,20 @@ def _baselines(photos: Index, frame_from_cam: F64, pairs: Sequence[Pair], centre
             world.append(b / length)
             frame.append(frame_from_cam[slot[p.i]] @ p.direction)
             noise.append(np.hypot(_DIRECTION_SIGMA, 1.5 * float(np.linalg.norm(sigma[[p.i, p.j]])) / length))
-    by_gps, by_pictures = np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3)
-    return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_pictures, np.array(noise))
+    by_gps, by_images = np.array(world).reshape(-1, 3), np.array(frame).reshape(-1, 3)
+    return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_images, np.array(noise))
 
 
 def _jumped(base: _Baselines, R: F64) -> Index:
-    """Return the photos whose GPS lies elsewhere: most of their baselines are off. The worst goes first."""
-    off = base.misfit(R) > _OFF**2
-    left = np.ones(len(off), dtype=bool)
+    """Return the photos whose GPS position jumped: most of their baselines are wrong. The worst is removed first."""
+    is_wrong = base.misfit(R) > _MAX_BASELINE_ERROR**2
+    left = np.ones(len(is_wrong), dtype=bool)
     out: list[int] = []
     while left.any():
         numbers = np.unique(base.ends[left])
-        share = [off[left & (base.ends == k).any(axis=1)].mean() for k in numbers]
+        share = [is_wrong[left & (base.ends == k).any(axis=1)].mean() for k in numbers]
         worst = int(np.argmax(share))
-        if share[worst] <= _MOST:
+        if share[worst] <= _JUMP_SHARE:
             break
         out.append(int(numbers[worst]))
         left &= ~(base.ends == out[-1]).any(axis=1)
@@ -150,21 +154,23 @@ def orient(photos: Index, pairs: Sequence[Pair], centres: F64, sigma: F64, gimba
     """Turn the averaged rotations of one component into the world.
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
-    Evidence: directions between photos against GPS baselines, and the gimbal's axes, all robust. Two starts, one that
-    believes the gimbal's heading and one that does not; the one that fits better wins.
+    Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of two
+    starts, one with the heading of the gimbal and one without, the one that fits better is taken.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
     tags = gimbal[photos]
     tagged = np.asarray(np.isfinite(tags).all(axis=(1, 2)))
     if tagged.any():
-        starts = [_turn(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))]
+        starts = [
+            _world_from_frame(base, tags[tagged], frame_from_cam[tagged], c, _AXIS_SIGMA) for c in ((2,), (0, 1, 2))
+        ]
     else:
-        starts = [_turn(base, np.tile(_DOWN, (len(photos), 1, 1)), frame_from_cam, (2,), _DOWN_SIGMA)]
+        starts = [_world_from_frame(base, np.tile(_NADIR, (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA)]
     R = min(starts, key=lambda R: _cost(base, tags[tagged], frame_from_cam[tagged], R))
     world_from_cam = R @ frame_from_cam
-    agrees = tagged & _close(world_from_cam, tags)
-    turned = tagged & ~agrees & _close(world_from_cam, tags @ HALF_TURN)
+    agrees = tagged & _agree(world_from_cam, tags)
+    turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
     world_from_cam[agrees] = tags[agrees]
     world_from_cam[turned] = tags[turned] @ HALF_TURN
     wrong = photos[tagged & ~agrees & ~turned]
@@ -178,21 +184,21 @@ def _in_line(base: _Baselines) -> bool:
     return len(spread) < 2 or bool(spread[1] < 0.1 * spread[0])
 
 
-def _turn(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
+def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tuple[int, ...], sigma: float) -> F64:
     """Return `world_from_frame` by the baselines and the named optical axes of the tags."""
     world = np.concatenate([base.world, *(tags[:, :, c] for c in axes)])
     frame = np.concatenate([base.frame, *(frame_from_cam[:, :, c] for c in axes)])
     noise = np.concatenate([base.noise, np.full(len(axes) * len(tags), sigma)])
-    return _robust_wahba(world, frame, noise, _wahba(world, frame, 1.0 / noise**2))
+    return _robust_alignment(world, frame, noise, _alignment(world, frame, 1.0 / noise**2))
 
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
-    """Return how badly a rotation fits baselines and all axes: the same yardstick for every start."""
+    """Return the Cauchy cost of a rotation over baselines and all axes: the same for every start."""
     axes = ((tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
     return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum())
 
 
-def _close(a: F64, b: F64) -> NDArray[np.bool_]:
-    """Say which of (k, 3, 3) rotations differ by less than gimbal and pictures may; NaN differs."""
+def _agree(a: F64, b: F64) -> NDArray[np.bool_]:
+    """Return which of (k, 3, 3) rotations agree to `_MAX_DISAGREEMENT`; NaN never does."""
     cosine = 0.5 * (np.einsum("kij,kij->k", a, b) - 1.0)
-    return np.asarray(cosine > np.cos(_AGREES))
+    return np.asarray(cosine > np.cos(_MAX_DISAGREEMENT))

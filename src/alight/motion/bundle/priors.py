@@ -1,4 +1,4 @@
-"""What GPS, gimbal and maker say before the pictures are looked at, and what of it is not believed afterwards."""
+"""Priors of a bundle adjustment from GPS, gimbal and calibration, and their correction by the images."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _SIGMA_LENS = {
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
 _SIGMA_FOCAL = 0.02  # relative, where it is free
-_LENS_PHOTOS = 12  # fewer hold the radial distortion
+_LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
 
 
 def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings) -> Priors:
-    """Collect what GPS, gimbal and maker say; sigmas of the settings where the photo does not say."""
+    """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none."""
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
     rotation, sigma_rotation = np.full((n, 3, 3), np.nan), np.full((n, 3), settings.attitude_sigma)
@@ -52,7 +52,7 @@ def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: BundleSetti
 
 
 def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
-    """Return the camera to start from and the sigmas of its numbers; one without distortion gets some to be found."""
+    """Return the initial camera and the sigmas of its numbers; a free lens without distortion gets a model."""
     if settings.lens == "free" and camera.model == "none":
         camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
     sigma = np.zeros(4 + len(camera.distortion))
@@ -62,8 +62,8 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
     return camera, sigma
 
 
-def mended(priors: Priors, turned: Index, contradicted: Index) -> Priors:
-    """Turn back the gimbal tags that are half a turn off; drop those that the pictures contradict."""
+def corrected_priors(priors: Priors, turned: Index, contradicted: Index) -> Priors:
+    """Turn back the gimbal tags that are half a turn off; drop those that the images contradict."""
     attitude = priors.world_from_body.copy()
     B = priors.body_from_cam
     attitude[turned] = attitude[turned] @ (B @ HALF_TURN @ B.T)
@@ -71,8 +71,8 @@ def mended(priors: Priors, turned: Index, contradicted: Index) -> Priors:
     return replace(priors, world_from_body=attitude)
 
 
-def safe_lens(priors: Priors, photos: int) -> Priors:
-    """Hold the radial distortion where photos are few: it trades off with the height (docs/method/bundle.md)."""
+def observable_lens(priors: Priors, photos: int) -> Priors:
+    """Hold the radial distortion where photos are few: it correlates with the height (docs/method/bundle.md)."""
     if photos >= _LENS_PHOTOS:
         return priors
     sigma = priors.sigma_lens.copy()

@@ -1,6 +1,6 @@
-"""Photos whose first place was far off: set aside while the others settle, then placed by resection from the points.
+"""Photos with a wrong first pose: set aside during the first rounds, then placed by resection from the points.
 
-A GPS jump of one photo otherwise bends the whole survey: its prior pulls, its matches hold on.
+A GPS jump of one photo would otherwise bend the whole survey, since its matches tie it to the others.
 """
 
 from __future__ import annotations
@@ -14,37 +14,38 @@ from alight.motion.bundle.matching import BundleObservations, Index, colmap, col
 from alight.motion.bundle.solver import BundleState, Priors, lens_camera, triangulate_bundle
 from alight.records import F64
 
-_SHARE = 0.5  # of the usual share of surviving observations: below, a photo is misplaced
+_MIN_SHARE = 0.5  # of the median share of remaining observations; below it a photo is misplaced
+_MIN_INLIERS = 12  # points of a resection
 _INLIER_PX = 8.0
 
 
-def without(obs: BundleObservations, photos: Index) -> tuple[BundleObservations, Index]:
+def without_photos(obs: BundleObservations, photos: Index) -> tuple[BundleObservations, Index]:
     """Return the observations of all other photos, and the old numbers of their points."""
     return obs.keep(~np.isin(obs.photo, photos))
 
 
 def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> Index:
-    """Return the photos that lost far more of their observations than most did."""
+    """Return the photos that lost a far larger share of their observations than the median."""
     seen = np.bincount(before.photo, minlength=count)
     share = np.bincount(after.photo, minlength=count) / np.maximum(seen, 1)
-    return np.flatnonzero((seen > 0) & (share < _SHARE * np.median(share[seen > 0])))
+    return np.flatnonzero((seen > 0) & (share < _MIN_SHARE * np.median(share[seen > 0])))
 
 
 def resect(
     state: BundleState, obs: BundleObservations, photos: Index, priors: Priors
 ) -> tuple[BundleState, Priors, Index]:
-    """Place photos by the points that the others see; their GPS and attitude are no longer believed.
+    """Place photos by the points that the others see; their GPS and attitude priors are dropped.
 
     Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.
     """
-    others, old = without(obs, photos)
+    others, old = without_photos(obs, photos)
     camera = lens_camera(priors.camera, state.lens)
     points = np.full((obs.points, 3), np.nan)
     points[old] = triangulate_bundle(state.centres, state.rotations, camera, others)
     centres, rotations, placed = state.centres.copy(), state.rotations.copy(), []
     for i in photos:
         rows = (obs.photo == i) & np.isfinite(points[obs.point]).all(axis=1)
-        pose = _absolute(camera, obs.pixels[rows], points[obs.point[rows]])
+        pose = _absolute_pose(camera, obs.pixels[rows], points[obs.point[rows]])
         if pose is not None:
             rotations[i], centres[i] = pose
             placed.append(i)
@@ -54,15 +55,16 @@ def resect(
     return replace(state, centres=centres, rotations=rotations), priors, np.array(placed, dtype=np.int64)
 
 
-def _absolute(camera: Camera, pixels: F64, points: F64) -> tuple[F64, F64] | None:
-    if len(points) < 12:
+def _absolute_pose(camera: Camera, pixels: F64, points: F64) -> tuple[F64, F64] | None:
+    """Return rotation world_from_cam and centre by RANSAC over (k, 2) pixels of (k, 3) points; None: too few."""
+    if len(points) < _MIN_INLIERS:
         return None
     pc = colmap()
     options = pc.AbsolutePoseEstimationOptions()
     options.ransac.max_error = _INLIER_PX
     options.ransac.random_seed = 1
     found = pc.estimate_and_refine_absolute_pose(pixels + 0.5, points, colmap_camera(camera), options)
-    if found is None or found["num_inliers"] < 12:
+    if found is None or found["num_inliers"] < _MIN_INLIERS:
         return None
     cam_from_world = found["cam_from_world"]
     R = np.asarray(cam_from_world.rotation.matrix()).T

@@ -12,18 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from alight.geometry import Camera, so3_exp, so3_log
+from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion.bundle.matching import BundleObservations
+from alight.motion.elimination import EliminatedPoints, eliminate_points, sum_by_point
+from alight.motion.projection import MIN_DEPTH, POSITION_FIRST, in_camera, jacobians
+from alight.motion.robust import cauchy, huber
+from alight.motion.triangulation import triangulate_rays
 from alight.records import F64
 
-_PRIOR_LOSS = (
-    3.0  # Huber scale of GPS and gimbal residuals, in sigmas; Cauchy let one GPS jump stretch the whole survey
-)
+_PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
+_POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
+_CAMERA = Pose(np.eye(3))  # a photo's pose is that of its camera
 
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What GPS, gimbal and maker say. NaN = does not say."""
+    """Priors from GPS, gimbal and the maker's calibration. NaN = none."""
 
     centres: F64  # (n, 3) metres
     sigma_centres: F64  # (n, 3) metres
@@ -56,35 +60,24 @@ def lens_camera(prior: Camera, lens: F64) -> Camera:
 
 def project_points(state: BundleState, obs: BundleObservations, camera: Camera) -> tuple[F64, F64]:
     """Return (N, 2) predicted pixels and (N, 3) points in the cameras' frames (eq. 1)."""
-    offset = state.points[obs.point] - state.centres[obs.photo]
-    p = np.einsum("nji,nj->ni", state.rotations[obs.photo], offset)
+    p = in_camera(state.rotations[obs.photo], state.centres[obs.photo], _CAMERA, state.points[obs.point])
     return camera.project(p), p
 
 
 def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
-    """Return (N, 2) pixels, predicted less seen; behind the camera counts as far off."""
+    """Return (N, 2) pixels, predicted less observed; a point behind the camera has a large residual."""
     r = project_points(state, obs, lens_camera(priors.camera, state.lens))[0] - obs.pixels
     return np.nan_to_num(np.clip(r, -1e4, 1e4), nan=1e4)
 
 
-def _cauchy(r2: F64, scale: float) -> tuple[F64, float]:
-    q = r2 / scale**2
-    return 1.0 / (1.0 + q), float(scale**2 * np.log1p(q).sum())
-
-
-def _huber(r2: F64, scale: float) -> tuple[F64, float]:
-    n = np.sqrt(r2)
-    return scale / np.maximum(n, scale), float(np.where(n <= scale, r2, 2 * scale * n - scale**2).sum())
-
-
 def _attitude(state: BundleState, priors: Priors) -> tuple[NDArray[np.int64], F64, F64]:
-    """Return who has an attitude prior, (k, 3) world residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
+    """Return the photos with an attitude prior, (k, 3) residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
     )
     body = priors.world_from_body[who]
     expected = body @ (so3_exp(state.mounting) @ priors.body_from_cam)
-    r = np.array([so3_log(R @ E.T) for R, E in zip(state.rotations[who], expected, strict=True)]).reshape(-1, 3)
+    r = so3_log(state.rotations[who] @ np.swapaxes(expected, 1, 2)) if len(who) else np.zeros((0, 3))
     return who, r, -body
 
 
@@ -92,8 +85,8 @@ def prior_cost(state: BundleState, priors: Priors) -> float:
     """Return the cost of GPS, gimbal, mounting and lens (eqs. 4 to 6)."""
     g = np.nan_to_num((state.centres - priors.centres) / priors.sigma_centres)
     who, a, _ = _attitude(state, priors)
-    cost = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[1]
-    cost += _huber(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
+    cost = huber((g**2).sum(axis=1), _PRIOR_LOSS)[1]
+    cost += huber(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
     free = priors.sigma_lens > 0
     cost += float(((state.lens[free] / priors.sigma_lens[free]) ** 2).sum())
     return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
@@ -102,31 +95,29 @@ def prior_cost(state: BundleState, priors: Priors) -> float:
 def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixel_sigma: float, loss: float) -> float:
     """Return the whole robust cost; `loss` is the Cauchy scale of the pictures in sigmas."""
     r = residuals(state, obs, priors) / pixel_sigma
-    return _cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
+    return cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
 
 
 def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> tuple[F64, F64, F64, F64]:
     """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2)."""
     camera = lens_camera(priors.camera, state.lens)
-    offset = state.points[obs.point] - state.centres[obs.photo]
-    cam_from_world = np.swapaxes(state.rotations, 1, 2)[obs.photo]
-    p = np.einsum("nij,nj->ni", cam_from_world, offset)
-    z = np.maximum(p[:, 2:], 1e-3)
-    xy = p[:, :2] / z
+    x = state.points[obs.point]
+    R, C = state.rotations[obs.photo], state.centres[obs.photo]
+    p = in_camera(R, C, _CAMERA, x)
+    xy = p[:, :2] / np.maximum(p[:, 2:], MIN_DEPTH)
+    by_pose, by_point = jacobians(R, C, _CAMERA, x)
     f = np.array([camera.fu, camera.fv])
     h = 1e-6
     by_xy = np.stack(
         [(camera.distort(xy + e) - camera.distort(xy - e)) / (2 * h) for e in ([h, 0.0], [0.0, h])], axis=2
     )
-    by_xy = by_xy * f[:, None] / z[:, :, None]
-    by_p = np.concatenate([by_xy, -np.einsum("nij,nj->ni", by_xy, xy)[:, :, None]], axis=2)
-    by_point = by_p @ cam_from_world
-    by_rotation = -np.cross(offset[:, None, :], by_point)  # d(offset)/d(theta) = [offset]x, see eq. 2
-    pose = np.concatenate([-by_point, by_rotation], axis=2)
-    return residuals(state, obs, priors), pose, by_point, _by_lens(state, xy, priors)
+    lens = by_xy * f[:, None]  # pixels by normalised coordinates
+    pose, point = lens @ by_pose[:, :, POSITION_FIRST], lens @ by_point
+    return residuals(state, obs, priors), pose, point, _by_lens(state, xy, priors)
 
 
 def _by_lens(state: BundleState, xy: F64, priors: Priors) -> F64:
+    """Return the (N, 2, k) derivative of pixels at normalised coordinates by the free lens numbers."""
     columns = []
     for k in np.flatnonzero(priors.sigma_lens > 0):
         step = np.zeros(len(state.lens))
@@ -146,6 +137,7 @@ class Adjustment:
         self.free = np.flatnonzero(priors.sigma_lens > 0)
         self.mounted = priors.sigma_mounting > 0
         self.size = 6 * self.photos + len(self.free) + 3 * self.mounted
+        self._starts = np.append(obs.starts, len(obs.point))
 
     def cost(self, state: BundleState) -> float:
         """Return the whole robust cost."""
@@ -155,7 +147,7 @@ class Adjustment:
         """Build the blocks of the normal equations (eq. 7)."""
         obs, n6 = self.obs, 6 * self.photos
         r, A, B, L = _jacobians(state, obs, self.priors)
-        w = np.sqrt(_cauchy((r**2).sum(axis=1) / self.pixel_sigma**2, self.loss)[0]) / self.pixel_sigma
+        w = np.sqrt(cauchy((r**2).sum(axis=1) / self.pixel_sigma**2, self.loss)[0]) / self.pixel_sigma
         r, A, B, L = r * w[:, None], A * w[:, None, None], B * w[:, None, None], L * w[:, None, None]
         U, b = self._prior_blocks(state)
         AT = np.swapaxes(A, 1, 2)
@@ -170,22 +162,21 @@ class Adjustment:
         U[lens, lens] += np.einsum("nki,nkj->ij", L, L)
         b[lens] -= np.einsum("nki,nk->i", L, r)
         self.U, self.b = U, b
-        self.V = np.add.reduceat(np.swapaxes(B, 1, 2) @ B, obs.starts)
-        self.c = -np.add.reduceat(np.einsum("nki,nk->ni", B, r), obs.starts)
-        self.W = AT @ B  # (N, 6, 3)
-        self.WL = np.add.reduceat(np.swapaxes(L, 1, 2) @ B, obs.starts)  # (m, k, 3)
+        self.rows = (-r, A, B)  # residual, Jacobians by pose and by point, in sigmas
+        self.by_lens = L
+        self.lens_coupling = sum_by_point(self._starts, np.swapaxes(L, 1, 2) @ B)  # (m, k, 3)
 
     def _prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
         pr, n = self.priors, self.photos
         U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
         g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
-        w = _huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
+        w = huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
         at = 6 * np.arange(n)[:, None] + np.arange(3)
         U[at, at] += w
         b[at] -= w * np.nan_to_num(state.centres - pr.centres)
         who, r, by_mounting = _attitude(state, pr)
         s2 = pr.sigma_rotation[who] ** 2
-        w = _huber((r**2 / s2).sum(axis=1), _PRIOR_LOSS)[0][:, None] / s2
+        w = huber((r**2 / s2).sum(axis=1), _PRIOR_LOSS)[0][:, None] / s2
         rows = at[who] + 3
         U[rows, rows] += w
         b[rows] -= w * r
@@ -201,16 +192,13 @@ class Adjustment:
             b[m] -= np.einsum("nki,nk->i", cross, r) + state.mounting / pr.sigma_mounting**2
         return U, b
 
-    def reduce(self, damping: float) -> tuple[F64, F64, F64]:
-        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,), inverse point blocks (m, 3, 3)."""
-        V = self.V + damping * np.einsum("mij,ij->mij", self.V, np.eye(3)) + 1e-12 * np.eye(3)
-        inverse = np.linalg.inv(V)
-        half = np.linalg.cholesky(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
-        n6, k, m = 6 * self.photos, len(self.free), len(V)
-        pose = np.swapaxes(self.W @ half[self.obs.point], 1, 2)
-        indptr = np.append(self.obs.starts, len(self.obs.point))
-        GT = sparse.bsr_array((np.ascontiguousarray(pose), self.obs.photo, indptr), shape=(3 * m, n6))
-        lens = np.swapaxes(self.WL @ half, 1, 2).reshape(3 * m, k)
+    def reduce(self, damping: float) -> tuple[F64, F64, EliminatedPoints]:
+        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,), and the eliminated points."""
+        points = eliminate_points(self._starts, *self.rows, _POINT_PRIOR, damping)
+        n6, k, m = 6 * self.photos, len(self.free), len(points.root)
+        pose = np.ascontiguousarray(np.swapaxes(points.coupling, 1, 2))
+        GT = sparse.bsr_array((pose, self.obs.photo, self._starts), shape=(3 * m, n6))
+        lens = np.swapaxes(self.lens_coupling @ points.root, 1, 2).reshape(3 * m, k)
         S, rhs = self.U.copy(), self.b.copy()
         S[:n6, :n6] -= (GT.T @ GT).toarray()
         cross = np.asarray(GT.T @ lens)
@@ -218,27 +206,26 @@ class Adjustment:
         S[:n6, L] -= cross
         S[L, :n6] -= cross.T
         S[L, L] -= lens.T @ lens
-        y = np.einsum("mji,mj->mi", half, self.c).ravel()
-        rhs[:n6] -= GT.T @ y
-        rhs[L] -= lens.T @ y
-        return S + damping * np.diag(np.diag(self.U)), rhs, inverse
+        z = points.reduced_gradient.ravel()
+        rhs[:n6] -= GT.T @ z
+        rhs[L] -= lens.T @ z
+        return S + damping * np.diag(np.diag(self.U)), rhs, points
 
     def step(self, state: BundleState, damping: float) -> BundleState:
         """Return the state after one damped step."""
-        S, rhs, inverse = self.reduce(damping)
+        S, rhs, points = self.reduce(damping)
         x = np.linalg.solve(
             S + 1e-12 * np.eye(len(S)), rhs
         )  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
         n6, k = 6 * self.photos, len(self.free)
         pose, lens, mount = x[:n6].reshape(-1, 6), x[n6 : n6 + k], x[n6 + k :]
-        back = np.add.reduceat(np.einsum("nij,ni->nj", self.W, pose[self.obs.photo]), self.obs.starts)
-        back += np.einsum("mij,i->mj", self.WL, lens)
+        predicted = np.einsum("nki,ni->nk", self.rows[1], pose[self.obs.photo]) + self.by_lens @ lens
         offsets = state.lens.copy()
         offsets[self.free] += lens
         return BundleState(
             state.centres + pose[:, :3],
-            np.array([so3_exp(d) @ R for d, R in zip(pose[:, 3:], state.rotations, strict=True)]),
-            state.points + np.einsum("mij,mj->mi", inverse, self.c - back),
+            so3_exp(pose[:, 3:]) @ state.rotations,
+            state.points + points.point_step(predicted),
             offsets,
             state.mounting + mount if self.mounted else state.mounting,
         )
@@ -283,23 +270,22 @@ def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:
 def triangulate_bundle(
     centres: F64, rotations: F64, camera: Camera, obs: BundleObservations, rounds: int = 4, scale_px: float = 3.0
 ) -> F64:
-    """Return (m, 3) points nearest to their rays, rays that disagree weighted down (midpoint method, Cauchy)."""
+    """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights."""
     ray = camera.rays(obs.pixels)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    d = np.einsum("nij,nj->ni", rotations[obs.photo], ray)
-    C = centres[obs.photo]
-    P = np.eye(3) - d[:, :, None] * d[:, None, :]
-    Pc = np.einsum("nij,nj->ni", P, C)
-    weight = np.ones(len(d))
+    ray, C = np.einsum("nij,nj->ni", rotations[obs.photo], ray), centres[obs.photo]
+    starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))
+    points = np.empty((obs.points, 3))
     for _ in range(rounds):
-        A = np.add.reduceat(weight[:, None, None] * P, obs.starts) + 1e-9 * np.eye(3)
-        X = np.linalg.solve(A, np.add.reduceat(weight[:, None] * Pc, obs.starts)[:, :, None])[:, :, 0]
-        off = X[obs.point] - C
-        distance = np.maximum(np.linalg.norm(off, axis=1), 1e-6)
-        miss = np.linalg.norm(np.einsum("nij,nj->ni", P, off), axis=1)
-        weight = 1.0 / (distance**2 * (1.0 + (miss / distance * camera.fu / scale_px) ** 2))
-        weight /= weight.max()
-    return np.asarray(X)
+        points = triangulate_rays(starts, ray, C, weight)
+        offset = points[obs.point] - C
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
+        across = offset - ray * np.einsum("ni,ni->n", ray, offset)[:, None]
+        angle_px = np.linalg.norm(across, axis=1) / distance * camera.fu
+        weight = cauchy(angle_px**2, scale_px)[0] / distance**2
+        if len(weight):
+            weight /= weight.max()
+    return points
 
 
 def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:

@@ -1,4 +1,4 @@
-"""What an adjustment found, in the words and numbers of the report."""
+"""Result of a bundle adjustment, and its warnings and numbers for the report."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
 
 @dataclass(frozen=True, eq=False)
 class FirstPoses:
-    """First poses of all photos, and what of the tags the pictures contradict."""
+    """First poses of all photos, and the tags that the images contradict."""
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
-    photos: Index  # those that have a pose
-    turned: Index  # attitude half a turn off
-    contradicted: Index  # attitude wrong
-    jumped: Index  # GPS wrong
+    photos: Index  # photos with a pose
+    turned: Index  # photos whose attitude tag is half a turn off
+    contradicted: Index  # photos whose attitude tag is wrong
+    jumped: Index  # photos whose GPS position is wrong
     warnings: list[str]
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """The adjusted state of all photos; only those in `registered` mean anything."""
+    """The adjusted state of all photos; only those in `registered` are valid."""
 
     state: BundleState
     registered: Index
@@ -45,6 +45,7 @@ class Solved:
 
 
 def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> str:
+    """Return the reason why no photo was registered."""
     if np.isfinite(priors.centres).all(axis=1).sum() < 2:
         return "no photo could be registered: fewer than two photos have a GPS position"
     most = max((len(f.pixels) for f in features if f is not None), default=0)
@@ -56,14 +57,14 @@ def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> s
     return f"no photo could be registered: {why}"
 
 
-def warn(
+def bundle_warnings(
     frames: Sequence[Frame],
     features: Sequence[PhotoFeatures | None],
     motions: Sequence[Motion | None],
     priors: Priors,
     solved: Solved,
 ) -> list[str]:
-    """Say which photos were left out and why, and whose tags the pictures contradict."""
+    """Return which photos were left out and why, and whose tags the images contradict."""
     out = []
     for frame, f, motion in zip(frames, features, motions, strict=True):
         if motion is None:

@@ -1,4 +1,4 @@
-"""The poses held, refined together with every sight that the state has not used yet (M23)."""
+"""Joint posterior of the keyframe window: the clones, refined with all observations not used by the state yet (M23)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight.geometry import Pose, so3_exp
-from alight.motion.ekf.observations import (
-    PoseConstraint,
-    WindowObservations,
-    WindowPoses,
-    marginalise_points,
-    triangulate_window,
-)
-from alight.motion.ekf.state import OFFSET, FilterState
-from alight.motion.robust import Mask, agree_on_poses
-from alight.motion.rotations import skews
+from alight.geometry import Pose, skew, so3_exp
+from alight.motion.ekf.state import CLONE, OFFSET, FilterState
+from alight.motion.elimination import PoseConstraint, marginalise_points
+from alight.motion.observations import Mask, WindowObservations, WindowPoses
+from alight.motion.robust import robust_pose_weights
+from alight.motion.triangulation import triangulate_window
 from alight.records import F64
 from alight.settings import FilterSettings
 
@@ -26,56 +21,58 @@ _ITERATIONS = 2
 
 @dataclass(frozen=True, eq=False)
 class RefinedPoses:
-    """K rig poses from one posterior."""
+    """K rig poses of one joint posterior."""
 
     R: F64  # (K, 3, 3) world_from_rig
     p: F64  # (K, 3) m
     covariance: F64  # (6K, 6K) joint, (rotation, position) a pose
-    offset_cross: F64  # (6K, 3) with the map's offset
+    offset_cross: F64  # (6K, 3) cross covariance with the offset of the map
 
 
-def refine(
-    state: FilterState, sights: WindowObservations, cams: Sequence[Pose], settings: FilterSettings
+def refine_keyframes(
+    state: FilterState, observations: WindowObservations, cams: Sequence[Pose], settings: FilterSettings
 ) -> RefinedPoses:
-    """Gauss-Newton over the poses held: the state's joint covariance as the prior, and the sights that wait (M23).
+    """Gauss-Newton over the clones: prior is the joint covariance of the state, data are the unused observations.
 
-    What is claimed of the poses as seen from each other is no better than the sights agree, and `pixel_repeat` of them
-    say one thing: trees, grass in the wind and water are wrong for many features alike, exposure after exposure.
+    The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
+    errors of trees, grass in the wind and water are correlated, from feature to feature and in time.
     """
-    held, P = WindowPoses.of(state.clones), state.P[np.ix_(state.clone_columns(), state.clone_columns())]
-    error, poses, gain, missed = np.zeros(len(P)), held, np.asarray(np.eye(len(P))), 0.0
-    sights = sights.rows(sights.where.sum(axis=1) >= 2)
-    for _ in range(_ITERATIONS if len(sights.ids) else 0):
-        x = triangulate_window(sights, poses, cams)
-        found = marginalise_points(sights, poses, cams, x)
-        weight, missed = agree_on_poses(found, P, clear(found, x, poses, settings.vague_share), error)
-        A, b = found.information(weight)
+    clones, rows = state.window_poses(), state.clone_rows()
+    P = state.P[np.ix_(rows, rows)]
+    error, poses, gain, median = np.zeros(len(P)), clones, np.asarray(np.eye(len(P))), 0.0
+    observations = observations.select(observations.observed.sum(axis=1) >= 2)
+    for _ in range(_ITERATIONS if len(observations.ids) else 0):
+        x = triangulate_window(observations, poses, cams)
+        constraint = marginalise_points(observations, poses, cams, x)
+        used = _well_known(constraint, x, poses, settings.vague_share)
+        weight, median = robust_pose_weights(constraint, P, used, error)
+        A, b = constraint.information(weight)
         gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
         error = P @ gain @ (b + A @ error)
-        poses = _moved(held, error)
-    wide = _wider(poses.p, max(1.0, settings.pixel_repeat * missed))
-    cross = gain.T @ state.P[state.clone_columns(), OFFSET]
-    return RefinedPoses(poses.R, poses.p, wide @ P @ gain @ wide.T, wide @ cross)
+        poses = _moved(clones, error)
+    inflation = _relative_inflation(poses.p, max(1.0, settings.pixel_repeat * median))
+    cross = gain.T @ state.P[rows, OFFSET]
+    return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
 
 
-def clear(found: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
-    """(N,) features whose depth is known to a share of their distance."""
+def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
+    """(N,) features whose largest sigma is less than a share of their distance from the last pose."""
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
-    known = np.sqrt(np.linalg.eigvalsh(found.point_covariance)[:, -1]) < share * distance
-    return np.asarray(known & (found.freedom > 0))
+    well_known = np.sqrt(np.linalg.eigvalsh(constraint.point_covariance)[:, -1]) < share * distance
+    return np.asarray(well_known & (constraint.freedom > 0))
 
 
-def _wider(p: F64, times: float) -> F64:
-    """(6K, 6K) what makes the variance of poses as seen from the last one `times` as large, and leaves that one."""
-    root, k = np.sqrt(times), len(p)
-    follow = np.tile(np.eye(6), (k, 1, 1))  # how a pose follows when the last one turns and moves
-    follow[:, 3:, :3] = -skews(p - p[-1])
-    out = root * np.eye(6 * k)
-    out[:, -6:] += (1.0 - root) * follow.reshape(6 * k, 6)
+def _relative_inflation(p: F64, factor: float) -> F64:
+    """Return the (6K, 6K) map that multiplies the variance of poses relative to the last one, which it leaves."""
+    root, k = np.sqrt(factor), len(p)
+    by_last = np.tile(np.eye(CLONE), (k, 1, 1))  # how each pose moves when the last one moves and all are rigid
+    by_last[:, 3:, :3] = -skew(p - p[-1])
+    out = root * np.eye(CLONE * k)
+    out[:, -CLONE:] += (1.0 - root) * by_last.reshape(CLONE * k, CLONE)
     return np.asarray(out)
 
 
 def _moved(poses: WindowPoses, error: F64) -> WindowPoses:
-    e = error.reshape(-1, 6)
-    R = np.array([so3_exp(a[:3]) @ R for a, R in zip(e, poses.R, strict=True)])
-    return replace(poses, R=R, p=poses.p + e[:, 3:])
+    """Return the poses with (6K,) errors added."""
+    e = error.reshape(-1, CLONE)
+    return replace(poses, R=so3_exp(e[:, :3]) @ poses.R, p=poses.p + e[:, 3:])

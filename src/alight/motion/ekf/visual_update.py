@@ -1,4 +1,4 @@
-"""What an exposure does to the state: points held are measured, the others wait until they are used up (M11-M17)."""
+"""Visual update of the EKF: landmarks are measured directly, other tracks once when they end (MSCKF; M11-M17)."""
 
 from __future__ import annotations
 
@@ -6,149 +6,152 @@ from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight.geometry import Camera, Pose, so3_log
-from alight.motion.dynamics import LONG
-from alight.motion.ekf.health import Votes
-from alight.motion.ekf.keyframe_posterior import RefinedPoses, refine
-from alight.motion.ekf.landmarks import MISSES, Gate, initialise_landmarks, update_landmarks
-from alight.motion.ekf.observations import (
-    WindowObservations,
-    WindowPoses,
-    as_rows,
-    marginalise_points,
-    triangulate_window,
-)
+from alight.motion.dynamics import MAX_RATE_AGE
+from alight.motion.ekf.health import GateCounts
+from alight.motion.ekf.keyframe_posterior import RefinedPoses, refine_keyframes
+from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
 from alight.motion.ekf.state import POS, FilterState
+from alight.motion.elimination import marginalise_points, unit_noise_rows
+from alight.motion.observations import Ints, Mask, WindowObservations
 from alight.motion.projection import observation_sigma
-from alight.motion.robust import agree_on_poses
+from alight.motion.robust import robust_pose_weights
+from alight.motion.triangulation import triangulate_window
 from alight.records import F64, Tracks
 from alight.settings import FilterSettings
 
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
-_LEAST_POSES = 3  # that must have seen a feature for its sights to measure them
-_SPARE = 2  # rows beyond the three that make a point, to tell whether its sights agree
-_STALE = 0.04  # rad between a pose held and its first estimate from which Jacobians are no longer good
+_MIN_POSES = 3  # that must have observed a track before it is used
+_MIN_FREEDOM = 2  # degrees of freedom of a track that becomes a landmark: enough to check its observations
+_MAX_LINEARISATION_ERROR = 0.04  # rad between a clone and its first estimate; above it Jacobians are no longer valid
 
 
 class VisualUpdate:
-    """The sub-filter: sights that the state has not used yet, and how they come to be used."""
+    """Takes the tracks of each exposure into the state; keeps the observations that the state has not used yet."""
 
     def __init__(self, camera: Camera, cams: Sequence[Pose], settings: FilterSettings) -> None:
         self._camera, self._cams, self._settings = camera, tuple(cams), settings
         self._gate = Gate(settings.gate)
-        self._waiting = WindowObservations.none(len(cams))
+        self._unused = WindowObservations.empty(len(cams))
 
-    def forget(self, state: FilterState) -> None:
-        """Start the pictures anew: no point, no pose is held; the motion stays as it is."""
-        state.drop(range(len(state.clones)), range(len(state.points)))
-        self._waiting = WindowObservations.none(len(self._cams))
+    def reset(self, state: FilterState) -> None:
+        """Drop all clones, landmarks and unused observations; the motion stays as it is."""
+        state.drop(range(len(state.clones)), range(len(state.landmarks)))
+        self._unused = WindowObservations.empty(len(self._cams))
 
     def copy(self) -> VisualUpdate:
-        """One that changes of this one leave as it is."""
-        return copy(self)  # what it holds is replaced, never changed
+        """Return an independent copy."""
+        return copy(self)  # attributes are replaced, never changed in place
 
-    def ring(self, state: FilterState) -> RefinedPoses:
-        """The poses held, refined with the sights that wait."""
-        return refine(state, self._waiting, self._cams, self._settings)
+    def refined_keyframes(self, state: FilterState) -> RefinedPoses:
+        """Return the clones, refined with the unused observations (M23)."""
+        return refine_keyframes(state, self._unused, self._cams, self._settings)
 
-    def see(self, state: FilterState, tracks: Tracks) -> Votes:
-        """One exposure: use up what ended, measure the points held, take up what became well known."""
+    def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
+        """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""
         order = np.argsort(tracks.ids)
-        ids, seen = tracks.ids[order], tracks.normalised[order]
+        ids, normalised = tracks.ids[order], tracks.normalised[order]
         sigma = observation_sigma(tracks, self._camera, self._settings)[order]
-        if _stale(state):
-            if (tracks.t_ns - state.clones[-1].t_ns) * 1e-9 > LONG:
-                state.relinearise()
-            else:
-                self.forget(state)
-        gone = self._superfluous(state)
-        votes = self._use_up(state, ids, gone)
-        lost = [i for i, x in enumerate(state.points) if x.misses >= MISSES or not _contains(ids, x.id)]
-        state.drop(clones=gone, points=lost)
+        self._relinearise_if_stale(state, tracks.t_ns)
+        dropped = self._clone_to_drop(state)
+        counts = self._update_from_lost_tracks(state, ids, dropped)
+        lost = [i for i, x in enumerate(state.landmarks) if x.rejections >= MAX_REJECTIONS or not _contains(ids, x.id)]
+        state.drop(clones=dropped, landmarks=lost)
         state.add_clone(tracks.t_ns)
-        votes += update_landmarks(state, ids, seen, sigma, self._cams, self._gate)
-        new = ~np.isin(ids, [x.id for x in state.points])
-        self._waiting = self._waiting.without_poses(gone).at_next_pose(ids[new], seen[new], sigma[new])
-        return votes + self._take_up(state)
+        counts += update_landmarks(state, ids, normalised, sigma, self._cams, self._gate)
+        free = ~np.isin(ids, [x.id for x in state.landmarks])
+        self._unused = self._unused.without_poses(dropped).with_pose(ids[free], normalised[free], sigma[free])
+        return counts + self._initialise_landmarks(state)
 
-    def _superfluous(self, state: FilterState) -> list[int]:
-        """The last clone if it is no keyframe; else the oldest when there are too many."""
+    def _relinearise_if_stale(self, state: FilterState, t_ns: int) -> None:
+        """After a start with a wrong heading Jacobians are taken anew: between photos in place, else from scratch."""
+        if not _is_stale(state):
+            return
+        if (t_ns - state.clones[-1].t_ns) * 1e-9 > MAX_RATE_AGE:
+            state.relinearise()
+        else:
+            self.reset(state)
+
+    def _clone_to_drop(self, state: FilterState) -> list[int]:
+        """Return the index of the last clone if it is no keyframe, else of the oldest if there are too many."""
         c = state.clones
-        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < self._settings.keyframe_baseline * self._distance(state):
+        baseline = self._settings.keyframe_baseline
+        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < baseline * self._median_distance(state):
             return [len(c) - 1]
         return [0] if len(c) >= self._settings.clones else []
 
     @staticmethod
-    def _distance(state: FilterState) -> float:
-        if not state.points:
+    def _median_distance(state: FilterState) -> float:
+        """Median distance of the landmarks, metres; 0 without any."""
+        if not state.landmarks:
             return 0.0
-        return float(np.median(np.linalg.norm(np.array([x.x for x in state.points]) - state.core[POS], axis=1)))
+        return float(np.median(np.linalg.norm(np.array([x.x for x in state.landmarks]) - state.core[POS], axis=1)))
 
-    def _use_up(self, state: FilterState, ids: Ints, gone: list[int]) -> Votes:
-        """Measure the poses by the features that are seen no more, or whose first pose is about to be forgotten."""
-        w = self._waiting
-        if not len(w.ids):
-            return Votes()
-        ended = ~np.isin(w.ids, ids)
-        if gone == [0]:
-            ended |= w.where[:, 0]
-        self._waiting = w.rows(~ended)
-        return self._absorb(state, w.rows(ended & (w.where.sum(axis=1) >= _LEAST_POSES)))
+    def _update_from_lost_tracks(self, state: FilterState, ids: Ints, dropped: list[int]) -> GateCounts:
+        """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
+        unused = self._unused
+        if not len(unused.ids):
+            return GateCounts()
+        ended = ~np.isin(unused.ids, ids)
+        if dropped == [0]:
+            ended |= unused.observed[:, 0]
+        self._unused = unused.select(~ended)
+        return self._update_poses(state, unused.select(ended & (unused.observed.sum(axis=1) >= _MIN_POSES)))
 
-    def _absorb(self, state: FilterState, sights: WindowObservations) -> Votes:
-        if not len(sights.ids):
-            return Votes()
-        poses, columns = WindowPoses.of(state.clones), state.clone_columns()
-        x = triangulate_window(sights, poses, self._cams)
-        found = marginalise_points(sights, poses, self._cams, x)
-        known = self._known(found.point_covariance, x, state, self._settings.vague_share) & (found.freedom > 0)
-        P, freedom = state.P[np.ix_(columns, columns)], np.maximum(found.freedom, 1)
-        distance = found.distances(P)
-        inside = known & (distance <= self._gate.limits(freedom))
-        if inside.any():
-            weight, _ = agree_on_poses(found, P, inside, np.zeros(len(P)))
-            state.correct(*as_rows(*found.information(weight)), columns)
-        return Votes(
-            int(inside.sum()),
-            int((known & ~inside).sum()),
-            float(distance[inside].sum() / max(freedom[inside].sum(), 1)),
+    def _update_poses(self, state: FilterState, observations: WindowObservations) -> GateCounts:
+        """Update the clones by tracks whose points are eliminated (MSCKF update)."""
+        if not len(observations.ids):
+            return GateCounts()
+        poses, columns = state.window_poses(), state.clone_rows()
+        x = triangulate_window(observations, poses, self._cams)
+        constraint = marginalise_points(observations, poses, self._cams, x)
+        well_known = self._well_known(constraint.point_covariance, x, state, self._settings.vague_share)
+        well_known &= constraint.freedom > 0
+        P, freedom = state.P[np.ix_(columns, columns)], np.maximum(constraint.freedom, 1)
+        distance = constraint.mahalanobis(P)
+        passed = well_known & (distance <= self._gate.limits(freedom))
+        if passed.any():
+            weight, _ = robust_pose_weights(constraint, P, passed, np.zeros(len(P)))
+            state.correct(*unit_noise_rows(*constraint.information(weight)), columns)
+        return GateCounts(
+            int(passed.sum()),
+            int((well_known & ~passed).sum()),
+            float(distance[passed].sum() / max(freedom[passed].sum(), 1)),
         )
 
     @staticmethod
-    def _known(covariance: F64, x: F64, state: FilterState, share: float) -> Mask:
+    def _well_known(covariance: F64, x: F64, state: FilterState, share: float) -> Mask:
+        """(N,) points whose largest sigma is less than a share of their distance."""
         distance = np.linalg.norm(x - state.core[POS], axis=1)
         return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]) < share * distance)
 
-    def _take_up(self, state: FilterState) -> Votes:
-        """Fill the free places, longest seen features first."""
-        s, w = self._settings, self._waiting
-        free, poses = s.points - len(state.points), w.where.sum(axis=1)
-        ready = np.flatnonzero((poses >= _LEAST_POSES) & w.where[:, -1])
+    def _initialise_landmarks(self, state: FilterState) -> GateCounts:
+        """Fill the free places for landmarks, longest tracks first."""
+        s, unused = self._settings, self._unused
+        free, length = s.points - len(state.landmarks), unused.observed.sum(axis=1)
+        ready = np.flatnonzero((length >= _MIN_POSES) & unused.observed[:, -1])
         if free <= 0 or not len(ready):
-            return Votes()
-        ready = ready[np.argsort(-poses[ready], kind="stable")][: 2 * free]
-        held = WindowPoses.of(state.clones)
-        x = triangulate_window(w.rows(ready), held, self._cams)
-        found = marginalise_points(w.rows(ready), held, self._cams, x)
-        known = self._known(found.point_covariance, x, state, s.depth_share) & (found.freedom >= _SPARE)
-        tried = np.flatnonzero(known)[:free]
+            return GateCounts()
+        ready = ready[np.argsort(-length[ready], kind="stable")][: 2 * free]
+        poses, candidates = state.window_poses(), unused.select(ready)
+        x = triangulate_window(candidates, poses, self._cams)
+        constraint = marginalise_points(candidates, poses, self._cams, x)
+        well_known = self._well_known(constraint.point_covariance, x, state, s.depth_share)
+        tried = np.flatnonzero(well_known & (constraint.freedom >= _MIN_FREEDOM))[:free]
         if not len(tried):
-            return Votes()
+            return GateCounts()
         chosen = ready[tried]
-        passed = initialise_landmarks(state, w.ids[chosen], x[tried], found.rows(tried), self._gate)
-        self._waiting = w.rows(np.setdiff1d(np.arange(len(w.ids)), chosen[passed]))
-        return Votes(int(passed.sum()), int((~passed).sum()), 1.0)
+        passed = initialise_landmarks(state, unused.ids[chosen], x[tried], constraint.select(tried), self._gate)
+        self._unused = unused.select(np.setdiff1d(np.arange(len(unused.ids)), chosen[passed]))
+        return GateCounts(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
 def _contains(ids: Ints, id_: int) -> bool:
-    at = int(np.searchsorted(ids, id_))
-    return at < len(ids) and int(ids[at]) == id_
+    """Whether sorted ids contain one."""
+    i = int(np.searchsorted(ids, id_))
+    return i < len(ids) and int(ids[i]) == id_
 
 
-def _stale(state: FilterState) -> bool:
-    """Whether a pose held has been turned far from where its Jacobians are taken: a start with a wrong heading."""
-    return any(float(np.linalg.norm(so3_log(c.R @ c.first_R.T))) > _STALE for c in state.clones[:1])
+def _is_stale(state: FilterState) -> bool:
+    """Whether the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
+    return any(float(np.linalg.norm(so3_log(c.R @ c.first_R.T))) > _MAX_LINEARISATION_ERROR for c in state.clones[:1])

@@ -1,4 +1,4 @@
-"""Normal equations that reach only from one block of unknowns to the next: Cholesky, solution, covariance (M21).
+"""Block tridiagonal normal equations: Cholesky factors, solution, covariance (M21).
 
 Time and memory grow with the length of the flight, not with its square.
 """
@@ -49,13 +49,13 @@ class BlockTridiagonal:
 
 
 class Factors:
-    """What `BlockTridiagonal.factorise` leaves: solves, and gives the covariance only when asked."""
+    """Block Cholesky factors: solution and covariance of the equations."""
 
     def __init__(self, factors: list[tuple[F64, bool]], gains: list[F64], g: F64) -> None:
         self._factors, self._gains, self._g = factors, gains, g
 
     def solution(self) -> F64:
-        """The unknowns x."""
+        """Return the unknowns x."""
         x = self._g.copy()
         for b, gain in enumerate(self._gains):
             x[b + 1] -= gain.T @ x[b]
@@ -66,7 +66,7 @@ class Factors:
         return x.ravel()
 
     def covariance(self) -> F64:
-        """(blocks, size, size): the diagonal blocks of the inverse of A."""
+        """Return the diagonal blocks of the inverse of A, (blocks, size, size)."""
         size = self._g.shape[1]
         out = np.empty((len(self._factors), size, size))
         for b in reversed(range(len(self._factors))):

@@ -1,7 +1,7 @@
-"""A recorded flight refined as a whole: all poses, points, biases and GPS/INS errors by least squares (M18-M22).
+"""Batch smoother of a recorded flight: all poses, points, biases and GPS/INS errors by least squares (M18-M22).
 
-The same measurements and the same noise as the filter's, but every pose hears of every measurement, later ones
-included, and Jacobians are taken at the solution: the poses of one flight come from one consistent estimate.
+Measurements and noise are those of the filter, but every pose depends on all measurements, later ones included, and
+Jacobians are taken at the solution: the poses of one flight come from one consistent estimate.
 """
 
 from __future__ import annotations
@@ -23,10 +23,24 @@ from alight.motion.dynamics import (
     nav_decay,
 )
 from alight.motion.ekf.prediction import instant
-from alight.motion.ekf.state import ACC, ATT, GYRO, MOUNT, NAV_ATT, NAV_POS, NAV_VEL, OFFSET, POS, VEL
-from alight.motion.gps_ins import sigmas, whites
+from alight.motion.ekf.state import (
+    ACC,
+    ATT,
+    GYRO,
+    MOTION,
+    MOUNT,
+    NAV,
+    NAV_ATT,
+    NAV_POS,
+    NAV_VEL,
+    OFFSET,
+    POS,
+    VEL,
+)
+from alight.motion.gps_ins import ATTITUDE_ROWS, POSITION_ROWS, VELOCITY_ROWS, sigmas, whites
 from alight.motion.preintegration import Preintegral, corrected, preintegrate, segments
 from alight.motion.projection import observation_sigma
+from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
 from alight.motion.smoother.track_segments import TrackSegments
 from alight.records import F64, ImuSample, Motion, NavSample, Rig, Tracks
@@ -34,7 +48,11 @@ from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
 
-_SIZE = 24  # unknowns an exposure: the core of the filter's state without the mounting
+_SIZE = NAV.stop  # unknowns an exposure: the core of the filter's state up to the GPS/INS errors
+_POSE = POS.stop  # of these: attitude and position
+_NAV_SCALE = np.sqrt(27.0)  # sigmas, Cauchy scale of a quantity of GPS/INS
+_OPEN_INFORMATION = 1e-8  # of unknowns that nothing measures (the accelerometer bias without IMU): they stay
+_MIN_VARIANCE = 1e-14  # added to the noise of the motion model, so that it has an inverse
 _ITERATIONS = 12
 _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
 _SHORTEST = 5  # exposures in a piece
@@ -43,7 +61,7 @@ _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which i
 
 @dataclass(eq=False)
 class RecordedFlight:
-    """What the filter was fed, and what it made of it."""
+    """Input of the filter during a flight, and its motions."""
 
     rig: Rig
     settings: FilterSettings
@@ -53,7 +71,7 @@ class RecordedFlight:
 
 
 def smooth_flight(recording: RecordedFlight) -> list[Motion]:
-    """Refine all exposures together; nothing where that is not possible (fewer than three, no solution)."""
+    """Smooth all exposures; an empty result where that is not possible (fewer than three, no solution)."""
     if len(recording.exposures) < 3:
         return []
     try:
@@ -63,12 +81,12 @@ def smooth_flight(recording: RecordedFlight) -> list[Motion]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Row:
-    """One GPS/INS row: the exposure before it, what the IMU sums up to it, its noise."""
+class _NavRow:
+    """One GPS/INS row: the exposure before it, the preintegral up to it, its noise."""
 
     k: int
     dt: float
-    sum: Preintegral | None
+    preintegral: Preintegral | None
     sample: NavSample
     white: F64  # (9,)
 
@@ -87,38 +105,38 @@ class _Batch:
         self._span = max(_SHORTEST, min(r.settings.track_span, r.settings.track_span * _LONG // len(self._t)))
         tracks = [t for _, t, _ in r.exposures]
         sigma = np.concatenate([observation_sigma(t, r.rig.cameras[0].camera, r.settings) for t in tracks])
-        self._sights = TrackSegments(tracks, sigma, self._cams, self._span)
+        self._segments = TrackSegments(tracks, sigma, self._cams, self._span)
         self._nav_sigma = sigmas(r.nav[-1], r.settings) if r.nav else np.ones(9)
-        self._sums = self._summed(r.imu)
-        self._rows = [row for s in r.nav if (row := self._row(s, r.imu)) is not None]
+        self._imu_motion = self._preintegrals(r.imu)
+        self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, r.imu)) is not None]
 
-    def _summed(self, imu: list[ImuSample]) -> list[Preintegral | None]:
+    def _preintegrals(self, imu: list[ImuSample]) -> list[Preintegral | None]:
         if not imu:
             return [None] * (len(self._t) - 1)
-        return [self._sum(imu, k, b) for k, b in enumerate(self._t[1:])]
+        return [self._preintegrated(imu, k, b) for k, b in enumerate(self._t[1:])]
 
-    def _sum(self, imu: list[ImuSample], k: int, end_ns: int) -> Preintegral:
+    def _preintegrated(self, imu: list[ImuSample], k: int, end_ns: int) -> Preintegral:
         a = max(bisect_left(imu, self._t[k], key=lambda s: s.t_ns) - 1, 0)
         b = bisect_right(imu, end_ns, key=lambda s: s.t_ns) + 1
         return preintegrate(segments(imu[a:b], self._t[k], end_ns), self._x[k, GYRO], self._x[k, ACC], self._settings)
 
-    def _row(self, sample: NavSample, imu: list[ImuSample]) -> _Row | None:
+    def _nav_row(self, sample: NavSample, imu: list[ImuSample]) -> _NavRow | None:
         k = bisect_right(self._t, sample.t_ns) - 1
         if k < 0:
             return None
         white = whites(sigmas(sample, self._settings), self._settings)
         dt = (sample.t_ns - self._t[k]) * 1e-9
-        return _Row(k, dt, self._sum(imu, k, sample.t_ns) if imu else None, sample, white)
+        return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns) if imu else None, sample, white)
 
     def run(self) -> list[Motion]:
-        """Gauss-Newton on all unknowns; the sights' weights follow the residuals."""
-        self._sights.meet(*self._rigs())
+        """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""
+        self._segments.triangulate(*self._rigs())
         for i in range(_ITERATIONS):
-            rms = self._sights.reweigh(*self._rigs())
+            rms = self._segments.reweigh(*self._rigs())
             factors = self._iterate()
             step = self._step(factors)
-            log.debug("batch %d: sights %.3f sigma, step %.2g", i, rms, np.abs(step[:, :6]).max())
-            if (np.abs(step[:, :6]) < _ENOUGH).all():
+            log.debug("batch %d: observations %.3f sigma, step %.2g", i, rms, np.abs(step[:, :_POSE]).max())
+            if (np.abs(step[:, :_POSE]) < _ENOUGH).all():
                 break
         covariance, span = factors.covariance(), self._span
         return [self._motion(k, _own(covariance, k, span)) for k in range(len(self._t))]
@@ -131,91 +149,92 @@ class _Batch:
         span, K = self._span, len(self._t)
         blocks = -(-K // span)
         system = BlockTridiagonal(blocks, span * _SIZE)
-        self._linear = self._sights.linearise(*self._rigs())
+        self._linear = self._segments.linearise(*self._rigs())
         for b in range(blocks):
-            last = b == blocks - 1  # the unknowns of a last block that the flight does not fill are held at zero
+            last = b == blocks - 1  # unknowns of the last block beyond the flight are held at zero
             H, g = self._linear.reduced(b * span, (b + 1) * span, span)
-            rows = (np.arange(b * span, (b + 2) * span)[:, None] * _SIZE + np.arange(6)).ravel()
-            keep = slice(0, 6 * span if last else None)
+            rows = (np.arange(b * span, (b + 2) * span)[:, None] * _SIZE + np.arange(_POSE)).ravel()
+            keep = slice(0, _POSE * span if last else None)
             system.add(rows[keep], H[keep, keep], g[keep])
         self._add_priors(system, blocks * span)
         self._add_motion(system)
-        for row in self._rows:
+        for row in self._nav_rows:
             self._add_nav(system, row)
         return system.factorise()
 
     def _step(self, factors: Factors) -> F64:
         """Take the (K, 24) step, points included."""
         step = factors.solution().reshape(-1, _SIZE)[: len(self._t)]
-        self._linear.move_points(step[:, :6])
-        self._R = np.array([so3_exp(s[ATT]) @ R for s, R in zip(step, self._R, strict=True)])
-        self._x[:, 3:] += step[:, 3:]
+        self._linear.move_points(step[:, :_POSE])
+        self._R = so3_exp(step[:, ATT]) @ self._R
+        self._x[:, ATT.stop :] += step[:, ATT.stop :]
         return step
 
     def _add_priors(self, system: BlockTridiagonal, padded: int) -> None:
         s, information = self._settings, np.zeros(_SIZE)
-        information[15:24] = 1.0 / self._nav_sigma**2
-        if self._sums[0] is not None:
+        information[NAV] = 1.0 / self._nav_sigma**2
+        if self._imu_motion[0] is not None:
             information[GYRO], information[ACC] = 1 / s.gyro_bias_sigma**2, 1 / s.accelerometer_bias_sigma**2
         system.add(np.arange(_SIZE), np.diag(information), -information * self._x[0])
         for k in range(len(self._t), padded):
             system.add(np.arange(_SIZE) + k * _SIZE, np.eye(_SIZE), np.zeros(_SIZE))
-        loose = np.eye(_SIZE) * 1e-8  # what nothing measures (the accelerometer's bias without IMU) stays where it is
+        weak = np.eye(_SIZE) * _OPEN_INFORMATION
         for k in range(len(self._t)):
-            system.add(np.arange(_SIZE) + k * _SIZE, loose, np.zeros(_SIZE))
+            system.add(np.arange(_SIZE) + k * _SIZE, weak, np.zeros(_SIZE))
 
-    def _carry(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
-        """Where exposure k is after `dt`, with transition and noise (15, 15)."""
+    def _propagated(self, k: int, dt: float, m: Preintegral | None) -> tuple[Step, F64, F64]:
+        """Propagate exposure k by `dt`: the step, its transition and noise (15, 15)."""
         R, x, s = self._R[k], self._x[k], self._settings
         if m is None:
             F, Q = constant_transition(R, x[GYRO], dt, s)
-            Q[ACC, ACC] = np.eye(3)  # there is none: any number that keeps the equations regular
+            Q[ACC, ACC] = np.eye(3)  # unused: any positive number keeps the equations regular
             return constant_step(R, x[POS], x[VEL], x[GYRO], dt), F, Q
         m = corrected(m, x[GYRO], x[ACC])
         after = inertial_step(R, x[POS], x[VEL], m)
         F, Q = inertial_transition(Step(R, x[POS], x[VEL]), after, m)
-        Q[range(15), range(15)] += bias_walk(dt, s)
+        Q[np.diag_indices(MOTION.stop)] += bias_walk(dt, s)
         return after, F, Q
 
     def _add_motion(self, system: BlockTridiagonal) -> None:
         """Factors between successive exposures: the motion model (M8, M9) and the GPS/INS errors (M10)."""
-        for k, m in enumerate(self._sums):
+        for k, m in enumerate(self._imu_motion):
             dt = (self._t[k + 1] - self._t[k]) * 1e-9
-            after, F, Q = self._carry(k, dt, m)
+            after, F, Q = self._propagated(k, dt, m)
             a, b = self._x[k], self._x[k + 1]
             decay, drift = nav_decay(dt, self._nav_sigma, self._settings)
-            e = np.concatenate([so3_log(self._R[k + 1] @ after.R.T), b[3:15] - a[3:15], b[15:] - decay * a[15:]])
+            e = b - a
+            e[ATT], e[NAV] = so3_log(self._R[k + 1] @ after.R.T), b[NAV] - decay * a[NAV]
             e[POS], e[VEL] = b[POS] - after.position, b[VEL] - after.velocity
             J = np.zeros((_SIZE, 2 * _SIZE))
             J[:, _SIZE:] = np.eye(_SIZE)
-            J[:15, :15], J[15:, 15:_SIZE] = -F, -np.diag(decay)
+            J[MOTION, MOTION], J[NAV, NAV] = -F, -np.diag(decay)
             W = np.zeros((_SIZE, _SIZE))
-            W[:15, :15] = np.linalg.inv(Q + 1e-14 * np.eye(15))
-            W[range(15, 24), range(15, 24)] = 1.0 / drift
+            W[MOTION, MOTION] = np.linalg.inv(Q + _MIN_VARIANCE * np.eye(len(Q)))
+            W[NAV, NAV] = np.diag(1.0 / drift)
             rows = np.arange(2 * _SIZE) + k * _SIZE
             system.add(rows, J.T @ W @ J, -J.T @ W @ e)
 
-    def _add_nav(self, system: BlockTridiagonal, row: _Row) -> None:
-        """A GPS/INS row at the exposure before it (M14-M16), each of its three parts with a Cauchy weight."""
-        after, F, _ = self._carry(row.k, row.dt, row.sum)
+    def _add_nav(self, system: BlockTridiagonal, row: _NavRow) -> None:
+        """A GPS/INS row at the exposure before it (M14-M16), each of its quantities with a Cauchy weight."""
+        after, F, _ = self._propagated(row.k, row.dt, row.preintegral)
         x, z = self._x[row.k], row.sample
         parts: list[tuple[slice, slice, F64, F64]] = []
         if z.position_world is not None:
-            parts.append((POS, NAV_POS, z.position_world - after.position - x[NAV_POS], row.white[0:3]))
+            parts.append((POS, NAV_POS, z.position_world - after.position - x[NAV_POS], row.white[POSITION_ROWS]))
         if z.world_from_body is not None:
             e = so3_log(z.world_from_body @ (so3_exp(x[NAV_ATT]) @ after.R).T)
-            parts.append((ATT, NAV_ATT, e, row.white[3:6]))
+            parts.append((ATT, NAV_ATT, e, row.white[ATTITUDE_ROWS]))
         if z.velocity_world is not None:
-            parts.append((VEL, NAV_VEL, z.velocity_world - after.velocity - x[NAV_VEL], row.white[6:9]))
-        if row.sum is None and z.angular_velocity_body is not None:
+            parts.append((VEL, NAV_VEL, z.velocity_world - after.velocity - x[NAV_VEL], row.white[VELOCITY_ROWS]))
+        if row.preintegral is None and z.angular_velocity_body is not None:
             rate = z.angular_velocity_body - x[GYRO]
             parts.append((GYRO, GYRO, rate, np.full(3, self._settings.nav_rate_white)))
         rows = np.arange(_SIZE) + row.k * _SIZE
         for value, drift, e, white in parts:
             J = np.zeros((3, _SIZE))
-            J[:, :15] = F[value]
+            J[:, MOTION] = F[value]
             J[:, drift] = np.eye(3)
-            W = 1.0 / white**2 / (1.0 + float(e @ (e / white**2)) / 27.0)
+            W = cauchy(((e / white) ** 2).sum(keepdims=True), _NAV_SCALE)[0] / white**2
             system.add(rows, (J.T * W) @ J, J.T @ (W * e))
 
     def _motion(self, k: int, covariance: F64) -> Motion:

@@ -151,12 +151,12 @@ class FilterHalf:
                 self._filter.feed_imu(row)
         if batch.frame is not None and not self._begun:
             self._begun = True
-            self._handover.put(self._filter.forecast())
+            self._handover.put(self._filter.predictor())
 
     def update(self, tracked: TrackedFrame) -> Navigation | None:
         """Take the features of an exposure: its motion, and the posterior of the keyframes."""
         motion = self._filter.feed_tracks(tracked.tracks)
-        self._handover.put(self._filter.forecast())
+        self._handover.put(self._filter.predictor())
         if motion is None:
             return None
         self._motions.append(motion)
@@ -191,7 +191,7 @@ def _left_out(count: int, what: str) -> str:
 
 
 class FilterLane:
-    """Feature tracks and the structure-from-motion filter (docs/method-motion.md).
+    """Feature tracks and the structure-from-motion filter (docs/method/motion.md).
 
     Args:
         history: keep what the end of a recording needs; without it memory does not grow with the flight, and nothing

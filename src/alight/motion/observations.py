@@ -1,0 +1,88 @@
+"""Observations of features over a window of rig poses: one dense array, one row a feature, one column a pose.
+
+The filter's window are its clones (MSCKF, Mourikis and Roumeliotis 2007). Each observation is used only once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.geometry import Pose
+from alight.records import F64
+
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class WindowObservations:
+    """Observations of N features from K poses by C cameras."""
+
+    ids: Ints  # (N,)
+    normalised: F64  # (N, K, C, 2) normalised coordinates, NaN = not observed
+    sigma: F64  # (N, K) of a normalised coordinate
+
+    @classmethod
+    def empty(cls, cameras: int) -> WindowObservations:
+        """Return a window without features and without poses."""
+        return cls(np.empty(0, np.int64), np.empty((0, 0, cameras, 2)), np.empty((0, 0)))
+
+    @property
+    def observed(self) -> Mask:
+        """(N, K): whether at least one camera observed the feature at the pose."""
+        return np.asarray(np.isfinite(self.normalised[..., 0]).any(axis=2))
+
+    def select(self, which: Mask | Ints) -> WindowObservations:
+        """Return the observations of some features."""
+        return WindowObservations(self.ids[which], self.normalised[which], self.sigma[which])
+
+    def without_poses(self, dropped: Sequence[int]) -> WindowObservations:
+        """Remove poses by index."""
+        if not len(dropped):
+            return self
+        normalised, sigma = (np.delete(a, dropped, axis=1) for a in (self.normalised, self.sigma))
+        return replace(self, normalised=normalised, sigma=sigma)
+
+    def with_pose(self, ids: Ints, normalised: F64, sigma: F64) -> WindowObservations:
+        """Append a pose with the observations made there: known features keep their row, new ones are appended.
+
+        Args:
+            ids: (M,) of the features observed at the pose.
+            normalised: (M, C, 2), NaN = not observed by that camera.
+            sigma: (M,) of a normalised coordinate.
+        """
+        _, mine, theirs = np.intersect1d(self.ids, ids, assume_unique=True, return_indices=True)
+        new = np.setdiff1d(np.arange(len(ids)), theirs)
+        n, k = self.sigma.shape
+        all_normalised = np.full((n + len(new), k + 1, *self.normalised.shape[2:]), np.nan)
+        all_sigma = np.ones((n + len(new), k + 1))
+        all_normalised[:n, :k], all_sigma[:n, :k] = self.normalised, self.sigma
+        all_normalised[mine, k], all_sigma[mine, k] = normalised[theirs], sigma[theirs]
+        all_normalised[n:, k], all_sigma[n:, k] = normalised[new], sigma[new]
+        return WindowObservations(np.concatenate([self.ids, ids[new]]), all_normalised, all_sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class WindowPoses:
+    """K rig poses: estimates, and the first estimates at which Jacobians are taken (Huang et al. 2008)."""
+
+    R: F64  # (K, 3, 3) world_from_rig
+    p: F64  # (K, 3) m
+    first_R: F64  # noqa: N815
+    first_p: F64
+
+
+def cameras_at(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:
+    """Return rotation (K, C, 3, 3) and centre (K, C, 3) of world_from_cam for every camera at every rig pose.
+
+    Args:
+        R, p: (K, 3, 3), (K, 3) world_from_rig.
+        cams: rig_from_cam.
+    """
+    rotations = np.array([c.rotation for c in cams])
+    translations = np.array([c.translation for c in cams])
+    return R[:, None] @ rotations, (R[:, None] @ translations[..., None])[..., 0] + p[:, None]
