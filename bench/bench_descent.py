@@ -93,7 +93,7 @@ def stage_of(f: SimulatedFlight, m: ElevationMap, up: float) -> Stage:
 def descend(f: SimulatedFlight) -> tuple[TerrainLane, list[Stage], list[float]]:
     """Fly it: the map, its stages, and at every change of the cell the median step of the map in sigmas."""
     views = list(keyframes(f))
-    lane = TerrainLane(Settings())
+    lane = TerrainLane(Settings().stages())
     if not lane.learn(views[:8]):
         raise SystemExit(lane.reason)
     assert lane.elevation is not None

@@ -98,7 +98,7 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
     views = [v for shot in shots for v in shot]
     camera = float(np.median([v.centre[2] for v in views]))
     for method in ("batch", "ring"):
-        lane = TerrainLane(Settings())
+        lane = TerrainLane(Settings().stages())
         if not lane.learn(views[:: max(1, len(views) // 24)]):
             print(f"{name}: {lane.reason}")
             return

@@ -24,7 +24,7 @@ PAIRS = 5
 
 def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = None) -> ElevationMap | None:
     """The map of the heights stage alone by `batch` or `ring`; about `tell` views say where the ground is."""
-    lane, views = TerrainLane(settings or Settings()), [v for shot in shots for v in shot]
+    lane, views = TerrainLane((settings or Settings()).stages()), [v for shot in shots for v in shot]
     if not lane.learn(views[:: max(1, len(views) // tell)]):
         raise SystemExit(lane.reason)
     if method == "batch":

@@ -20,7 +20,7 @@ from point_flight import error
 from alight.geometry import Pose
 from alight.motion import RollbackFilter
 from alight.records import F64, Frame, ImuSample, Motion, NavSample, Rig
-from alight.settings import Settings, with_imu
+from alight.settings import Settings
 from alight.sources import Source, open_source
 from alight.tracks import Tracker
 from alight_sim.flight import SimulatedFlight
@@ -75,8 +75,8 @@ class Flown:
 
 def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
-    settings = with_imu(settings, source.notes.get("imu_noise", {}))
-    tracker, estimator = Tracker(source.rig, settings.tracks), RollbackFilter(source.rig, settings.motion.filter)
+    stages = settings.stages(source.imu_noise)
+    tracker, estimator = Tracker(source.rig, stages.tracks), RollbackFilter(source.rig, stages.motion.filter)
     out = Flown(source.rig)
     for event in source.events():
         if isinstance(event, ImuSample):
@@ -87,7 +87,7 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
             tracks = tracker.feed(event, estimator.predict(event.t_ns, tracker.last_ns))
             motion, ring = estimator.feed_tracks(tracks), estimator.posterior().motions
             out.online += [motion] if motion else []
-            if len(ring) >= settings.motion.filter.clones:
+            if len(ring) >= stages.motion.filter.clones:
                 out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
         out.events.append(tracks if isinstance(event, Frame) else event)
     out.smoothed = estimator.smoothed()

@@ -16,7 +16,7 @@ from alight.pipeline.terrain_lane import TerrainLane, footprint, level_for
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
 
-SMALL = ["elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
+SMALL = ["tuning.elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
 
 
 @cache
@@ -26,7 +26,7 @@ def down() -> tuple[View, ...]:
 
 def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> TerrainLane:
     """A lane that knows where the ground is."""
-    lane = TerrainLane(settings or load_settings("", SMALL), NullStore() if forget else None)
+    lane = TerrainLane((settings or load_settings("", SMALL)).stages(), NullStore() if forget else None)
     assert lane.learn(list(views)), lane.reason
     return lane
 
@@ -207,7 +207,7 @@ def test_a_cell_that_was_asked_for_stays() -> None:
 
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     views = [v for v in down() if v.centre[2] < 20]
-    lane = lane_of(views[::2], load_settings("", ["elevation.tile=192", "elevation.max_sigma=5"]))
+    lane = lane_of(views[::2], load_settings("", ["tuning.elevation.tile=192", "elevation.max_sigma=5"]))
     lane.build(views[::2], lambda share: None)
     assert lane.elevation is not None
     cells = {level: layer.cell for level, layer in lane.elevation._layers.items() if layer.box()}
@@ -349,7 +349,7 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
 
 
 def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
-    lane = TerrainLane(load_settings("", SMALL))
+    lane = TerrainLane(load_settings("", SMALL).stages())
     assert not lane.learn(level()[:3], 0.2)
     assert "hardly moved" in lane.reason
     assert lane.elevation is None

@@ -29,13 +29,13 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings() -> Settings:
-    return load_settings("", ["tracks.count=40", "motion.filter.points=16", "motion.filter.smooth=false"])
+    return load_settings("", ["tuning.tracks.count=40", "tuning.filter.points=16", "tuning.filter.smooth=false"])
 
 
 def in_turn(events: tuple[Event, ...]) -> list[Motion]:
     """The two steps one after the other: what the threads must give."""
     rig, desk, out = flight()[0].rig, Desk(), []
-    tracking, filtering = TrackingStep(rig, settings()), FilterStep(rig, settings())
+    tracking, filtering = TrackingStep(rig, settings().stages()), FilterStep(rig, settings().stages())
     forecasts = []
     for e in events:
         job = desk.take(e)
@@ -110,7 +110,7 @@ def test_nothing_grows_with_the_flight() -> None:
     """Asked to keep five exposures, it keeps the last five; the filter records nothing, whatever the settings say."""
     rig, events = flight()[0].rig, flight()[1]
     told: list[int] = []
-    smoothing = settings().model_copy(update={"motion": load_settings("").motion})
+    smoothing = load_settings("", ["tuning.tracks.count=40"])
     lane = SideBySide(rig, smoothing, drop=False, tell=lambda m: told.append(m.t_ns), keep=5)
     for e in events:
         lane.feed(e)

@@ -209,6 +209,7 @@ def test_attitude_sigma_turns_into_the_body() -> None:
 def test_run_json_tells_the_run(out: Path) -> None:
     info = loaded(out / "run.json")
     assert Settings.model_validate(info["settings"]) == Settings()
+    assert info["settings"]["tuning"] == Settings().tuning.model_dump(mode="json")
     assert info["counts"]["frames dropped, file missing"] == 1
     assert info["time"]["motion"] == {"steps": 3, "median_s": 0.02, "p95_s": pytest.approx(0.452), "total_s": 0.53}
     assert "sites" not in info["time"]

@@ -35,7 +35,7 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings_of(*assignments: str) -> Settings:
-    return load_settings("", ["parallax.cell=0.25", "elevation.tile=64", *assignments])
+    return load_settings("", ["parallax.cell=0.25", "tuning.elevation.tile=64", *assignments])
 
 
 @dataclass(frozen=True)
@@ -346,7 +346,7 @@ def navigated(faults: Faults) -> tuple[FilterLane, SimulatedFlight, list[Motion]
     """A flight with faults through tracker and filter."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
-    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     for e in f.events():
         lane.feed(e)
     return lane, f, lane.finish(lambda share: None)
@@ -394,7 +394,7 @@ def test_thinning_keeps_the_newest_and_every_second() -> None:
 def test_what_could_not_be_refined_together_is_said() -> None:
     """Two exposures are too few for a batch: the poses of the flight stay, and the run says so."""
     f, events = flight()
-    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     given = 0
     for e in events:
         given += lane.feed(e) is not None

@@ -15,7 +15,7 @@ from typing import Generic, TypeVar
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.side_by_side import Desk, FilterStep, Heard, Job, TrackingStep, forecast_for
 from alight.records import Event, Motion, Rig, Tracks
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +74,7 @@ class SideBySide:
         drop: with the mailbox full, drop the oldest exposure (flight) instead of waiting (recordings).
         tell: called with every motion on the filter's thread, as soon as it is known.
         keep: last motions, and stamps of the last exposures, that are kept; None: all of them.
+        imu: noise that is stated for the IMU.
     """
 
     def __init__(
@@ -84,11 +85,13 @@ class SideBySide:
         drop: bool = True,
         tell: Callable[[Motion], None] = lambda motion: None,
         keep: int | None = 1000,
+        imu: ImuNoise | None = None,
     ) -> None:
         self.consumed: deque[int] = deque(maxlen=keep)  # stamps of the exposures that were tracked
         self.motions: deque[Motion] = deque(maxlen=keep)
         self._desk, self._tell = Desk(), tell
-        self._tracking, self._filtering = TrackingStep(rig, settings), FilterStep(rig, settings)
+        stages = settings.stages(imu)
+        self._tracking, self._filtering = TrackingStep(rig, stages), FilterStep(rig, stages)
         self._jobs = Mailbox[Job](size, (lambda old, new: new.after(old)) if drop else None)
         self._work = Mailbox[tuple[Heard, ...] | Tracks](4)  # two for the exposure in work, two for the next
         self._forecasts = Mailbox[MotionPredictor | None](4)

@@ -32,7 +32,7 @@ from alight.records import (
     TerrainMap,
     View,
 )
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings, StageSettings
 
 log = logging.getLogger(__name__)
 
@@ -73,6 +73,7 @@ class Pipeline:
         history: keep what `finish` needs of a recording. Without it a flight may last for ever: the motions are
             those that were given out in flight, and none older than the keyframes that are held.
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
+        imu: noise that the recording states for its IMU.
     """
 
     def __init__(
@@ -85,15 +86,16 @@ class Pipeline:
         far: TileStore | None = None,
         history: bool = True,
         appearance: terrain.Model | None = None,
+        imu: ImuNoise | None = None,
     ) -> None:
-        self._settings = settings
+        self._settings = stages = settings.stages(imu)
         self._clock = clock
         self._history = history
-        self._navigation = _lane(rig, kind, settings, poses, history)
+        self._navigation = _lane(rig, kind, stages, poses, history)
         self._everything = isinstance(self._navigation, BundleLane)
-        self._recursive = settings.parallax.method == "ring" and not self._everything
-        self._terrain = TerrainLane(settings, far)
-        self._judging = Judge(settings, appearance, self._timed)
+        self._recursive = stages.parallax.method == "ring" and not self._everything
+        self._terrain = TerrainLane(stages, far)
+        self._judging = Judge(stages, appearance, self._timed)
         self._store, self._first_step = FrameStore(), FIRST_STEP
         self._motions: dict[int, Motion] = {}
         self._since_judged = 0  # keyframes
@@ -261,7 +263,7 @@ class Pipeline:
         return Decision(found.sites, motions, found.elevation, found.cover, found.danger, way, above, warnings, notes)
 
 
-def _lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> Lane:
+def _lane(rig: Rig, kind: str, settings: StageSettings, poses: TimedPoses | None, history: bool) -> Lane:
     if poses is not None:
         return GivenLane(rig, poses, settings.motion, history)
     method = settings.motion.method

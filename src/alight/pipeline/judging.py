@@ -11,7 +11,7 @@ from alight import hazards, terrain
 from alight.landing import sites
 from alight.parallax import orthophoto
 from alight.records import F64, ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap, View
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 Timed = Callable[[str, float], float]  # stage, when it began: now
 WET = np.uint16(Flag.WATER)
@@ -37,7 +37,7 @@ class Judge:
         timed: told of every stage.
     """
 
-    def __init__(self, settings: Settings, appearance: terrain.Model | None, timed: Timed) -> None:
+    def __init__(self, settings: StageSettings, appearance: terrain.Model | None, timed: Timed) -> None:
         self._settings, self._appearance, self._timed = settings, appearance, timed
         self.reserve = sites.Reserve()
         self.lost: list[str] = []  # in words, the newest last

@@ -15,7 +15,7 @@ from alight.motion import RollbackFilter
 from alight.motion.bundle.adjust import adjust
 from alight.motion.bundle.matching import colmap
 from alight.records import Event, Frame, ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Rig
-from alight.settings import MotionSettings, Settings
+from alight.settings import MotionSettings, StageSettings
 from alight.tracks import Tracker
 
 Progress = Callable[[float], None]
@@ -48,7 +48,7 @@ class FilterLane:
     Without `history` nothing is kept for that end: memory does not grow with the flight.
     """
 
-    def __init__(self, rig: Rig, settings: Settings, history: bool = True) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, history: bool = True) -> None:
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._tracker = Tracker(rig, settings.tracks)
         self._settings = settings.motion.filter
@@ -152,7 +152,7 @@ class GivenLane:
 class BundleLane:
     """Bundle adjustment of all photos at the end."""
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings) -> None:
         colmap()  # missing? say so before the photos are read
         self.rig, self.warnings, self.notes = rig, list[str](), dict[str, Any]()
         self._settings = settings.motion.bundle

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from alight.motion import RollbackFilter
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.records import Event, Frame, ImuSample, Motion, NavSample, Rig, Tracks
-from alight.settings import Settings
+from alight.settings import StageSettings
 from alight.tracks import Tracker
 
 _MOST = 1000  # rows that wait for an exposure; 5 s of them
@@ -67,7 +67,7 @@ def forecast_for(exposure: int) -> int:
 class TrackingStep:
     """The tracker, and the inertial measurements that it predicts by."""
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings) -> None:
         self._tracker = Tracker(rig, settings.tracks)
         self._imu: deque[ImuSample] = deque()
 
@@ -86,7 +86,7 @@ class TrackingStep:
 class FilterStep:
     """The filter, and what it lets expect. It never smooths: that would keep the whole flight."""
 
-    def __init__(self, rig: Rig, settings: Settings) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings) -> None:
         self.filter = RollbackFilter(rig, settings.motion.filter.model_copy(update={"smooth": False}))
 
     def hear(self, events: Sequence[Heard]) -> MotionPredictor | None:

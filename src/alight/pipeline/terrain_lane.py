@@ -14,7 +14,7 @@ from alight.elevation import FIELDS, TiledElevation, TileStore
 from alight.geometry import Grid
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.records import F64, Datum, ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
@@ -80,7 +80,7 @@ def lone(given: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class TerrainLane:
     """Matches every tile that at least two views see, or steps the map with every keyframe."""
 
-    settings: Settings
+    settings: StageSettings
     far: TileStore | None = None  # where tiles go that the vehicle has left behind; None: memory
     elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general

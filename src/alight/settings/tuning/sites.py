@@ -1,0 +1,14 @@
+"""Tuning of the choice of sites (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import FrozenModel, NonNegative, Positive
+
+
+class SitesTuning(FrozenModel):
+    """Choosing sites."""
+
+    roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
+    room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")
