@@ -78,7 +78,9 @@ def sgbm_widest(shots: Shots, points: Points) -> Answer:
 def sgbm_map(shots: Shots, points: Points) -> Answer:
     """The widest pair's answer as a map of cells as large as Alight's."""
     first, last = shots[0][0], shots[-1][0]
-    cell = nice_cell(ground_sampling(first, float(np.median(points.xyz[:, 2]))))
+    cell = nice_cell(
+        ground_sampling(first, float(np.median(points.xyz[:, 2]))), Settings().tuning.mapping.cell_over_pixel
+    )
     loose, strict = (map_of_pair(first, last, points.xyz, cell, s) for s in (False, True))
     return claimless(np.where(np.isfinite(strict), strict, loose), np.isfinite(strict))
 

@@ -15,6 +15,7 @@ from alight.geometry import Pose
 from alight.pipeline.terrain_lane import TerrainLane, footprint, level_for
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
+from alight.settings.tuning import MappingTuning
 
 SMALL = ["tuning.elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
 
@@ -188,12 +189,12 @@ def test_up_again_keeps_what_was_seen_from_near() -> None:
 def test_a_gust_does_not_change_the_cell() -> None:
     """Hysteresis: around the border between two levels the cell stays what it is, from either side."""
     cell = 1.0
-    border = 2**-0.5 / 1.8  # metres a pixel
+    border, tuning = 2**-0.5 / 1.8, MappingTuning()  # metres a pixel
     for now in (0, -1):
-        assert {level_for(border * s, cell, now) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
-    assert level_for(border * 0.85, cell, 0) == -1
-    assert level_for(border * 1.15, cell, -1) == 0
-    assert level_for(0.05 / 1.8, cell, 0) == -4
+        assert {level_for(border * s, cell, now, tuning) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
+    assert level_for(border * 0.85, cell, 0, tuning) == -1
+    assert level_for(border * 1.15, cell, -1, tuning) == 0
+    assert level_for(0.05 / 1.8, cell, 0, tuning) == -4
 
 
 def test_a_cell_that_was_asked_for_stays() -> None:

@@ -16,6 +16,7 @@ from alight.pipeline.store import FrameStore
 from alight.pipeline.terrain_lane import lone, nice_cell
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load_settings
+from alight.settings.tuning import MappingTuning
 from alight_sim import SimulatedFlight, default_rig, fly
 from alight_sim.faults import Faults
 
@@ -155,7 +156,7 @@ def test_a_height_among_refused_ones_is_refused() -> None:
     given[5, 5] = given[20:34, 60:74] = True  # one cell, and 196 of 1681
     given[60:, :] = True  # a half-plane: at its border half of what is about is given out
     given[75:80, 60:65] = False
-    alone = lone(given)
+    alone = lone(given, MappingTuning())
     assert alone.sum() == 197
     assert not alone[60:].any()
 
@@ -336,7 +337,7 @@ def test_given_poses_replace_what_navigation_says() -> None:
     ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.5), (0.55, 1.0)]
 )
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
-    assert nice_cell(sampling) == cell
+    assert nice_cell(sampling, 1.8) == cell
 
 
 # -- damaged streams through the lane
@@ -378,7 +379,7 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
 
 
 def test_thinning_keeps_the_newest_and_every_second() -> None:
-    store = FrameStore()
+    store = FrameStore(turn=0.15)
     for k in range(7):
         store.offer(Frame(k, (np.zeros((2, 3), np.uint8),)), None, None)
     store.thin()

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from pydantic import ValidationError
 
+import alight
 from alight.settings import ImuNoise, Settings, load_settings, settings_of_run, settings_page
 from alight.settings.keys import all_keys, user_keys
 
@@ -194,6 +195,16 @@ def test_a_user_sets_few_keys() -> None:
 def test_every_key_has_a_description() -> None:
     bare = [key for key, info in all_keys().items() if len(info.description or "") < 10]
     assert not bare
+
+
+def test_every_tuned_constant_is_used() -> None:
+    """A constant that no stage reads can be set and does nothing."""
+    folder = Path(alight.__file__).parent
+    sources = [p for p in folder.rglob("*.py") if folder / "settings" not in p.parents]
+    read = set(re.findall(r"\.([a-z][a-z0-9_]*)\b", "\n".join(p.read_text(encoding="utf-8") for p in sources)))
+    terms = {f"odds_{term}" for term in ("ambiguity", "residual", "sigma", "drop", "rise", "slide")}  # by their names
+    names = {key.rpartition(".")[2] for key in all_keys() if key.startswith("tuning.")}
+    assert not names - read - terms - {"imu_margin"}
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from alight.geometry import Grid
 from alight.landing import route, sites
 from alight.pipeline.judging import Judge, Verdict, without_water
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
-from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
+from alight.pipeline.store import FrameStore, views_of
 from alight.pipeline.terrain_lane import TerrainLane, footprint, looking_down
 from alight.records import (
     ElevationMap,
@@ -40,10 +40,6 @@ __all__ = ["Decision", "Pipeline", "TimedPoses", "Verdict", "without_water"]
 
 Tell = Callable[[str, float], None]  # stage, share done
 LAST_STEPS = 1000  # whose times are kept in flight
-FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
-FIND_BASELINE = 0.08  # of the height, that it takes in flight: at 97 m 4 m found a ground that was 36 m too high
-KEPT_BY_RING = 16  # keyframes that find the ground: the ring's own, and a few
-KEPT_TO_LOOK = 64  # keyframes whose pixels stay, to look at the ground more finely than at its heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +92,7 @@ class Pipeline:
         self._recursive = stages.parallax.method == "ring" and not self._everything
         self._terrain = TerrainLane(stages, far)
         self._judging = Judge(stages, appearance, self._timed)
-        self._store, self._first_step = FrameStore(), FIRST_STEP
+        self._store, self._first_step = FrameStore(stages.mapping.turn), stages.mapping.first_step
         self._motions: dict[int, Motion] = {}
         self._since_judged = 0  # keyframes
         self.timings: dict[str, deque[float]] = {}  # seconds of every step, by stage; in flight the last ones
@@ -132,21 +128,22 @@ class Pipeline:
 
     def _grow(self) -> None:
         """Find the ground first; then, in the recursive way, step the map with every keyframe."""
-        look = self._store.taken % FIND_EVERY == 0
+        tuning = self._settings.mapping
+        look = self._store.taken % tuning.find_every == 0
         if not self._recursive:
             if self._terrain.ground is None and look:
                 self._terrain.learn(self._views())
         elif self._terrain.ground is not None:
             self._advance(self._store.frames[-1:])
             if self._terrain.beyond and look:
-                self._terrain.learn_anew(self._views_now(), FIND_BASELINE)
-        elif look and self._terrain.learn(self._views_now(), FIND_BASELINE):
+                self._terrain.learn_anew(self._views_now(), tuning.find_baseline)
+        elif look and self._terrain.learn(self._views_now(), tuning.find_baseline):
             self._advance(self._store.frames)
-        elif len(self._store.frames) >= KEPT_BY_RING:  # the height is not known, so the baseline that it takes is not
+        elif len(self._store.frames) >= tuning.kept_by_ring:  # height unknown, and so the baseline that it takes
             self._store.thin()
             self._first_step *= 2
         if self._recursive:
-            most = KEPT_TO_LOOK if self._history else KEPT_BY_RING
+            most = tuning.kept_to_look if self._history else tuning.kept_by_ring
             self._store.drop_oldest(max(0, len(self._store.frames) - most))
 
     def _advance(self, frames: list[Frame]) -> None:
@@ -193,7 +190,7 @@ class Pipeline:
         """The same in flight: with what is known of the last poses by now."""
         newer = self._navigation.posterior()
         motions = self._motions if newer is None else self._motions | {m.t_ns: m for m in newer.motions}
-        return views_of(self._store.frames[-KEPT_BY_RING:], motions, self._navigation.rig)
+        return views_of(self._store.frames[-self._settings.mapping.kept_by_ring :], motions, self._navigation.rig)
 
     def _make_room(self) -> None:
         """Match every tile that the older half of the store sees, then forget that half: memory is bounded.

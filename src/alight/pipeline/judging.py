@@ -68,7 +68,7 @@ class Judge:
         danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         start = self._timed("hazards", start)
         chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, vehicle)
-        look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
+        look = None if chosen.sites else sites.next_view(danger, elevation, s.sites, s.lander, above)
         self._remember(chosen, danger)
         self._timed("sites", start)
         return Verdict(without_water(elevation, cover), cover, danger, chosen, look)

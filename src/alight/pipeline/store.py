@@ -8,14 +8,16 @@ import numpy as np
 
 from alight.records import Frame, Motion, Rig, View
 
-FIRST_STEP = 0.25  # metres between keyframes before the height above ground is known
-TURN = 0.15  # rad of the optical axis that make a keyframe without a step
-
 
 class FrameStore:
-    """Frames that are far enough apart to be worth matching."""
+    """Frames that are far enough apart to be worth matching.
 
-    def __init__(self) -> None:
+    Args:
+        turn: rad of the optical axis that make a keyframe without a step.
+    """
+
+    def __init__(self, turn: float) -> None:
+        self._turn = turn
         self.frames: list[Frame] = []
         self.bytes = 0
         self.taken = 0  # frames that were ever kept
@@ -34,7 +36,7 @@ class FrameStore:
     def _moved(self, motion: Motion, step: float) -> bool:
         a, b = self._last.world_from_cams[0] if self._last else motion.world_from_cams[0], motion.world_from_cams[0]
         axis = float(np.clip(a.rotation[:, 2] @ b.rotation[:, 2], -1, 1))
-        return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= TURN)
+        return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= self._turn)
 
     def drop_oldest(self, count: int) -> None:
         """Forget the first `count` frames."""

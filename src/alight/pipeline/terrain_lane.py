@@ -15,38 +15,28 @@ from alight.geometry import Grid
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.records import F64, Datum, ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import StageSettings
+from alight.settings.tuning import MappingTuning
 
-MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
-LEAST_POINTS = 20
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
-CELL_OVER_PIXEL = 1.8
-SLACK = 0.15  # octaves that the cell may be off beyond the half before it changes: a level is not left by a gust
-MOST_POINTS = 20_000  # that say where the ground is
-LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
-BEYOND = 0.3  # share of a step's cells at an end of the range that asks for another
-LEAST_KNOWN = 400  # heights of the map that say it better
-# a height is given out among others that are: of those that are left where most are refused one in five is wrong
-LEAST_GIVEN = 0.25  # of the cells about it
-ABOUT = 41  # cells
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 Progress = Callable[[float], None]
 
 
-def nice_cell(sampling: float) -> float:
-    """The round cell size nearest to 1.8 ground sampling distances, metres."""
-    target = CELL_OVER_PIXEL * sampling
+def nice_cell(sampling: float, ratio: float) -> float:
+    """The round cell size nearest to `ratio` ground sampling distances, metres."""
+    target = ratio * sampling
     decade = 10.0 ** np.floor(np.log10(target))
     sizes = np.concatenate([NICE * decade, [10.0 * decade]])
     return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / target)))], 6))
 
 
-def level_for(sampling: float, cell: float, now: int) -> int:
+def level_for(sampling: float, cell: float, now: int, tuning: MappingTuning) -> int:
     """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while it will do."""
-    exact = math.log2(CELL_OVER_PIXEL * sampling / cell)
-    return now if abs(exact - now) <= 0.5 + SLACK else round(exact)
+    exact = math.log2(tuning.cell_over_pixel * sampling / cell)
+    return now if abs(exact - now) <= 0.5 + tuning.level_slack else round(exact)
 
 
 def looking_down(views: Sequence[View]) -> list[View]:
@@ -71,9 +61,10 @@ def footprint(view: View, height: float) -> NDArray[np.float64]:
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
 
 
-def lone(given: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def lone(given: NDArray[np.bool_], tuning: MappingTuning) -> NDArray[np.bool_]:
     """Which of the heights that are given out, (R, C), have too few about them that are."""
-    return np.asarray(given & (cv2.blur(given.astype(np.float32), (ABOUT, ABOUT)) < LEAST_GIVEN))
+    window = (tuning.given_cells, tuning.given_cells)
+    return np.asarray(given & (cv2.blur(given.astype(np.float32), window) < tuning.least_given))
 
 
 @dataclass(eq=False)
@@ -102,9 +93,9 @@ class TerrainLane:
         if len(down) < 2:
             self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
             return False
-        points = find_points(down)
+        points = find_points(down, self.settings.parallax.points)
         below = points[points[:, 2] < min(v.centre[2] for v in down)]
-        if len(below) < LEAST_POINTS:
+        if len(below) < self.settings.mapping.least_points:
             self.reason = (
                 "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
             )
@@ -114,12 +105,12 @@ class TerrainLane:
             self.reason = "the aircraft hardly moved for its height, so no height can be measured"
             return False
         self._points = np.concatenate([self._points, below])
-        self._points = self._points[:: -(-len(self._points) // MOST_POINTS)]
+        self._points = self._points[:: -(-len(self._points) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
             sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
-            cell = self.settings.parallax.cell or nice_cell(sampling)
-            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far)
+            cell = self.settings.parallax.cell or nice_cell(sampling, self.settings.mapping.cell_over_pixel)
+            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
 
     def learn_anew(self, views: Sequence[View], least: float) -> None:
@@ -139,7 +130,7 @@ class TerrainLane:
         near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
         low, high = height_range(self._points, camera, near)
         heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
-        if len(heights) < LEAST_KNOWN:
+        if len(heights) < self.settings.mapping.least_known:
             return low, high
         return height_range(np.column_stack([heights, heights, heights]), camera)
 
@@ -149,7 +140,7 @@ class TerrainLane:
         level, of = 0, []
         for v in views:
             if self.settings.parallax.cell is None:
-                level = level_for(ground_sampling(v, ground), self.elevation.cell, level)
+                level = level_for(ground_sampling(v, ground), self.elevation.cell, level, self.settings.mapping)
             of.append(level)
         for k in sorted(set(of), reverse=True):
             asking = [v for v, its in zip(views, of, strict=True) if its == k]
@@ -197,10 +188,12 @@ class TerrainLane:
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
             return False
-        newest = down[0]
-        self.below = min(self.ground if self.below is None else self.below, float(newest.centre[2]) - LEAST_HEIGHT)
+        newest, tuning = down[0], self.settings.mapping
+        self.below = min(
+            self.ground if self.below is None else self.below, float(newest.centre[2]) - tuning.least_height
+        )
         if self.settings.parallax.cell is None:
-            self._level = level_for(ground_sampling(newest, self.below), self.elevation.cell, self._level)
+            self._level = level_for(ground_sampling(newest, self.below), self.elevation.cell, self._level, tuning)
         cell = self.elevation.cell_at(self._level)
         if self._ring is None:
             self._ring = RecursiveParallax(self.settings.parallax, cell, self.below)
@@ -227,9 +220,9 @@ class TerrainLane:
             return False
         self.gauge = found.gauge
         found = self._without_doubtful(found, up)
-        self.beyond = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > BEYOND)
+        self.beyond = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
         heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
-        if len(heights) >= LEAST_KNOWN // 4:
+        if len(heights) >= self.settings.mapping.least_known // 4:
             self.below = float(np.median(heights))
         self.elevation.add(changed(found, known), replace_all=True)
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
@@ -237,10 +230,13 @@ class TerrainLane:
 
     def _without_doubtful(self, heights: Heights, camera: float) -> Heights:
         """Refuse heights of too large a sigma, which goes with the camera's height above the ground, and lone ones."""
+        tuning = self.settings.mapping
         ground = self.ground if self.below is None else self.below
-        limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(camera - (ground or 0.0), 1.0)
+        limit = self.settings.elevation.max_sigma or tuning.max_sigma * max(camera - (ground or 0.0), 1.0)
         vague = heights.sigma > limit
-        unsure = np.where(vague | lone(is_trusted(heights.flags) & ~vague), np.uint16(Flag.UNSURE), np.uint16(0))
+        unsure = np.where(
+            vague | lone(is_trusted(heights.flags) & ~vague, tuning), np.uint16(Flag.UNSURE), np.uint16(0)
+        )
         return replace(heights, flags=heights.flags | unsure)
 
     def map_under(self, views: Sequence[View]) -> ElevationMap | None:

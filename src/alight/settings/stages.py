@@ -12,6 +12,7 @@ from alight.settings.tuning import (
     ElevationTuning,
     FilterTuning,
     HazardsTuning,
+    MappingTuning,
     ParallaxTuning,
     RouteTuning,
     SitesTuning,
@@ -87,6 +88,7 @@ class StageSettings:
     tracks: TracksSettings
     motion: MotionSettings
     parallax: ParallaxSettings
+    mapping: MappingTuning
     elevation: ElevationSettings
     terrain: TerrainSettings
     lander: Lander

@@ -68,6 +68,7 @@ class Settings(FrozenModel):
             tracks=_joined(TracksSettings, t.tracks),
             motion=MotionSettings.model_construct(**motion),
             parallax=_joined(ParallaxSettings, self.parallax, t.parallax),
+            mapping=t.mapping,
             elevation=_joined(ElevationSettings, self.elevation, t.elevation),
             terrain=_joined(TerrainSettings, self.terrain, t.terrain),
             lander=self.lander,

@@ -10,6 +10,7 @@ from alight.settings.tuning.bundle import BundleTuning
 from alight.settings.tuning.elevation import ElevationTuning
 from alight.settings.tuning.filter import FilterTuning
 from alight.settings.tuning.hazards import HazardsTuning
+from alight.settings.tuning.mapping import MappingTuning
 from alight.settings.tuning.parallax import ParallaxTuning
 from alight.settings.tuning.route import RouteTuning
 from alight.settings.tuning.sites import SitesTuning
@@ -17,8 +18,8 @@ from alight.settings.tuning.terrain import TerrainTuning
 from alight.settings.tuning.tracks import TracksTuning
 
 __all__ = [
-    "BundleTuning", "ElevationTuning", "FilterTuning", "HazardsTuning", "ParallaxTuning", "RouteTuning", "SitesTuning",
-    "TerrainTuning", "TracksTuning", "Tuning",
+    "BundleTuning", "ElevationTuning", "FilterTuning", "HazardsTuning", "MappingTuning", "ParallaxTuning",
+    "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
 ]  # fmt: skip
 
 
@@ -29,6 +30,7 @@ class Tuning(FrozenModel):
     filter: FilterTuning = FilterTuning()
     bundle: BundleTuning = BundleTuning()
     parallax: ParallaxTuning = ParallaxTuning()
+    mapping: MappingTuning = MappingTuning()
     elevation: ElevationTuning = ElevationTuning()
     terrain: TerrainTuning = TerrainTuning()
     hazards: HazardsTuning = HazardsTuning()

@@ -52,10 +52,6 @@ class FilterTuning(FrozenModel):
     velocity_sigma: Positive = Field(
         0.3, description="1-sigma of the GPS/INS velocity where the recording states none, m/s"
     )
-    photo_mounting_sigma: Positive = Field(
-        0.03,
-        description="1-sigma of the mounting of a camera on a gimbal, rad; used for photos (rows without velocity)",
-    )
     acceleration_sigma: Positive = Field(
         2.0, description="Noise of the constant-velocity model without an IMU, m/s^2 per sqrt(Hz)"
     )
