@@ -11,10 +11,12 @@ from point_flight import DOWN
 from alight.geometry import Camera, Pose, so3_exp
 from alight.motion.ekf.observations import WindowObservations, WindowPoses, marginalise_points, triangulate_window
 from alight.motion.projection import project
+from alight.settings import TracksSettings
 from alight.tracks.corners import corners, strength
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
 
+SETTINGS = TracksSettings(window_px=15)
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
 
 
@@ -62,7 +64,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
     there, turn = pixels @ map_[:, :2].T + map_[:, 2], np.tile(np.array([[c, s], [-s, c]]), (20, 1, 1))
     other = np.round(0.5 * turned + 20.0).astype(np.uint8)
-    found, good = patches.found(other, there + 0.6, turn, 15)
+    found, good = patches.found(other, there + 0.6, turn, SETTINGS)
     assert good.sum() >= 15
     np.testing.assert_allclose(found[good], there[good], atol=0.05)
     for k in np.flatnonzero(good)[:6]:
@@ -77,12 +79,12 @@ def test_what_is_not_there_is_not_found() -> None:
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
     patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
-    assert patch.found(image, pixels, ahead, 15)[1].all()
-    assert not patch.found(elsewhere, pixels, ahead, 15)[1].any()
-    assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
-    assert not patch.found(image, pixels, 4.0 * ahead, 15)[1].any()
+    assert patch.found(image, pixels, ahead, SETTINGS)[1].all()
+    assert not patch.found(elsewhere, pixels, ahead, SETTINGS)[1].any()
+    assert not patch.found(image, np.array([[3.0, 60.0]]), ahead, SETTINGS)[1].any()
+    assert not patch.found(image, pixels, 4.0 * ahead, SETTINGS)[1].any()
     flat = FeaturePatches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
-    assert not flat.found(image, pixels, ahead, 15)[1].any()
+    assert not flat.found(image, pixels, ahead, SETTINGS)[1].any()
     assert len(FeaturePatches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 

@@ -7,15 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.records import F32, U8
+from alight.settings import TracksSettings
 
 Mask = NDArray[np.bool_]
 
 _LEAST = 12  # features that a common turn of the image is told from
 _SMALL = 160  # px, about the shorter side of a picture shrunk to be looked at as a whole
-_OVERLAP = 0.2  # share of the image that two pictures must have in common
-_REACH = 160  # px, at most, of an error that all guesses share
 _EVERY = 4  # px between those that tell how bright a picture is
-_MOST_GAIN, _SAME_GAIN, _SAME_GREY = 4.0, 0.05, 4.0  # ratios of contrast, grey levels: the latter two are no jump
 TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried when all else fails
 
 
@@ -35,28 +33,29 @@ def warp_whole(image: U8, pixels: F32, guess: F32) -> tuple[U8, F32]:
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 
-def lit_as(image: U8, other: U8) -> U8:
+def lit_as(image: U8, other: U8, settings: TracksSettings) -> U8:
     """Take one picture to the brightness and contrast of another of the same ground (M1d).
 
     The SSD has no notion of exposure: a step of 20 % between two pictures cost 0.4 px, of 50 % nine of ten features.
     Small differences come from what the pictures do not share (taken out: ring of the sample 0.18 px instead of 0.14).
     """
     a, b = image[::_EVERY, ::_EVERY].astype(np.float32), other[::_EVERY, ::_EVERY].astype(np.float32)
-    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MOST_GAIN, _MOST_GAIN))
+    most = settings.most_gain
+    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / most, most))
     shift = float(b.mean()) - gain * float(a.mean())
-    if abs(gain - 1.0) < _SAME_GAIN and abs(float(b.mean() - a.mean())) < _SAME_GREY:
+    if abs(gain - 1.0) < settings.same_gain and abs(float(b.mean() - a.mean())) < settings.same_grey:
         return image
     levels = np.clip(np.round(gain * np.arange(256.0) + shift), 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, levels))
 
 
-def common_shift(then: U8, now: U8, pixels: F32, guess: F32) -> F32:
+def common_shift(then: U8, now: U8, pixels: F32, guess: F32, reach_px: int, least_overlap: float) -> F32:
     """Return the (2,) px that all guesses are off by alike: a degree of tilt is 34 px, more than a search may bound."""
     a, b = shrunken(then), shrunken(now)
     k = factor_of(now)
     warped, there = _warped(a, b, pixels, guess, k)
-    r = _REACH // k
-    if there.mean() < _OVERLAP or min(a.shape) <= 4 * r:
+    r = reach_px // k
+    if there.mean() < least_overlap or min(a.shape) <= 4 * r:
         return np.zeros(2, np.float32)
     high = [_high(warped), _high(b)]
     inner = high[0][r:-r, r:-r] * there[r:-r, r:-r]
@@ -108,10 +107,10 @@ def _warped(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> tuple[U8
     return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(there)
 
 
-def agreement(then: U8, now: U8, pixels: F32, guess: F32, factor: int) -> float:
+def agreement(then: U8, now: U8, pixels: F32, guess: F32, factor: int, least_overlap: float) -> float:
     """Correlation of two shrunken pictures where the affine map from `pixels` to `guess` (full size) overlaps them."""
     warped, there = _warped(then, now, pixels, guess, factor)
-    if there.mean() < _OVERLAP:
+    if there.mean() < least_overlap:
         return -1.0
     x, y = warped[there].astype(np.float64), now[there].astype(np.float64)
     return float(np.corrcoef(x, y)[0, 1]) if x.std() > 0 and y.std() > 0 else -1.0

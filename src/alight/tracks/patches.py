@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Pose
 from alight.records import F64, U8
+from alight.settings import TracksSettings
 from alight.tracks.lens import Lens
 from alight.tracks.patch_kernels import settle
 
@@ -21,8 +22,6 @@ Ids = NDArray[np.int64]
 _MARGIN = 9  # px of a patch about the window: room to turn in
 _BLUR = 0.7  # px; without, linear sampling follows the pixels and not the ground (M1e)
 _STOP, _ROUNDS = 0.01, 12  # px; steps
-_CORRELATION = 0.8  # least, of a match
-_MOVED = 1.5  # px, at most, from where the picture before led to
 _FAR = 1e6  # m, of features without any depth
 _ARM = 4.0  # px over which a map is differenced
 _ARMS = _ARM * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -112,21 +111,23 @@ class FeaturePatches:
         both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
         return FeaturePatches(*(x[order] for x in both))
 
-    def found(self, image: U8, guess: F64, turn: F64, window: int) -> tuple[F64, Mask]:
+    def found(self, image: U8, guess: F64, turn: F64, settings: TracksSettings) -> tuple[F64, Mask]:
         """Where they are in a smooth picture, from (N, 2) guesses on, and which of them truly are."""
-        there, fit = guess.copy(), np.empty(len(guess))
+        there, fit, window = guess.copy(), np.empty(len(guess)), settings.window_px | 1
         lay, slopes = np.empty((window + 2, window + 2), np.float32), np.empty((2, window, window), np.float32)
         settle(self.grey, self.places, turn, image, _STOP, _ROUNDS, lay, slopes, there, fit)
-        good = (fit > _CORRELATION) & (np.linalg.norm(there - guess, axis=1) < _MOVED)
+        good = fit > settings.patch_correlation
+        good &= np.linalg.norm(there - guess, axis=1) < settings.patch_moved_px
         return np.where(good[:, None], there, guess), good
 
 
 class Anchors:
     """The patches of the features of one camera, and where it was when they were cut."""
 
-    def __init__(self, lens: Lens, span: float, window: int) -> None:
+    def __init__(self, lens: Lens, span: float, settings: TracksSettings) -> None:
         """Take the lens, and px that a feature may move before it takes a new patch."""
-        self._lens, self._span, self._window = lens, span, window | 1
+        self._lens, self._span, self._settings = lens, span, settings
+        self._window = settings.window_px | 1
         self._poses: dict[int, Pose] = {}
         self._patches = self._none()
 
@@ -151,7 +152,7 @@ class Anchors:
         then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
         views = [then_from_now[k] for k in held.picture.tolist()]
         turn = view_warps(pixels[at], self._lens, views, GroundPlane.below(pose, depth), held.pixels, self._lens)
-        there, good = held.found(image, pixels[at], turn, self._window)
+        there, good = held.found(image, pixels[at], turn, self._settings)
         good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
         out = pixels.copy()
         out[at] = there

@@ -40,14 +40,6 @@ Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
 _STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # of the way back, and where patches settle
-_FAR = 40.0  # px between two pictures from which on the common error of the prediction is looked for first
-_FEW = 0.1  # share of the features found below which the prediction is doubted
-_PARALLAX = 10.0  # px of motion due to depth above which it gives the depth
-_SWEEP_STEP = 0.12  # of the logarithm of depth
-_SURE = 5.0  # px; where nine of ten guesses were off by more, nobody knows how patches lie (photos: 0.08, 0.04 degrees)
-_SPAN = 0.125  # of the width; features that moved further look otherwise by now
-_DEPTH_PX, _UNKNOWN = 0.3, 0.5  # px, sigma of the parallax that gives a depth; share of the median where there is none
-_CLOSE = 1.5  # px; guesses that were last off by less (nine of ten) need no pyramid, others two levels
 
 
 def grey(image: U8) -> U8:
@@ -86,7 +78,7 @@ class Tracker:
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
         arms = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
         self._arm = max([a for a in arms if a > 0], default=np.inf)  # m px: over depth, the parallax that gave it
-        self._anchors = Anchors(self._lenses[0], _SPAN * self._cameras[0].width, settings.window_px)
+        self._anchors = Anchors(self._lenses[0], settings.patch_span * self._cameras[0].width, settings)
         self._off = [np.inf] * len(rig.cameras)  # px, of nine of ten guesses: in time for camera 0, across for others
         self._next_id = 0
         self._memory: _Memory | None = None
@@ -110,7 +102,7 @@ class Tracker:
         image = grey(frame.images[0])
         ids, pixels, depth = self._follow(image, prediction)
         poses = prediction.world_from_cams if prediction else None
-        pose, soft = poses[0] if poses and self._off[0] < _SURE else None, smooth_image(image)
+        pose, soft = poses[0] if poses and self._off[0] < self._settings.sure_px else None, smooth_image(image)
         pixels = self._anchors.hold(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
         ids, pixels, depth = self._take_up(image, ids, pixels, depth)
         self._anchors.renew(soft, ids, pixels.astype(np.float64), pose)
@@ -131,10 +123,10 @@ class Tracker:
         pixels, good = self._matched(m, image, guess, now_from_then is not None)
         if good.mean() < 0.5 and now_from_then is not None:
             pixels, good = self._matched(m, image, Guess(guess.pixels))
-        if good.mean() < _FEW:  # the prediction may be wrong as a whole
+        if good.mean() < self._settings.few_share:  # the prediction may be wrong as a whole
             other = self._matched(m, image, Guess(found_again(m.image, image, m.pixels, TURNS)))
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
-        good &= spread_corners(m.ids, pixels, good, self._cell)
+        good &= spread_corners(m.ids, pixels, good, self._cell, self._settings.most_in_cell)
         depth = self._carried(m, pixels, now_from_then) if now_from_then is not None else m.depth
         return m.ids[good], pixels[good], depth[good]
 
@@ -143,12 +135,14 @@ class Tracker:
         known = bool(np.isfinite(m.depth).any())
         depth = m.depth if known else self._swept(m, image, now_from_then)
         guess = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], change)
-        if np.linalg.norm(guess.pixels - m.pixels, axis=1).mean() > _FAR:
-            return Guess(guess.pixels + common_shift(m.image, image, m.pixels, guess.pixels))
+        if np.linalg.norm(guess.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
+            s = self._settings
+            shift = common_shift(m.image, image, m.pixels, guess.pixels, s.common_reach_px, s.least_overlap)
+            return Guess(guess.pixels + shift)
         return guess if known and change is not None else Guess(guess.pixels)
 
     def _matched(self, m: _Memory, image: U8, guess: Guess, expected: bool = False) -> tuple[F32, Mask]:
-        held = expected and self._off[0] < _CLOSE
+        held = expected and self._off[0] < self._settings.close_px
         then, start = (m.image, m.pixels) if held else warp_whole(m.image, m.pixels, guess.pixels)
         return self._match(then, image, start, guess, 0, expected)
 
@@ -159,13 +153,18 @@ class Tracker:
         """
         way, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
         least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
-        shifts = np.geomspace(least, most, int(np.log(most / least) / _SWEEP_STEP))
+        shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
         if way * camera.fu < least:
             return m.depth
         small, now = shrunken(m.image), shrunken(image)
         scores = [
             agreement(
-                small, now, m.pixels, self._transfer(m.pixels, depth, now_from_then, camera).pixels, factor_of(image)
+                small,
+                now,
+                m.pixels,
+                self._transfer(m.pixels, depth, now_from_then, camera).pixels,
+                factor_of(image),
+                self._settings.least_overlap,
             )
             for depth in (np.full(len(m.ids), way / s) for s in shifts)
         ]
@@ -176,7 +175,7 @@ class Tracker:
         camera = self._cameras[0]
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (m.pixels, pixels))
         w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > _PARALLAX, 1.0 / np.maximum(w, 1e-9), m.depth)
+        z = np.where(w * arm * camera.fu > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), m.depth)
         points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
         return np.asarray(now_from_then.apply(points)[:, 2])
 
@@ -198,7 +197,9 @@ class Tracker:
         points = np.column_stack([flat, np.ones(len(flat))]) * z[:, None]
         there = other_from_first.apply(points)
         out = other.project(there).astype(np.float32)
-        vague = np.where(known, _DEPTH_PX / np.minimum(self._arm / np.maximum(z, 1e-9), _PARALLAX), _UNKNOWN)
+        s = self._settings
+        parallax = np.minimum(self._arm / np.maximum(z, 1e-9), s.depth_parallax_px)
+        vague = np.where(known, s.depth_sigma_px / parallax, s.unknown_depth_share)
         by_depth = (points * vague[:, None]) @ other_from_first.rotation.T
         open_ = scatter(there, by_depth, other.fu, change) if known.any() else None
         return Guess(np.where(np.isfinite(out), out, pixels), open_)
@@ -209,7 +210,8 @@ class Tracker:
         Args:
             expected: the guesses are good to some pixels, so the coarse levels are not needed.
         """
-        a, s, near = lit_as(a, b), self._settings, 1 if self._off[cam] < _CLOSE else 2
+        s = self._settings
+        a, near = lit_as(a, b, s), 1 if self._off[cam] < s.close_px else 2
         held = expected and near == 1  # its patch settles it
         levels, stop = min(s.levels, near) if expected else s.levels, _STOP_ROUGH if held else _STOP
         there, ok = self._flow(a, b, pixels, guess.pixels, levels, stop)
@@ -282,7 +284,7 @@ class Tracker:
         ground = GroundPlane.below(pose @ to_first if pose is not None else None, depth)
         guess = there[at].astype(np.float64)
         turn = view_warps(guess, self._lenses[i], [to_first], ground, held.pixels, self._lenses[0])
-        there[at], good[at] = held.found(right, guess, turn, self._settings.window_px | 1)
+        there[at], good[at] = held.found(right, guess, turn, self._settings)
         return there
 
     def _record(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
