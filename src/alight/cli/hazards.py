@@ -62,7 +62,7 @@ def _judge(ground: GroundRaster, name: str, settings: Settings) -> tuple[RunResu
 
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
-        finer = sharpen(elevation, ground.image)
+        finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
         if finer is None:
             warnings.append(
                 "the image is not used: light and shade do not explain it (paint, plants, another time of day)"

@@ -23,3 +23,12 @@ class TerrainTuning(FrozenModel):
     basin_depth: Positive = Field(
         0.2, description="Depth of standing water that a closed basin must hold to be taken for a pond, m"
     )
+    basin_odds: Positive = Field(4.0, description="Log odds given to standing water that the shape alone shows")
+    leafy: Positive = Field(0.09, description="Excess green from which a surface is plants")
+    tall: Positive = Field(1.5, description="Height above the ground from which plants are a tree, m")
+    beside_tall: Fraction = Field(
+        0.27, description="Largest probability of landable ground within the safety distance around tall objects"
+    )
+    pond_share: Fraction = Field(
+        0.2, description="Least share of a patch that looks like water and is water on its own evidence"
+    )
