@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -387,3 +388,17 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
         write_run(some_run(), tmp_path / name)
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_the_settings_of_an_earlier_version_are_read(out: Path, tmp_path: Path) -> None:
+    """`alight evaluate` takes runs that were made before keys moved or were dropped."""
+    folder = tmp_path / "earlier"
+    shutil.copytree(out, folder)
+    info = loaded(folder / "run.json")
+    del info["settings"]["tuning"]
+    info["settings"]["tracks"] = {"count": 99}
+    info["settings"]["lander"] |= {"radius": 2.0, "wings": 2}
+    (folder / "run.json").write_text(json.dumps(info))
+    found = read_run(folder).settings
+    assert found.lander.radius == 2.0
+    assert found.tuning.tracks.count == 99

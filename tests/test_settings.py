@@ -284,3 +284,11 @@ def test_the_page_of_settings_is_current() -> None:
     page = (Path(__file__).parents[1] / "docs" / "settings.md").read_text(encoding="utf-8")
     assert page == settings_page()
     assert all(f"| `{key}` |" in page for key in all_keys())
+
+
+def test_the_page_of_tuned_constants_quotes_the_code() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "lab" / "tuning-constants.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\| `(tuning\.[\w.]+)` \| ([^|]+) \|", page, re.M)
+    assert len(quoted) >= 20
+    for key, value in quoted:
+        assert float(value) == attrgetter(key)(Settings()), key
