@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 import resource
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
