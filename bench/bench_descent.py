@@ -94,7 +94,7 @@ def stage_of(f: SimulatedFlight, m: ElevationMap, up: float) -> Stage:
 def descend(f: SimulatedFlight) -> tuple[RecursiveMap, list[Stage], list[float]]:
     """Fly it: the map, its stages, and at every change of the cell the median step of the map in sigmas."""
     views = list(keyframes(f))
-    lane = RecursiveMap(Settings())
+    lane = RecursiveMap(Settings().stages())
     if not lane.find_ground(views[:8]):
         raise SystemExit(lane.reason)
     assert lane.elevation is not None

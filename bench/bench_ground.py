@@ -21,6 +21,7 @@ from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
 from alight.records import ElevationMap, HazardMap
 from alight.settings import HazardsSettings, Lander
+from alight.settings.tuning.hazards import SharpenTuning
 
 CELL = 0.2  # metres, dem.raw
 RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21
@@ -79,7 +80,7 @@ def hazards(data: Path) -> None:
     for folder in sorted(p for p in data.iterdir() if (p / "dem.raw").exists()):
         coarse, image, truth = read_terrain(folder)
         start = time.perf_counter()
-        fine = sharpen(coarse, image)
+        fine = sharpen(coarse, image, SharpenTuning())
         seconds = time.perf_counter() - start
         assert fine is not None
         found, inner = judge(fine)

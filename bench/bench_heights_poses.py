@@ -98,7 +98,7 @@ def fly(name: str, kind: str, seed: int, refine: bool, scale: float = 1.0) -> di
     flown, claim = _flown(name), max(scale, 0.1) * SIGMA
     wrong = zip(flown.shots, flown.bodies, scale * errors(kind, seed), strict=True)
     moved = [disturbed(s, b, e, claim) for s, b, e in wrong]
-    lane = RecursiveMap(Settings())
+    lane = RecursiveMap(Settings().stages())
     if not lane.find_ground([views[0] for views, _ in moved[::3]]):
         raise SystemExit(lane.reason)
     for k, (views, _) in enumerate(moved):

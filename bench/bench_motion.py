@@ -189,7 +189,7 @@ def part_photos(_: argparse.Namespace) -> None:
 
 
 def _photos(source: Source, attitude: bool) -> list[Motion]:
-    settings = Settings()
+    settings = Settings().stages()
     tracker, estimator = Tracker(source.rig, settings.tracks), MotionFilter(source.rig, settings.motion.filter)
     for e in source.events():
         if isinstance(e, NavSample):

@@ -23,6 +23,7 @@ from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
 from alight.settings import Settings
+from alight.settings.tuning.parallax import UncertaintyTuning
 from alight_sim.ladder import rung
 
 FLIGHTS = (
@@ -89,7 +90,7 @@ def rows_of(
 
 def names() -> list[str]:
     """The terms that have a coefficient."""
-    return [k for k in trust.DOUBT if k != "one"]
+    return [k.removeprefix("odds_") for k in UncertaintyTuning.model_fields if k.startswith("odds_")]
 
 
 def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
@@ -99,7 +100,7 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
     views = [v for shot in shots for v in shot]
     camera = float(np.median([v.centre[2] for v in views]))
     for method in ("batch", "ring"):
-        batch, recursive = BatchMap(Settings()), RecursiveMap(Settings())
+        batch, recursive = BatchMap(Settings().stages()), RecursiveMap(Settings().stages())
         lane = batch if method == "batch" else recursive
         if not lane.find_ground(views[:: max(1, len(views) // 24)]):
             print(f"{name}: {lane.reason}")
@@ -136,10 +137,11 @@ def main() -> None:
             print(f"{labels[-1]}: {len(part[1])} cells, {100 * part[1].mean():.2f} % wrong", flush=True)
     weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in parts])
     b = logistic(np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts]), weight)
-    print("DOUBT =", {k: round(float(v), 2) for k, v in zip([*names(), "one"], b, strict=True)})
+    fitted = zip([*(f"odds_{k}" for k in names()), "odds"], b, strict=True)
+    print("tuning.parallax.uncertainty:", {k: round(float(v), 2) for k, v in fitted})
     for label, (X, y) in zip(labels, parts, strict=True):
         p = 1 / (1 + np.exp(-(np.c_[X, np.ones(len(X))] @ b)))
-        kept = p < trust.MAX_DOUBT
+        kept = p < UncertaintyTuning().max_outlier
         print(
             f"{label}: given out {100 * kept.mean():.1f} %, of these wrong {100 * (y & kept).sum() / kept.sum():.2f} %"
         )

@@ -66,7 +66,7 @@ def sample(name: str, how: How, scratch: Path) -> Sample | None:
         heard.append(found)
         return np.ones_like(next(iter(found.values())))  # what is left of P is that of the tilt
 
-    s = Settings()
+    s = Settings().stages()
     stage.safe_belief = listen  # type: ignore[attr-defined]
     try:
         verdict = stage.assess(j.elevation, cover_of(j), s.lander, s.hazards)

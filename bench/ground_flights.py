@@ -100,12 +100,12 @@ def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
 
 def cover_of(j: Judgeable) -> TerrainMap:
     """The classes as the product finds them."""
-    return terrain.classify(j.elevation, Settings().terrain, read_model())
+    return terrain.classify(j.elevation, Settings().stages().terrain, read_model())
 
 
 def verdict(j: Judgeable) -> HazardMap:
     """As the product judges."""
-    s = Settings()
+    s = Settings().stages()
     return hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
 
 
@@ -117,7 +117,7 @@ def judged(j: Judgeable, found: HazardMap) -> Judged:
 
 def listed(j: Judgeable, found: HazardMap) -> tuple[int, int]:
     """How many sites that the product would list are truly safe, or within 0.3 m of it; and how many it lists."""
-    s, near, grid = Settings(), j.safe[1], j.elevation.grid
+    s, near, grid = Settings().stages(), j.safe[1], j.elevation.grid
     chosen = sites.choose_sites(found, None, j.elevation, s.sites, s.lander).sites
     at = [tuple(int(np.rint(i)) for i in grid.index(c.east, c.north)) for c in chosen]
     return sum(bool(near[k]) for k in at), len(at)
@@ -154,7 +154,7 @@ def _true_cover(j: Judgeable) -> TerrainMap:
 
 def waterfall(j: Judgeable) -> None:
     """What would be found and false with parts of the truth put in, and what refuses truly safe cells."""
-    s, e, own, true = Settings(), j.elevation, cover_of(j), _true_cover(j)
+    s, e, own, true = Settings().stages(), j.elevation, cover_of(j), _true_cover(j)
     level, plain = _true_heights(j), s.hazards.model_copy(update={"smoothed": False})
     for name, height, cover, settings in (
         ("as it is", e, own, s.hazards), ("cover left out", e, None, s.hazards),

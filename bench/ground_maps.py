@@ -19,7 +19,7 @@ from alight.evaluation.flight import NEAR, FlightTruth, at, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
 from alight.records import F32, F64, U8, Datum, ElevationMap, Flag, Motion
-from alight.settings import Settings, load_settings, with_imu
+from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight_sim import SimulatedFlight
 from alight_sim.ladder import rung
@@ -106,9 +106,9 @@ def _read(path: Path, name: str) -> Judgeable:
 
 
 def _lane(source: Source | SimulatedFlight, how: How) -> Pipeline:
-    settings = with_imu(load_settings("", [f"parallax.method={how.split('-')[0]}"]), source.notes.get("imu_noise", {}))
+    settings = load_settings("", [f"parallax.method={how.split('-')[0]}"])
     poses = source.truth_trajectory if how.endswith("true") else None
-    return Pipeline(source.rig, source.kind, settings, poses)
+    return Pipeline(source.rig, source.kind, settings, poses, imu=source.imu_noise)
 
 
 def _drift(motions: list[Motion], source: Source | SimulatedFlight) -> F64:

@@ -29,7 +29,7 @@ PAIRS = 5
 
 def mapped(shots: Shots, method: str, tell: int, settings: Settings | None = None) -> ElevationMap | None:
     """The map of the heights stage alone by `batch` or `ring`; about `tell` views say where the ground is."""
-    views, chosen = [v for shot in shots for v in shot], settings or Settings()
+    views, chosen = [v for shot in shots for v in shot], (settings or Settings()).stages()
     some = views[:: max(1, len(views) // tell)]
     if method == "batch":
         batch = _found(BatchMap(chosen), some)
@@ -91,7 +91,9 @@ def sgbm_widest(shots: Shots, points: Points) -> Answer:
 def sgbm_map(shots: Shots, points: Points) -> Answer:
     """The widest pair's answer as a map of cells as large as Alight's."""
     first, last = shots[0][0], shots[-1][0]
-    cell = nice_cell(ground_sampling(first, float(np.median(points.xyz[:, 2]))))
+    cell = nice_cell(
+        ground_sampling(first, float(np.median(points.xyz[:, 2]))), Settings().tuning.mapping.cell_over_pixel
+    )
     loose, strict = (map_of_pair(first, last, points.xyz, cell, s) for s in (False, True))
     return claimless(np.where(np.isfinite(strict), strict, loose), np.isfinite(strict))
 

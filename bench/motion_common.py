@@ -20,7 +20,7 @@ from point_flight import error
 from alight.geometry import Pose
 from alight.pipeline.navigation import FilterLane
 from alight.records import F64, Motion, Rig
-from alight.settings import Settings, with_imu
+from alight.settings import Settings
 from alight.sources import Source, open_source
 from alight_sim.flight import SimulatedFlight
 
@@ -74,8 +74,8 @@ class Flown:
 
 def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
     """Run tracks, filter and batch over a recording."""
-    settings = with_imu(settings, source.notes.get("imu_noise", {}))
-    lane, out = FilterLane(source.rig, settings), Flown(source.rig)
+    stages = settings.stages(source.imu_noise)
+    lane, out = FilterLane(source.rig, stages), Flown(source.rig)
     for event in source.events():
         batch = lane.batch(event)
         if batch is None:
@@ -91,7 +91,7 @@ def fly(source: Source | SimulatedFlight, settings: Settings) -> Flown:
             continue
         out.online.append(navigation.motion)
         ring = navigation.posterior.motions
-        if len(ring) >= settings.motion.filter.clones:
+        if len(ring) >= stages.motion.filter.clones:
             out.rings.append((next(m for m in ring if ring[-1].t_ns - m.t_ns <= 2 * SECOND), ring[-1]))
     out.smoothed = list(lane.finish(lambda share: None).motions)
     return out

@@ -31,7 +31,7 @@ class Climbed:
     def of(cls, rung: ladder.Rung) -> Climbed:
         """Fly it."""
         flight = rung.fly()
-        flown = fly(flight, load_settings("", ["motion.filter.smooth=false"]))
+        flown = fly(flight, load_settings("", ["tuning.filter.smooth=false"]))
         px, length = ring_px(flown, flight.pose, float(rung.height))
         lost = sum(m.state is MotionState.LOST for m in flown.online)
         mean = errors(flown.online, flight.pose)[2]

@@ -47,7 +47,7 @@ def part_speed(_: argparse.Namespace) -> None:
     CPU time does not mind neighbours much; the yardstick tells how much. GPS/INS and IMU rows come 20 and 200 times a
     second whatever the frame rate: they are taken off the filter's second first.
     """
-    settings = load_settings("", ["tracks.count=140", "motion.filter.smooth=false"])
+    settings = load_settings("", ["tuning.tracks.count=140", "tuning.filter.smooth=false"])
     source = recording(DATA / "sample", settings)
     if source is None:
         return

@@ -18,7 +18,7 @@ from alight import __version__, cli
 from alight.outputs import write_run
 from alight.records import InputError, Sites
 from alight.runner import replay
-from alight.settings import Settings
+from alight.settings import Settings, settings_page
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
 
@@ -104,6 +104,17 @@ def test_settings_are_taken_back(capsys: pytest.CaptureFixture[str], tmp_path: P
     (tmp_path / "mine.yaml").write_text(text)
     assert cli.call(["settings", "--settings", str(tmp_path / "mine.yaml")]) == 0
     assert capsys.readouterr().out == text
+
+
+def test_tuned_constants_are_shown_when_asked_for(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert cli.call(["settings", "--all", "--set", "tuning.filter.gate=0.9"]) == 0
+    text = capsys.readouterr().out
+    assert yaml.safe_load(text)["tuning"]["filter"]["gate"] == 0.9
+    (tmp_path / "mine.yaml").write_text(text)
+    assert cli.call(["settings", "--all", "--settings", str(tmp_path / "mine.yaml")]) == 0
+    assert capsys.readouterr().out == text
+    assert cli.call(["settings", "--markdown"]) == 0
+    assert capsys.readouterr().out == settings_page()
 
 
 def test_set_wins_over_the_file(tmp_path: Path) -> None:

@@ -12,7 +12,9 @@ from alight.hazards.footprint_kernels import cast_shadows
 from alight.hazards.sharpen import _spread, coarsen, sharpen
 from alight.hazards.sunlight import find_light, gradients, in_shadow, shadow_level
 from alight.records import Flag
+from alight.settings.tuning.hazards import SharpenTuning
 
+TUNING = SharpenTuning()
 PIXEL = 0.1
 SUN = np.array([0.70, 0.25, 0.67])  # along columns, rows and up
 
@@ -89,7 +91,7 @@ def test_the_light_is_found() -> None:
 def test_rocks_that_the_cells_smear_get_their_height_back() -> None:
     z = domes(2)
     cells = coarsen(z, 2)
-    finer = sharpen(ground(cells, 0.2, sigma=0.002), photograph(z))
+    finer = sharpen(ground(cells, 0.2, sigma=0.002), photograph(z), TUNING)
     assert finer is not None
     assert finer.grid.shape == z.shape
     assert_allclose(finer.grid.cell, PIXEL)
@@ -113,7 +115,7 @@ def test_paint_is_not_shape() -> None:
     z = domes(3)
     paint = np.random.default_rng(0).integers(0, 255, (20, 20)).astype(np.uint8)
     picture = cv2.resize(paint, z.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    assert sharpen(ground(coarsen(z, 2), 0.2, sigma=0.002), picture) is None
+    assert sharpen(ground(coarsen(z, 2), 0.2, sigma=0.002), picture, TUNING) is None
 
 
 def test_what_is_unknown_stays_unknown_and_its_surroundings_whole() -> None:
@@ -122,7 +124,7 @@ def test_what_is_unknown_stays_unknown_and_its_surroundings_whole() -> None:
     e.flags[30:36, 40:50] = Flag.MOVING
     e.height[60:64, 20:24] = np.nan
     e.flags[60:64, 20:24] = Flag.UNSEEN
-    finer = sharpen(e, photograph(z))
+    finer = sharpen(e, photograph(z), TUNING)
     assert finer is not None
     assert not finer.trusted[60:72, 80:100].any()
     assert np.isnan(finer.height[120:128, 40:48]).all()
@@ -134,4 +136,4 @@ def test_an_image_of_another_size_is_refused() -> None:
     e = ground(np.zeros((20, 20)), 0.2)
     for shape in ((40, 41), (20, 20), (60, 60)):
         with pytest.raises(ValueError, match="same extent"):
-            sharpen(e, np.zeros(shape, np.uint8))
+            sharpen(e, np.zeros(shape, np.uint8), TUNING)

@@ -13,10 +13,12 @@ from alight.motion.elimination import eliminate_points, marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
 from alight.motion.triangulation import triangulate_rays, triangulate_window
+from alight.settings import TracksSettings
 from alight.tracks.corners import corner_response, detect_corners
 from alight.tracks.lens import Lens
 from alight.tracks.patches import FeaturePatches
 
+SETTINGS = TracksSettings(window_px=15)
 CAMS = (Pose(DOWN, [0.1, 0.25, 0.0]), Pose(DOWN @ so3_exp([0.004, -0.003, 0.002]), [0.1, -0.25, 0.0]))
 
 
@@ -64,7 +66,7 @@ def test_patches_settle_where_least_squares_says() -> None:
     turned = cv2.warpAffine(image, map_, (160, 120), flags=cv2.INTER_LINEAR)
     there, turn = pixels @ map_[:, :2].T + map_[:, 2], np.tile(np.array([[c, s], [-s, c]]), (20, 1, 1))
     other = np.round(0.5 * turned + 20.0).astype(np.uint8)
-    found, good = patches.locate(other, there + 0.6, turn, 15)
+    found, good = patches.locate(other, there + 0.6, turn, SETTINGS)
     assert good.sum() >= 15
     np.testing.assert_allclose(found[good], there[good], atol=0.05)
     for k in np.flatnonzero(good)[:6]:
@@ -79,12 +81,12 @@ def test_what_is_not_there_is_not_found() -> None:
     image, elsewhere, ahead = picture(6), picture(7), np.eye(2)[None]
     pixels = np.array([[80.0, 60.0]])
     patch = FeaturePatches.cut(image, np.arange(1), pixels, 15)
-    assert patch.locate(image, pixels, ahead, 15)[1].all()
-    assert not patch.locate(elsewhere, pixels, ahead, 15)[1].any()
-    assert not patch.locate(image, np.array([[3.0, 60.0]]), ahead, 15)[1].any()
-    assert not patch.locate(image, pixels, 4.0 * ahead, 15)[1].any()
+    assert patch.locate(image, pixels, ahead, SETTINGS)[1].all()
+    assert not patch.locate(elsewhere, pixels, ahead, SETTINGS)[1].any()
+    assert not patch.locate(image, np.array([[3.0, 60.0]]), ahead, SETTINGS)[1].any()
+    assert not patch.locate(image, pixels, 4.0 * ahead, SETTINGS)[1].any()
     flat = FeaturePatches.cut(np.full_like(image, 9), np.arange(1), pixels, 15)
-    assert not flat.locate(image, pixels, ahead, 15)[1].any()
+    assert not flat.locate(image, pixels, ahead, SETTINGS)[1].any()
     assert len(FeaturePatches.cut(image, np.arange(1), np.array([[10.0, 60.0]]), 15).ids) == 0
 
 

@@ -17,8 +17,9 @@ from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import footprint, level_for
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
+from alight.settings.tuning import MappingTuning
 
-SMALL = ["elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
+SMALL = ["tuning.elevation.tile=64", "elevation.max_sigma=5"]  # 240 pixels across: a third of the usual accuracy
 
 
 @cache
@@ -28,7 +29,7 @@ def down() -> tuple[View, ...]:
 
 def lane_of(views: Iterable[View], settings: Settings | None = None, forget: bool = False) -> RecursiveMap:
     """A lane that knows where the ground is."""
-    lane = RecursiveMap(settings or load_settings("", SMALL), NullStore() if forget else None)
+    lane = RecursiveMap((settings or load_settings("", SMALL)).stages(), NullStore() if forget else None)
     assert lane.find_ground(list(views)), lane.reason
     return lane
 
@@ -190,12 +191,12 @@ def test_up_again_keeps_what_was_seen_from_near() -> None:
 def test_a_gust_does_not_change_the_cell() -> None:
     """Hysteresis: around the border between two levels the cell stays what it is, from either side."""
     cell = 1.0
-    border = 2**-0.5 / 1.8  # metres a pixel
+    border, tuning = 2**-0.5 / 1.8, MappingTuning()  # metres a pixel
     for now in (0, -1):
-        assert {level_for(border * s, cell, now) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
-    assert level_for(border * 0.85, cell, 0) == -1
-    assert level_for(border * 1.15, cell, -1) == 0
-    assert level_for(0.05 / 1.8, cell, 0) == -4
+        assert {level_for(border * s, cell, now, tuning) for s in (0.92, 0.97, 1.03, 1.08)} == {now}
+    assert level_for(border * 0.85, cell, 0, tuning) == -1
+    assert level_for(border * 1.15, cell, -1, tuning) == 0
+    assert level_for(0.05 / 1.8, cell, 0, tuning) == -4
 
 
 def test_a_cell_that_was_asked_for_stays() -> None:
@@ -209,7 +210,7 @@ def test_a_cell_that_was_asked_for_stays() -> None:
 
 def test_the_batch_is_as_fine_as_the_views_of_each_place() -> None:
     views = [v for v in down() if v.centre[2] < 20]
-    lane = BatchMap(load_settings("", ["elevation.tile=192", "elevation.max_sigma=5"]))
+    lane = BatchMap(load_settings("", ["tuning.elevation.tile=192", "elevation.max_sigma=5"]).stages())
     assert lane.find_ground(views[::2]), lane.reason
     lane.match_tiles(views[::2], lambda share: None)
     assert lane.elevation is not None
@@ -363,7 +364,7 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
 
 
 def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
-    lane = RecursiveMap(load_settings("", SMALL))
+    lane = RecursiveMap(load_settings("", SMALL).stages())
     assert not lane.find_ground(level()[:3], 0.2)
     assert "hardly moved" in lane.reason
     assert lane.elevation is None

@@ -46,14 +46,14 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings(*more: str) -> Settings:
-    small = ["tracks.count=40", "motion.filter.points=16", "parallax.cell=0.25", "elevation.tile=64"]
+    small = ["tuning.tracks.count=40", "tuning.filter.points=16", "parallax.cell=0.25", "tuning.elevation.tile=64"]
     return load_settings("", [*small, "sites.every=3", "hazards.p_safe=0.3", "sites.margin=0", *more])
 
 
 @cache
 def in_turn() -> tuple[Motion, ...]:
     """The navigation lane alone, one event after the other."""
-    lane = FilterLane(flight()[0].rig, settings(), history=False)
+    lane = FilterLane(flight()[0].rig, settings().stages(), history=False)
     found = [lane.feed(e) for e in flight()[1]]
     return tuple(n.motion for n in found if n is not None and n.motion is not None)
 
@@ -94,7 +94,11 @@ def test_every_exposure_is_predicted_from_the_last_but_one() -> None:
 
 def test_tracking_may_run_ahead_of_the_filter_by_one_exposure() -> None:
     """Exposure k is tracked before k - 1 is taken in: the same bits."""
-    lane, waiting, found = FilterLane(flight()[0].rig, settings(), history=False), list[TrackedFrame](), list[Motion]()
+    lane, waiting, found = (
+        FilterLane(flight()[0].rig, settings().stages(), history=False),
+        list[TrackedFrame](),
+        list[Motion](),
+    )
 
     def take_in() -> None:
         navigation = lane.update(waiting.pop(0))
@@ -130,7 +134,7 @@ def test_it_navigates() -> None:
 
 def test_a_trajectory_that_is_not_smoothed_leaves_in_the_world_too() -> None:
     """All exposures moved by the newest offset, which is no error any more."""
-    lane = FilterLane(flight()[0].rig, settings("motion.filter.smooth=false"))
+    lane = FilterLane(flight()[0].rig, settings("tuning.filter.smooth=false").stages())
     given = [n.motion for e in flight()[1] if (n := lane.feed(e)) is not None and n.motion is not None]
     motions = lane.finish(lambda share: None).motions
     offset = given[-1].offset_world

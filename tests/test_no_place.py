@@ -30,7 +30,7 @@ def flown(ground: str) -> Decision:
     scene = Scene.model_validate({"name": ground, "ground": {"size": [90, 90], **GROUNDS[ground]}})
     rig = Rig((RigCamera("cam0", LENS, default_rig().cameras[0].body_from_cam),))
     f = fly(scene, 3, 5.0, rig=rig, rate_hz=5.0, height=18.0, speed=2.0)
-    p = Pipeline(rig, "flight", load_settings("", ["elevation.tile=128"]), f.truth_trajectory)
+    p = Pipeline(rig, "flight", load_settings("", ["tuning.elevation.tile=128"]), f.truth_trajectory)
     for event in f.events():
         p.feed(event)
     return p.finish()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -209,6 +210,7 @@ def test_attitude_sigma_turns_into_the_body() -> None:
 def test_run_json_tells_the_run(out: Path) -> None:
     info = loaded(out / "run.json")
     assert Settings.model_validate(info["settings"]) == Settings()
+    assert info["settings"]["tuning"] == Settings().tuning.model_dump(mode="json")
     assert info["counts"]["frames dropped, file missing"] == 1
     assert info["time"]["motion"] == {"steps": 3, "median_s": 0.02, "p95_s": pytest.approx(0.452), "total_s": 0.53}
     assert "sites" not in info["time"]
@@ -386,3 +388,17 @@ def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
         write_run(some_run(), tmp_path / name)
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
+
+
+def test_the_settings_of_an_earlier_version_are_read(out: Path, tmp_path: Path) -> None:
+    """`alight evaluate` takes runs that were made before keys moved or were dropped."""
+    folder = tmp_path / "earlier"
+    shutil.copytree(out, folder)
+    info = loaded(folder / "run.json")
+    del info["settings"]["tuning"]
+    info["settings"]["tracks"] = {"count": 99}
+    info["settings"]["lander"] |= {"radius": 2.0, "wings": 2}
+    (folder / "run.json").write_text(json.dumps(info))
+    found = read_run(folder).settings
+    assert found.lander.radius == 2.0
+    assert found.tuning.tracks.count == 99

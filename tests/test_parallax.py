@@ -19,6 +19,7 @@ from alight.parallax.sparse_points import triangulate_pair
 from alight.parallax.views import choose_views
 from alight.records import REFUSED, ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings
+from alight.settings.tuning.parallax import PointsTuning
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -265,13 +266,13 @@ def test_the_ring_never_fills_what_it_does_not_see() -> None:
 
 
 def test_points_of_the_ground_and_the_range_to_search() -> None:
-    flat = find_points(level_views())
+    flat = find_points(level_views(), PointsTuning())
     assert len(flat) > 300
     assert np.percentile(np.abs(flat[:, 2]), 90) < 0.25
     low, high = height_range(flat, UP)
     assert -2.5 < low < -0.3
     assert 0.3 < high < 3.0
-    stands = find_points(box_views())
+    stands = find_points(box_views(), PointsTuning())
     assert height_range(stands, UP)[1] > BOX + 0.5
     assert np.percentile(stands[:, 2], 98) == pytest.approx(BOX, abs=0.4)
 
@@ -289,9 +290,9 @@ def test_the_range_of_a_place_is_that_of_its_own_points() -> None:
 def test_nothing_moves_nothing_is_found() -> None:
     still = [replace(v, world_from_cam=level_views()[0].world_from_cam, image=level_views()[0].image)
              for v in level_views()]  # fmt: skip
-    assert len(find_points(still)) == 0
+    assert len(find_points(still, PointsTuning())) == 0
     blank = [replace(v, image=np.full_like(v.image, 100)) for v in level_views()]
-    assert len(find_points(blank)) == 0
+    assert len(find_points(blank, PointsTuning())) == 0
 
 
 def test_triangulation_meets_points_and_sees_what_cannot_meet() -> None:

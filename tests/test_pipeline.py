@@ -19,6 +19,7 @@ from alight.pipeline.navigation import FilterLane, GivenLane, Trajectory
 from alight.pipeline.timing import Timings
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
 from alight.settings import Settings, load_settings
+from alight.settings.tuning import MappingTuning
 from alight_sim import SimulatedFlight, default_rig, fly
 from alight_sim.faults import Faults
 
@@ -38,7 +39,7 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings_of(*assignments: str) -> Settings:
-    return load_settings("", ["parallax.cell=0.25", "elevation.tile=64", *assignments])
+    return load_settings("", ["parallax.cell=0.25", "tuning.elevation.tile=64", *assignments])
 
 
 @dataclass(frozen=True)
@@ -193,7 +194,7 @@ def test_a_height_among_refused_ones_is_refused() -> None:
     given[5, 5] = given[20:34, 60:74] = True  # one cell, and 196 of 1681
     given[60:, :] = True  # a half-plane: at its border half of what is about is given out
     given[75:80, 60:65] = False
-    alone = lone(given)
+    alone = lone(given, MappingTuning())
     assert alone.sum() == 197
     assert not alone[60:].any()
 
@@ -384,7 +385,7 @@ def test_given_poses_replace_what_navigation_says() -> None:
     ("sampling", "cell"), [(0.0125, 0.02), (0.05, 0.1), (0.06, 0.1), (0.028, 0.05), (0.22, 0.5), (0.55, 1.0)]
 )
 def test_cells_are_round_numbers_near_two_pixels(sampling: float, cell: float) -> None:
-    assert nice_cell(sampling) == cell
+    assert nice_cell(sampling, 1.8) == cell
 
 
 # -- damaged streams through the lane
@@ -394,7 +395,7 @@ def navigated(faults: Faults) -> tuple[Trajectory, SimulatedFlight]:
     """A flight with faults through tracker and filter."""
     rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
     f = fly("demo", 1, 4.0, rig=rig, rate_hz=6.0, height=15.0, faults=faults)
-    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     for e in f.events():
         lane.feed(e)
     return lane.finish(lambda share: None), f
@@ -428,7 +429,7 @@ def test_of_frames_with_one_stamp_the_first_is_used() -> None:
 
 
 def test_thinning_keeps_the_newest_and_every_second() -> None:
-    store = FrameStore()
+    store = FrameStore(turn=0.15)
     for k in range(7):
         store.keep(Frame(k, (np.zeros((2, 3), np.uint8),)))
     store.thin()
@@ -444,7 +445,7 @@ def test_thinning_keeps_the_newest_and_every_second() -> None:
 def test_what_could_not_be_refined_together_is_said() -> None:
     """Two exposures are too few for a batch: the poses of the flight stay, and the run says so."""
     f, events = flight()
-    lane = FilterLane(f.rig, load_settings("", ["tracks.count=60", "motion.filter.points=16"]))
+    lane = FilterLane(f.rig, load_settings("", ["tuning.tracks.count=60", "tuning.filter.points=16"]).stages())
     given = 0
     for e in events:
         given += lane.feed(e) is not None

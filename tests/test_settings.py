@@ -2,11 +2,39 @@
 
 from __future__ import annotations
 
+import re
+from operator import attrgetter
+from pathlib import Path
+
 import pytest
 import yaml
 from pydantic import ValidationError
 
-from alight.settings import IMU_MARGIN, Settings, load_settings, with_imu
+import alight
+from alight.settings import ImuNoise, Settings, load_settings, settings_of_run, settings_page
+from alight.settings.keys import all_keys, user_keys
+
+# what was a user's key before tuning had a place of its own
+MOVED = {
+    "tracks": "count window_px levels search_px search_sigmas search_sigma_px forward_backward_px epipolar_px texture",
+    "motion.filter": "points clones pixel_sigma pixel_repeat texture_reference depth_share vague_share "
+    "keyframe_baseline nav_position_tau nav_attitude_tau nav_velocity_tau nav_position_white nav_attitude_white "
+    "nav_velocity_white nav_rate_white position_sigma attitude_sigma velocity_sigma acceleration_sigma "
+    "angular_acceleration_sigma gyro_noise gyro_walk gyro_bias_sigma accelerometer_noise accelerometer_walk "
+    "accelerometer_bias_sigma lateness gate coast smooth track_span",
+    "motion.bundle": "features image_px neighbours matches observations attitude_sigma heading_sigma mounting_sigma "
+    "position_sigma",
+    "parallax": "views ring keyframe_baseline",
+    "elevation": "tile",
+    "terrain": "appearance block ground_window bulge raised overhang basin_depth",
+    "hazards": "unknown_share doubtful_share bridge bridge_plain min_landable tilt_sigma noise_length smoothed "
+    "hidden_hazard",
+    "sites": "roomy room_weight",
+    "route": "look_share",
+}
+MOVED_KEYS = [
+    (f"{group}.{name}", f"tuning.{group.split('.')[-1]}.{name}") for group in MOVED for name in MOVED[group].split()
+]
 
 
 def test_nothing_needs_to_be_set() -> None:
@@ -14,16 +42,34 @@ def test_nothing_needs_to_be_set() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "key"),
+    ("text", "said"),
     [
-        ("parallax: {cel: 0.1}", "parallax.cel"),
-        ("paralax: {cell: 0.1}", "paralax"),
-        ("motion: {filter: {pixelsigma: 1}}", "motion.filter.pixelsigma"),
+        ("parallax: {cel: 0.1}", "parallax.cel: unknown key, did you mean parallax.cell?"),
+        ("paralax: {cell: 0.1}", "paralax: unknown key, did you mean parallax?"),
+        (
+            "motion: {filter: {timeofset: 1}}",
+            "motion.filter.timeofset: unknown key, did you mean motion.filter.time_offset?",
+        ),
+        ("motion: {filter: {gates: 1}}", "motion.filter.gates: unknown key, did you mean tuning.filter.gate?"),
+        ("tuning: {filter: {gat: 1}}", "tuning.filter.gat: unknown key, did you mean tuning.filter.gate?"),
+        ("wings: 2", "wings: unknown key"),
     ],
 )
-def test_an_unknown_key_is_refused_by_name(text: str, key: str) -> None:
-    with pytest.raises(ValueError, match=rf"^{key}: unknown key; 'alight settings' lists every key$"):
+def test_an_unknown_key_is_refused_with_the_nearest_one(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match="^" + re.escape(f"{said}; 'alight settings' lists every key") + "$"):
         load_settings(text)
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED_KEYS)
+def test_a_key_that_became_tuning_is_refused_with_its_new_name(old: str, new: str) -> None:
+    assert new in all_keys()
+    with pytest.raises(ValueError, match=f"^{re.escape(old)} is now {re.escape(new)};"):
+        load_settings("", [f"{old}=1"])
+
+
+def test_every_misplaced_key_of_a_group_is_named() -> None:
+    with pytest.raises(ValueError, match=r"^tracks\.count is now tuning\.tracks\.count; tracks\.wings: unknown key; "):
+        load_settings("tracks: {count: 9, wings: 2}")
 
 
 @pytest.mark.parametrize(
@@ -33,8 +79,8 @@ def test_an_unknown_key_is_refused_by_name(text: str, key: str) -> None:
         ("parallax: {cell: 0}", "parallax.cell", "0"),
         ("parallax: {cell: .nan}", "parallax.cell", "nan"),
         ("parallax: {cell: .inf}", "parallax.cell", "inf"),
-        ("parallax: {views: 1}", "parallax.views", "1"),
-        ("parallax: {views: 2.5}", "parallax.views", "2.5"),
+        ("tuning: {parallax: {views: 1}}", "tuning.parallax.views", "1"),
+        ("tuning: {parallax: {views: 2.5}}", "tuning.parallax.views", "2.5"),
         ("parallax: {method: sgbm}", "parallax.method", "sgbm"),
         ("parallax: {height_range: [1]}", "parallax.height_range.1", ""),
         ("hazards: {p_safe: 1.2}", "hazards.p_safe", "1.2"),
@@ -81,10 +127,10 @@ def test_text_that_is_no_yaml_is_refused_in_one_line() -> None:
 
 
 def test_assignments_win_over_the_file_and_the_last_over_the_first() -> None:
-    text = "parallax: {cell: 0.5, views: 9}"
+    text = "parallax: {cell: 0.5, store_mb: 90}"
     s = load_settings(text, ["parallax.cell=0.2", "parallax.cell=0.3", "lander.radius=2"])
-    assert (s.parallax.cell, s.parallax.views, s.lander.radius) == (0.3, 9, 2.0)
-    assert s.parallax.method == "auto"  # and what nobody names keeps its default
+    assert (s.parallax.cell, s.parallax.store_mb, s.lander.radius) == (0.3, 90, 2.0)
+    assert s.parallax.method == "batch"  # and what nobody names keeps its default
 
 
 @pytest.mark.parametrize(
@@ -115,14 +161,26 @@ def test_a_bad_assignment_is_refused_by_name(assignment: str, why: str) -> None:
         load_settings("parallax: {cell: 0.5}", [assignment])
 
 
-def test_yaml_goes_out_and_comes_back() -> None:
-    s = load_settings("", ["parallax.cell=0.07", "lander.skids=[1.2, 0.8]", "sources.calibration=rig.yaml"])
-    text = s.to_yaml()
+def test_the_method_auto_of_earlier_versions_is_batch() -> None:
+    assert load_settings("parallax: {method: auto}").parallax.method == "batch"
+
+
+@pytest.mark.parametrize("tuning", [False, True])
+def test_yaml_goes_out_and_comes_back(tuning: bool) -> None:
+    """A tuned constant that was changed is never lost, whether the others are shown or not."""
+    s = load_settings("", ["parallax.cell=0.07", "lander.skids=[1.2, 0.8]", "tuning.filter.gate=0.9"])
+    text = s.to_yaml(tuning)
     assert load_settings(text) == s
-    assert load_settings(Settings().to_yaml()) == Settings()
+    assert load_settings(Settings().to_yaml(tuning)) == Settings()
     tree = yaml.safe_load(text)
     assert tree["parallax"]["cell"] == 0.07
     assert set(tree) == set(Settings.model_fields)  # every group, defaults included
+    assert tree["tuning"]["filter"]["gate"] == 0.9
+    assert len(tree["tuning"]["filter"]) == (len(Settings().tuning.filter.model_dump()) if tuning else 1)
+
+
+def test_tuning_is_hidden_until_it_is_changed() -> None:
+    assert "tuning" not in yaml.safe_load(Settings().to_yaml())
 
 
 def test_settings_cannot_be_changed_afterwards() -> None:
@@ -130,25 +188,107 @@ def test_settings_cannot_be_changed_afterwards() -> None:
         Settings().parallax.cell = 3.0  # type: ignore[misc]
 
 
-def test_every_key_says_what_it_means() -> None:
-    def bare(model: type, path: str = "") -> list[str]:
-        out = []
-        for name, f in model.model_fields.items():  # type: ignore[attr-defined]
-            inner = f.annotation
-            if hasattr(inner, "model_fields"):
-                out += bare(inner, f"{path}{name}.")
-            elif not f.description:
-                out.append(path + name)
-        return out
-
-    assert not bare(Settings)
+def test_a_user_sets_few_keys() -> None:
+    assert len(user_keys()) <= 45
 
 
-def test_the_imu_of_a_recording_is_as_noisy_as_it_says() -> None:
-    """Its numbers replace defaults, with a margin; what the user has set, and what is no noise, stays."""
-    noise = {"gyroscope_noise_density": 2e-3, "accelerometer_noise_density": 8e-3, "gyroscope_random_walk": 0.0}
-    found = with_imu(load_settings("", ["motion.filter.accelerometer_noise=0.02"]), noise).motion.filter
-    assert found.gyro_noise == pytest.approx(IMU_MARGIN * 2e-3)
-    assert found.accelerometer_noise == 0.02
-    assert found.gyro_walk == load_settings().motion.filter.gyro_walk
-    assert with_imu(load_settings(), {}) == load_settings()
+def test_every_key_has_a_description() -> None:
+    bare = [key for key, info in all_keys().items() if len(info.description or "") < 10]
+    assert not bare
+
+
+def test_every_tuned_constant_is_used() -> None:
+    """A constant that no stage reads can be set and does nothing."""
+    folder = Path(alight.__file__).parent
+    sources = [p for p in folder.rglob("*.py") if folder / "settings" not in p.parents]
+    read = set(re.findall(r"\.([a-z][a-z0-9_]*)\b", "\n".join(p.read_text(encoding="utf-8") for p in sources)))
+    terms = {f"odds_{term}" for term in ("ambiguity", "residual", "sigma", "drop", "rise", "slide")}  # by their names
+    names = {key.rpartition(".")[2] for key in all_keys() if key.startswith("tuning.")}
+    assert not names - read - terms - {"imu_margin"}
+
+
+@pytest.mark.parametrize(
+    ("assignment", "stage"),
+    [
+        ("tuning.tracks.count=99", "tracks"),
+        ("motion.filter.time_offset=0.5", "motion.filter"),
+        ("tuning.filter.gate=0.5", "motion.filter"),
+        ("motion.bundle.focal=free", "motion.bundle"),
+        ("tuning.bundle.features=900", "motion.bundle"),
+        ("motion.given_position_sigma=0.5", "motion"),
+        ("parallax.cell=0.5", "parallax"),
+        ("tuning.parallax.views=5", "parallax"),
+        ("elevation.max_sigma=0.5", "elevation"),
+        ("tuning.elevation.tile=99", "elevation"),
+        ("terrain.enabled=false", "terrain"),
+        ("tuning.terrain.raised=0.7", "terrain"),
+        ("lander.radius=0.7", "lander"),
+        ("hazards.p_safe=0.7", "hazards"),
+        ("tuning.hazards.noise_length=0.7", "hazards"),
+        ("sites.margin=0.7", "sites"),
+        ("tuning.sites.roomy=0.7", "sites"),
+        ("route.clearance=0.7", "route"),
+        ("tuning.route.look_share=0.7", "route"),
+    ],
+)
+def test_a_stage_gets_what_is_set_for_it(assignment: str, stage: str) -> None:
+    key, _, value = assignment.partition("=")
+    records = attrgetter(stage)
+    found, plain = (
+        getattr(records(s.stages()), key.rpartition(".")[2]) for s in (load_settings("", [assignment]), Settings())
+    )
+    assert found == yaml.safe_load(value) != plain
+
+
+def test_the_imu_of_a_recording_is_as_noisy_as_it_states() -> None:
+    """Its numbers replace defaults, with a margin; what is set, and what is no noise, stays. The settings stay, too."""
+    imu = ImuNoise(gyroscope_noise_density=2e-3, accelerometer_noise_density=8e-3, gyroscope_random_walk=0.0)
+    settings = load_settings("", ["tuning.filter.accelerometer_noise=0.02"])
+    found, plain = settings.stages(imu).motion.filter, settings.stages().motion.filter
+    assert found.gyro_noise == 1.25 * 2e-3
+    assert (found.accelerometer_noise, plain.accelerometer_noise) == (0.02, 0.02)
+    assert (found.gyro_walk, found.accelerometer_walk) == (plain.gyro_walk, plain.accelerometer_walk) == (3e-5, 3e-4)
+    assert plain.gyro_noise == 5e-4
+    assert settings == load_settings("", ["tuning.filter.accelerometer_noise=0.02"])
+
+
+def test_stored_settings_read_back_the_same_recording_alike() -> None:
+    """What a recording states still counts when a run is repeated with the settings that it stored."""
+    imu = ImuNoise(gyroscope_noise_density=2e-3)
+    stored = load_settings(Settings().to_yaml(tuning=True))
+    assert stored.stages(imu) == Settings().stages(imu)
+
+
+def test_settings_of_an_earlier_run_are_read() -> None:
+    """Moved keys keep their values, unknown ones are left out."""
+    stored = {
+        "lander": {"radius": 2.0, "wings": 2},
+        "motion": {"filter": {"gate": 0.9, "time_offset": 0.02}},
+        "tracks": {"count": 99},
+        "parallax": {"method": "auto", "views": 9},
+        "weather": {"wind": 3.0},
+    }
+    s = settings_of_run(stored)
+    assert (s.lander.radius, s.motion.filter.time_offset, s.parallax.method) == (2.0, 0.02, "batch")
+    assert (s.tuning.filter.gate, s.tuning.tracks.count, s.tuning.parallax.views) == (0.9, 99, 9)
+    assert settings_of_run(s.model_dump(mode="json")) == s
+
+
+def test_an_impossible_value_of_an_earlier_run_is_named() -> None:
+    with pytest.raises(ValueError, match=r"^lander\.radius: "):
+        settings_of_run({"lander": {"radius": -1.0}})
+
+
+def test_the_page_of_settings_is_current() -> None:
+    """`alight settings --markdown > docs/settings.md` makes it."""
+    page = (Path(__file__).parents[1] / "docs" / "settings.md").read_text(encoding="utf-8")
+    assert page == settings_page()
+    assert all(f"| `{key}` |" in page for key in all_keys())
+
+
+def test_the_page_of_tuned_constants_quotes_the_code() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "lab" / "tuning-constants.md").read_text(encoding="utf-8")
+    quoted = re.findall(r"^\| `(tuning\.[\w.]+)` \| ([^|]+) \|", page, re.M)
+    assert len(quoted) >= 20
+    for key, value in quoted:
+        assert float(value) == attrgetter(key)(Settings()), key

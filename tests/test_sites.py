@@ -120,12 +120,12 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
     e = ground(np.full((101, 101), 3.0))
     r, c = np.mgrid[:101, :101]
     p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
-    look = sites.next_view(doubtful(e, p), e, LANDER, above=40.0)
+    look = sites.next_view(doubtful(e, p), e, SitesSettings(), LANDER, above=40.0)
     assert look is not None
     assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
     assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
     assert look.p_safe == pytest.approx(0.9, abs=0.01)
-    low = sites.next_view(doubtful(e, p), e, LANDER, above=10.0)
+    low = sites.next_view(doubtful(e, p), e, SitesSettings(), LANDER, above=10.0)
     assert low is not None
     assert low.height == 8.0
 
@@ -133,9 +133,9 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
 def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
     e = ground(np.zeros((101, 101)))
     refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
-    assert sites.next_view(doubtful(e, np.zeros((101, 101)), refused), e, LANDER, 40.0) is None
+    assert sites.next_view(doubtful(e, np.zeros((101, 101)), refused), e, SitesSettings(), LANDER, 40.0) is None
     refused[50, 50] = 0
-    assert sites.next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, LANDER, 40.0) is None
+    assert sites.next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, SitesSettings(), LANDER, 40.0) is None
 
 
 def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:

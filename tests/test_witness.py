@@ -18,7 +18,9 @@ from alight.parallax import consistency_kernels as kernels
 from alight.parallax import temporal_consistency as witness
 from alight.records import ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings
+from alight.settings.tuning.parallax import ConsistencyTuning
 
+TUNING = ConsistencyTuning()
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
 EAST, NORTH = np.meshgrid(*GRID.xy())
@@ -77,9 +79,11 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     change = rng.normal(0, 0.3, (8, 64, 64)).astype(np.float32)
     if together:
         change[1::2] = change[::2]
-    share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8))
-    assert (share > witness.MOST_SHARED).all() == together
-    assert (share > 0.5 * witness.MOST_SHARED).any() == together
+    share = witness.shared(
+        mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8), 5, TUNING
+    )
+    assert (share > TUNING.most_shared).all() == together
+    assert (share > 0.5 * TUNING.most_shared).any() == together
 
 
 def rig(moving: bool, count: int = 7) -> list[list[View]]:

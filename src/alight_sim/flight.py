@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
+from alight.settings import ImuNoise
 from alight_sim.cameras import Eye, Poses, Shutter
 from alight_sim.course import LEAD, Extent, chart
 from alight_sim.exposure import Imaging, Sensor, gains
@@ -131,6 +132,11 @@ class SimulatedFlight:
             "scene": self.world.description,
             "imu_noise": self.imu.densities,
         }
+
+    @property
+    def imu_noise(self) -> ImuNoise:
+        """What the maker of the IMU states."""
+        return ImuNoise(**self.imu.densities)
 
     # -- time
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from alight.sources.raster import GroundRaster
 
 # heights made elsewhere show what there is, and lie level, unless --set says otherwise
-SURVEYED = ("hazards.smoothed=false", "hazards.tilt_sigma=0.003", "hazards.noise_length=0.4")
+SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
 
 
 def _lander(file: Path | None) -> list[str]:
@@ -62,16 +62,17 @@ def _judge(ground: GroundRaster, name: str, settings: Settings) -> tuple[RunResu
 
     warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
     if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
-        finer = sharpen(elevation, ground.image)
+        finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
         if finer is None:
             warnings.append(
                 "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
             )
         elevation = finer or elevation
     clock.append(time.perf_counter())
-    verdict = hazards.assess(elevation, None, settings.lander, settings.hazards)
+    stages = settings.stages()
+    verdict = hazards.assess(elevation, None, stages.lander, stages.hazards)
     clock.append(time.perf_counter())
-    chosen = sites.choose_sites(verdict, None, elevation, settings.sites, settings.lander)
+    chosen = sites.choose_sites(verdict, None, elevation, stages.sites, stages.lander)
     result = RunResult(
         source_name=name,
         source_kind="heights",

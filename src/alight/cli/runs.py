@@ -21,6 +21,7 @@ from alight.cli.app import (
     tell_site,
 )
 from alight.records import RunResult
+from alight.settings import settings_page
 
 
 def _place(result: RunResult) -> str:
@@ -111,9 +112,15 @@ def demo(
 
 
 @app.command("settings")
-def show_settings(settings: SettingsOption = None, assign: SetOption = None) -> None:
+def show_settings(
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    everything: Annotated[bool, typer.Option("--all", help="With the tuned constants of every stage.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The keys with their descriptions, as a page.")] = False,
+) -> None:
     """Print every setting with its value, as YAML that --settings takes back."""
-    say(read_settings(settings, assign).to_yaml().rstrip("\n"))
+    chosen = read_settings(settings, assign)
+    say((settings_page() if markdown else chosen.to_yaml(tuning=everything)).rstrip("\n"))
 
 
 @app.command()

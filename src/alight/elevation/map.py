@@ -16,12 +16,7 @@ from alight.elevation.levels import double_fields, halve_fields
 from alight.elevation.tiles import FIELDS, Fields, Key, TileLayer, TileStore, is_seen
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
-
-# sigma of a coarse height as that of a cell in it, over its own, for a step that starts from it: what is smaller than a
-# coarse cell was not seen. With 1, tall grass seen from near kept the heights it had from afar: 41 % of what was given
-# out at 5 m was off by 0.1 m, with 1.5 7 %, with 2 9 %
-LESS_SURE = 1.5
-LEAST_SHARE = 0.05  # of the map that must have been seen with cells as fine as those of a snapshot
+from alight.settings.tuning import ElevationTuning
 
 
 def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
@@ -39,10 +34,13 @@ class TiledElevation:
         cell: metres, of level 0.
         side: cells of a tile.
         far: where tiles go that the vehicle has left behind; a dict where nothing is given.
+        tuning: how heights of different cell sizes are weighed.
     """
 
-    def __init__(self, cell: float, side: int, far: TileStore | None = None) -> None:
-        self.cell, self.side = cell, side
+    def __init__(
+        self, cell: float, side: int, far: TileStore | None = None, tuning: ElevationTuning | None = None
+    ) -> None:
+        self.cell, self.side, self._tuning = cell, side, tuning or ElevationTuning()
         self._far: TileStore = {} if far is None else far
         self._layers = {0: TileLayer(0, cell, side, self._far)}
 
@@ -86,7 +84,11 @@ class TiledElevation:
     def add(self, heights: Heights, replace_all: bool = False) -> None:
         """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new one wherever it was seen)."""
         layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
-        take = is_seen(new["flags"]) if replace_all else better(new, self._known(layer, heights.grid, LESS_SURE))
+        take = (
+            is_seen(new["flags"])
+            if replace_all
+            else better(new, self._known(layer, heights.grid, self._tuning.less_sure))
+        )
         r, c = box_of(take)
         if r.stop > r.start:
             grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
@@ -136,7 +138,8 @@ class TiledElevation:
 
     def start(self, grid: Grid) -> ElevationMap:
         """The same as a step at these cells may start from: less sure of what was only seen with coarser ones."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, LESS_SURE))  # type: ignore[arg-type]
+        known = self._known(self._layer_of(grid.cell), grid, self._tuning.less_sure)
+        return ElevationMap(grid, **known)  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""
@@ -146,14 +149,14 @@ class TiledElevation:
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
         """Everything that was ever seen, cropped to it; None when nothing was.
 
-        On the raster of the finest cells that at least `LEAST_SHARE` of it was seen with, or of coarser ones where it
+        On the raster of the finest cells that at least `least_share` of it was seen with, or of coarser ones where it
         would have more than `most_cells`.
         """
         boxes = {level: box for level, layer in self._layers.items() if (box := layer.box())}
         if not boxes:
             return None
         area = {level: self._layers[level].count() * 4.0**level for level in boxes}
-        level = min(k for k in boxes if area[k] >= LEAST_SHARE * max(area.values()))
+        level = min(k for k in boxes if area[k] >= self._tuning.least_share * max(area.values()))
         while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 0:
             level += 1
         return self.read(self._layer(level).cells(*_about(boxes, level)))

@@ -133,16 +133,20 @@ def decision(
     e, n = e - offset[0], n - offset[1]
     good_cells = at(safe, truth.grid, e, n) > 0
     known = np.isfinite(at(truth.dem, truth.grid, e, n))
-    claimed = (run.safe >= run.info["settings"]["hazards"]["p_safe"]) & known
+    claimed = (run.safe >= run.settings.hazards.p_safe) & known
     near = dilated(good_cells, NEAR / run.grid.cell)
     out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
     out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))
 
 
 def lander_of(run: Run) -> Lander:
-    """The lander of the run's own settings."""
+    """The lander of the run's own settings.
+
+    Raises:
+        InputError: run.json holds no settings, or a value that is not valid.
+    """
     try:
-        return Lander.model_validate(run.info["settings"]["lander"])
+        return run.settings.lander
     except (KeyError, ValueError) as e:
         raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
 

@@ -21,13 +21,12 @@ from alight.hazards.contact import (
 from alight.hazards.evidence import Shape, hazard_terms, unresolved
 from alight.hazards.monotone_net import safe_belief
 from alight.hazards.probability import SURELY, Margins, margins_over_sigma, mean_near, safe_probability
-from alight.hazards.usable_heights import BROAD, evened, judged_height
+from alight.hazards.usable_heights import evened, judged_height
 from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 Bool = NDArray[np.bool_]
 ROUNDING = 1e-4  # of a share
-CLEARLY, SURELY_ROUGH = 2.0, 4.0  # sigmas by which even and single heights must break the limit to refuse at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +79,8 @@ def _find(
     vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
     even = broad = fp.roughness
     if settings.smoothed:
-        even = footprint_of(evened(height, cell), lander.radius, cell).roughness
-        broad = footprint_of(evened(height, cell, BROAD), lander.radius, cell).roughness
+        even = footprint_of(evened(height, cell, settings.even_length), lander.radius, cell).roughness
+        broad = footprint_of(evened(height, cell, settings.broad_length), lander.radius, cell).roughness
     return _Findings(fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, even, broad)
 
 
@@ -109,14 +108,15 @@ def _probability(
     return level * safe_belief(hazard_terms(elevation, terrain, Shape(f.footprint, f.even, f.broad, rise), lander))
 
 
-def _reasons(f: _Findings, sigma: F32, lander: Lander, smoothed: bool) -> U8:
+def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings) -> U8:
     """Every limit that a touchdown would break, as bits of `Hazard`.
 
     The largest of hundreds of noisy heights is not the ground's: where heights are noisy (`smoothed`), what breaks the
     limit of roughness by little is left to P.
     """
-    rough = f.footprint.roughness > lander.max_roughness + np.float32(SURELY_ROUGH * smoothed) * sigma
-    rough |= f.even > lander.max_roughness + np.float32(CLEARLY * smoothed) * sigma
+    single, averaged = settings.surely_sigmas * settings.smoothed, settings.clearly_sigmas * settings.smoothed
+    rough = f.footprint.roughness > lander.max_roughness + np.float32(single) * sigma
+    rough |= f.even > lander.max_roughness + np.float32(averaged) * sigma
     rough |= f.broad > lander.max_roughness
     if lander.has_gear and lander.belly_clearance is not None:  # the belly's own limit says more
         rough = np.zeros_like(rough)
@@ -183,7 +183,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     sigma = np.sqrt(mean_near(variance, lander.radius, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
     found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
-    reasons = _reasons(found, sigma, lander, settings.smoothed)
+    reasons = _reasons(found, sigma, lander, settings)
     p = _probability(elevation, terrain, found, sigma, lander, settings)
     judged = ~(found.edge | found.unknown)
     p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))

@@ -19,7 +19,6 @@ from alight.settings import HazardsSettings, Lander
 INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
 BEYOND = 1.0  # metres past the rim: where tufts begin, there are more
 LEAST = 1e-4  # probability
-RESOLVED = 0.8  # of the limit, pixel: a stone as high is two of them wide
 USUAL = 0.01  # of a tint, that no ground is evener than
 SURE = np.float32(9.2)  # log odds: the cover where nobody judged it
 
@@ -64,8 +63,8 @@ def coarseness(elevation: ElevationMap, lander: Lander) -> float:
 
 
 def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> float:
-    """P(something too high is too small for the pixels): 0 up to `RESOLVED` of the limit, at most `hidden_hazard`."""
-    excess = coarseness(elevation, lander) - math.log(RESOLVED)
+    """P(an obstacle is too small for the pixels): 0 up to `resolved_share` of the limit, at most `hidden_hazard`."""
+    excess = coarseness(elevation, lander) - math.log(settings.resolved_share)
     return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 

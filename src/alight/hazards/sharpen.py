@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from alight.geometry import Grid
 from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
 from alight.records import F32, U8, ElevationMap
+from alight.settings.tuning.hazards import SharpenTuning
 
 log = logging.getLogger(__name__)
 
 Bool = NDArray[np.bool_]
 
-LEAST_EXPLAINED = 0.5  # of the image's variance by shading: below, its pattern is paint, not shape
 HEIGHT_FLOOR = 0.001  # metres; no cell is trusted further
-SHADE_FLOOR = 0.0075  # of the sun's brightness: what a perfect image still leaves to the model
-BEND = 0.4  # metres, 1-sigma of the Laplacian: rocks bend sharply
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
 UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, removes what alternates pixel by pixel
 _LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
@@ -103,17 +101,19 @@ class _Scene:
     image: F32  # (f R, f C) grey levels
     factor: int
     pixel: float  # metres
+    tuning: SharpenTuning
 
 
 def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, cg: int) -> F32:
     """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
-    noise = np.float32(max(light.spread, SHADE_FLOOR * float(np.linalg.norm(light.sun))))
+    noise = np.float32(max(light.spread, scene.tuning.shade_floor * float(np.linalg.norm(light.sun))))
     off = scene.image - shade
     weight = lit / noise**2 / (1 + (off / (3 * noise)) ** 2)
     bend = _laplacian(z)
-    stiff = 1 / np.float32(BEND**2) / (1 + (bend / np.float32(3 * BEND)) ** 2)
+    usual = scene.tuning.bend
+    stiff = 1 / np.float32(usual**2) / (1 + (bend / np.float32(3 * usual)) ** 2)
     scale = np.float32(1 / (8 * scene.pixel))
 
     def transposed(u: F32, v: F32) -> F32:
@@ -142,7 +142,7 @@ def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
     known = scene.cell_weight > 0
     coarse = find_light(scene.cells, small, known & (small > np.quantile(small, 0.05)), scene.pixel * scene.factor)
     log.info("shading explains %.0f %% of the image at the size of the cells", 100 * coarse.explained)
-    if coarse.explained < LEAST_EXPLAINED or coarse.sun[2] <= 0:
+    if coarse.explained < scene.tuning.least_explained or coarse.sun[2] <= 0:
         return None
     light, lit, dark = coarse, np.ones(z.shape, dtype=np.bool_), -math.inf
     for steps, cg in ROUNDS:
@@ -177,7 +177,7 @@ def _sigma(z: F32, lit: Bool, elevation: ElevationMap, factor: int) -> F32:
     return out
 
 
-def sharpen(elevation: ElevationMap, image: U8) -> ElevationMap | None:
+def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> ElevationMap | None:
     """Refine heights to the pixels of an image of the same ground, lit by the sun and seen from above.
 
     Args:
@@ -201,7 +201,8 @@ def sharpen(elevation: ElevationMap, image: U8) -> ElevationMap | None:
     weight = np.where(known, 1 / np.maximum(elevation.sigma, np.float32(HEIGHT_FLOOR)) ** 2, np.float32(0))
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     pixel = elevation.grid.cell / factor
-    found = _solve(_Scene(cells, weight, np.asarray(grey, dtype=np.float32) + np.float32(0.5), factor, pixel))
+    fine = np.asarray(grey, dtype=np.float32) + np.float32(0.5)
+    found = _solve(_Scene(cells, weight, fine, factor, pixel, tuning))
     return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
 
 

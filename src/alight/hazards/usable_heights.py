@@ -11,8 +11,6 @@ from alight.settings import HazardsSettings, Lander
 
 Bool = NDArray[np.bool_]
 
-EVEN, BROAD = 0.2, 0.45  # metres, 1-sigma
-
 _NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or none that could be right
 _PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # nothing to see: what stood there would be seen against it
 
@@ -65,8 +63,11 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     return np.where(known, height, np.float32(np.nan))
 
 
-def evened(height: F32, cell: float, sigma: float = EVEN) -> F32:
-    """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
+def evened(height: F32, cell: float, sigma: float) -> F32:
+    """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's.
+
+    `sigma`: metres, of the window.
+    """
     known = np.isfinite(height)
     mean, _ = _gathered(height, known, max(sigma / cell, 0.3))
     return np.where(known, mean, np.float32(np.nan))

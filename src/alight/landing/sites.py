@@ -168,15 +168,18 @@ def choose_sites(
     return Sites(tuple(_site(i + 1, at, hazards, terrain, elevation, lander, vehicle) for i, at in enumerate(peaks)))
 
 
-def next_view(hazards: HazardMap, elevation: ElevationMap, lander: Lander, above: float) -> NextView | None:
+def next_view(
+    hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander, above: float
+) -> NextView | None:
     """Say from where the most promising undecided place should be seen again: straight above it, and nearer.
 
-    Promising is what no limit refuses and of which P is highest over a footprint's surroundings; nearer by `NEARER`,
+    Promising is what no limit refuses and of which P is highest over a footprint's surroundings; nearer by `nearer`,
     because pixels, the noise of heights and the size of what is flattened shrink with the distance.
 
     Args:
         hazards: the verdict.
         elevation: heights, on the same grid.
+        settings: how much nearer.
         lander: its footprint.
         above: metres, the height above ground from which the map was seen.
 
@@ -196,7 +199,7 @@ def next_view(hazards: HazardMap, elevation: ElevationMap, lander: Lander, above
         return None
     grid, up = hazards.grid, float(np.median(ground))
     place = np.array([grid.east + col * grid.cell, grid.north - row * grid.cell, up])
-    height = max(NEARER * above, LOWEST)
+    height = max(settings.nearer * above, settings.lowest_look)
     return NextView(place + np.array([0.0, 0.0, height]), place, float(p[row, col]), height)
 
 

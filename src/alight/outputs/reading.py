@@ -15,6 +15,7 @@ from rasterio.errors import RasterioError
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
 from alight.records import F32, U8, U16, InputError
+from alight.settings import Settings, settings_of_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,16 @@ class Run:
     terrain: U8 | None  # (R, C) Terrain codes
     safe: F32 | None  # (R, C) probability, NaN = not judged
     ortho: U8 | None  # (R, C, 3) RGB
+
+    @property
+    def settings(self) -> Settings:
+        """The settings of the run, also of an earlier version of Alight.
+
+        Raises:
+            KeyError: run.json holds none.
+            ValueError: a value is not valid.
+        """
+        return settings_of_run(self.info["settings"])
 
 
 def _bands(path: Path) -> tuple[NDArray[Any], Grid] | None:

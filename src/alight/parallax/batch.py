@@ -21,13 +21,7 @@ from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
 from alight.parallax.views import Prepared, choose_views, maps, prepare_view, rgb_of, stack
 from alight.records import F32, U8, U16, Heights, View
 from alight.settings import ParallaxSettings
-
-REFERENCES = 2  # views along whose rays all is swept
-SWEPT = 10  # views of these sweeps: with all 16, 1.4 times the CPU time and a sixth more wrong heights on the photos
-MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
-ITERATIONS = 4
-LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not
-WITNESSES = 6  # pairs of views of one instant that are asked what moves
+from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
 
 def fuse_sweeps(looks: Sequence[Swept]) -> Swept:
@@ -71,45 +65,54 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     Returns:
         The heights, or None where fewer than two views see the grid.
     """
-    chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, MAX_TANGENT)
+    plan = settings.sweep
+    chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, plan.max_tangent)
     if len(chosen) < 2:
         return None
     fine = [images.get(i) for i in chosen]
     ground = min(max(images.height, low), high)
     views = [images.views[i] for i in chosen]
-    few, of = (choose_views(views, grid, 0.5 * (low + high), n, MAX_TANGENT) for n in (SWEPT, REFERENCES))
+    few, of = (
+        choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
+    )
     swept = [fine[k] for k in few]
-    start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k)) for k in of])
-    rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start))
+    start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
+    rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start), plan)
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None
     per_px = refine.enlarged(refine.view_geometry(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
-    visible = refine.visible_from(fine, grid, start, per_px)
-    fit = refine.gauss_newton(fine, grid, start, per_px, visible, ITERATIONS)
+    visible = refine.visible_from(fine, grid, start, per_px, settings.refinement.occlusion_px)
+    fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)
     rgb = colour(views, fine, grid, fit.height, visible)
-    heights = judged(
-        fine, grid, fit, trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio)), (low, high), rgb
-    )
-    return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid))
+    ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
+    heights = judged(fine, grid, fit, ratio, (low, high), rgb, settings.uncertainty)
+    return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid, settings.consistency))
 
 
-def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -> U16:
+def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, tuning: ConsistencyTuning) -> U16:
     """What moves, seen by some of the chosen views and the views of the same instants."""
     pairs = witness.instants(images.views)
     asked = pairs[np.isin(pairs, chosen).any(axis=1)]
-    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(WITNESSES, len(asked))).astype(int))]
+    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(tuning.pairs, len(asked))).astype(int))]
     if not len(asked):
         return np.zeros(grid.shape, np.uint16)
     samples = stack([images.get(int(i)) for i in asked.ravel()], grid, fit.height)
-    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid, LEAST_VIEWS)
+    pairs = np.arange(asked.size).reshape(-1, 2)
+    return witness.moving(samples, pairs, fit, grid, tuning.least_views_batch, tuning)
 
 
 def judged(
-    fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
+    fine: list[Prepared],
+    grid: Grid,
+    fit: refine.Fit,
+    ratio: F32,
+    searched: tuple[float, float],
+    rgb: U8,
+    tuning: UncertaintyTuning,
 ) -> Heights:
     """Put sigma and flags to a fit; the views `fine` are asked for the brightness."""
-    sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched)
+    sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
 
 

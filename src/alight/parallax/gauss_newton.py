@@ -21,16 +21,11 @@ from alight.parallax import visibility_kernels as surface
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
 from alight.records import F32, F64
+from alight.settings.tuning.parallax import RefinementTuning
 
-TAU = np.float32(0.35)  # normalised grey: from four times this on a view counts nothing
 SEEN_BLOCK = 4  # cells
 BLOCK = 8  # cells of half resolution
 LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
-HIDE_PX = 3.0  # parallax pixels that the map must rise above a ray to stop it
-STEP_PX = 0.5  # parallax pixels of the widest baseline a step may go
-# of the plane prior: 1 over its variance in parallax pixels^2, for cells taken as independent, which they are not:
-# neighbours share pixels, so 100 left three times the noise on a concrete slab
-PRIOR = 4500.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +83,10 @@ def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
 
 
-def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32) -> NDArray[np.uint8]:
-    """(N, R / 2, C / 2): 0 where the map stands between a cell and the camera (eq. 13); single spikes hide nothing."""
+def visible_from(
+    prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float
+) -> NDArray[np.uint8]:
+    """(N, R / 2, C / 2): 0 where the map rises `rise_px` over a ray to the camera (eq. 13); no single spike does."""
     wide = grid.coarser(2)
     height = np.ascontiguousarray(height[::2, ::2])
     centres = centres_of(prepared)
@@ -97,7 +94,7 @@ def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_p
     solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
     tops = _tops(solid, wide, centres)
     solid[solid <= LOWEST] = np.nan
-    margin = np.float32(HIDE_PX) * metres_per_px[::2, ::2]
+    margin = np.float32(rise_px) * metres_per_px[::2, ::2]
     surface.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
     return out
 
@@ -124,8 +121,8 @@ def gauss_newton(
     metres_per_px: F32,
     visible: NDArray[np.uint8] | None,
     iterations: int,
+    tuning: RefinementTuning,
     buffers: Buffers | None = None,
-    prior: float = PRIOR,
 ) -> Fit:
     """Refine `height` (R, C) so that all views of each window agree; NaN stays NaN.
 
@@ -139,15 +136,15 @@ def gauss_newton(
     h, precision, noise, mean, lam, eta, s2, step = (held.get(name, shape) for name in names)
     used, seen = held.get("used", shape, np.uint8), held.get("seen", shape, np.uint8)
     np.copyto(h, height)
-    centres = centres_of(prepared)
+    centres, scale = centres_of(prepared), np.float32(tuning.residual_scale)
     for _ in range(iterations):
         samples = stack(prepared, grid, h, held)
         if visible is not None:
             trust.veil(visible, samples)
         kernels.normal_equations(
-            samples, network(len(samples)), TAU, centres, *xs_ys, h, grid.cell, mean, used, seen, lam, eta, s2
+            samples, network(len(samples)), scale, centres, *xs_ys, h, grid.cell, mean, used, seen, lam, eta, s2
         )  # fmt: skip
-        kernels.solve_window(lam, eta, s2, h, metres_per_px, STEP_PX, step, precision, noise)
+        kernels.solve_window(lam, eta, s2, h, metres_per_px, tuning.step_px, step, precision, noise)
         moved = np.add(h, step, out=step)
-        surface.plane_prior(moved, precision, noise, metres_per_px, prior, h)
+        surface.plane_prior(moved, precision, noise, metres_per_px, tuning.plane_prior, h)
     return Fit(h, precision, noise, mean, used, seen, metres_per_px)

@@ -19,16 +19,8 @@ from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Prepared, centres_of, maps, sample
 from alight.records import F32, F64
+from alight.settings.tuning.parallax import SweepTuning
 
-KEEP = 0.7  # share of the views that has to agree
-TRUNCATION = np.float32(1.5)  # normalised grey
-P1, P2 = np.float32(0.1), np.float32(1.0)  # for one plane and for more between neighbours
-EDGE = np.float32(0.5)  # how much less of P2 where the reference has an edge
-MOST_PLANES = 192
-GAP = 2  # cells
-MOST_REFERENCES = 4  # views whose rays are swept: what one does not see another does
-LEAST_WANTED = 0.25  # of a block
-LEAST_BLOCKS = 4  # of a region
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
 
 Mask = NDArray[np.bool_]
@@ -42,10 +34,10 @@ def parallax_per_metre(centres: F64, height: float) -> float:
     return float(max(np.linalg.norm(v - a, axis=1).max() for a in v)) if len(v) else 0.0
 
 
-def planes(centres: F64, low: float, high: float, cell: float) -> F32:
-    """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `MOST_PLANES`."""
+def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
+    """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
     slide = max(parallax_per_metre(centres, 0.5 * (low + high)), 1e-3)
-    count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, MOST_PLANES))
+    count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, most))
     return np.linspace(low, high, count).astype(np.float32)
 
 
@@ -101,21 +93,23 @@ def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) 
     return wide.window(top, left, max(bottom - top, 1), max(right - left, 1))
 
 
-def sweep_unseen(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, wanted: Mask) -> Swept:
+def sweep_unseen(
+    prepared: list[Prepared], grid: Grid, searched: Span, ground: float, wanted: Mask, tuning: SweepTuning
+) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
     What that one does not see, behind a step or beyond its border, is swept along the rays of others.
     """
     height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     left = wanted.copy()
-    for _ in range(MOST_REFERENCES):
-        for where in regions(left):
+    for _ in range(tuning.most_references):
+        for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             rows, cols = where
             part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
             reference = best_reference(prepared, part, ground, left[where])
             if reference is None:
                 continue
-            found, of = sweep(prepared, part, searched, ground, reference)
+            found, of = sweep(prepared, part, searched, ground, reference, tuning)
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
@@ -123,18 +117,18 @@ def sweep_unseen(prepared: list[Prepared], grid: Grid, searched: Span, ground: f
     return height, ratio
 
 
-def regions(wanted: Mask) -> list[tuple[slice, slice]]:
+def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[tuple[slice, slice]]:
     """The rectangles about blocks with wanted cells; a few of them in a block are not worth a sweep."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
     whole[: wanted.shape[0], : wanted.shape[1]] = wanted
     share = cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA)
-    count, labels = cv2.connectedComponents((share > LEAST_WANTED).astype(np.uint8), connectivity=4)
+    count, labels = cv2.connectedComponents((share > least_share).astype(np.uint8), connectivity=4)
     boxes = [box_of(labels == k) for k in range(1, count)]
     return [
         (slice(r.start * SEEN_BLOCK, min(r.stop * SEEN_BLOCK, wanted.shape[0])),
          slice(c.start * SEEN_BLOCK, min(c.stop * SEEN_BLOCK, wanted.shape[1])))
-        for r, c in boxes if (r.stop - r.start) * (c.stop - c.start) >= LEAST_BLOCKS
+        for r, c in boxes if (r.stop - r.start) * (c.stop - c.start) >= least_blocks
     ]  # fmt: skip
 
 
@@ -151,7 +145,9 @@ def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: 
     return int(np.argmax(worth)) if max(worth) > 0 else None
 
 
-def sweep(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int) -> Swept:
+def sweep(
+    prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int, tuning: SweepTuning
+) -> Swept:
     """Find the height of every cell that view `reference` sees (docs/method/parallax.md, eqs. 6 and 7).
 
     `searched`: lowest and highest height, metres; `ground`: metres, about where most of it lies. As many planes are
@@ -164,42 +160,43 @@ def sweep(prepared: list[Prepared], grid: Grid, searched: Span, ground: float, r
     about = prepared[reference].centre
     rays = ray_lattice(grid, ground, searched, prepared[reference])
     views = register(prepared, rays, ground, searched, reference)
-    levels = planes(views.centres, *searched, grid.cell)
+    levels = planes(views.centres, *searched, grid.cell, tuning.most_planes)
     cost = np.empty((*rays.shape, len(levels)), np.float32)
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
     pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
-    seen = np.zeros(rays.shape, np.int32)
+    seen, truncation = np.zeros(rays.shape, np.int32), np.float32(tuning.truncation)
     for k, z in enumerate(levels):
         scale, shift = views.at(rays, float(z), about)
-        kernels.sweep_cost(views.pictures, scale, shift, pairs, KEEP, TRUNCATION, plane, count)
+        kernels.sweep_cost(views.pictures, scale, shift, pairs, tuning.keep_share, truncation, plane, count)
         cost[:, :, k] = cv2.blur(plane, (3, 3))
         if k == usual:  # beyond the border only a wrong height brings a second view in
             seen = count.copy()
     seen[np.isnan(views.guide)] = 0
     halves = np.empty((2, *cost.shape), np.float32)
-    kernels.aggregate(cost, np.nan_to_num(views.guide), P1, P2, EDGE, halves)
+    penalties = tuning.penalty_one_plane, tuning.penalty_more_planes, tuning.edge_discount
+    kernels.aggregate(cost, np.nan_to_num(views.guide), *map(np.float32, penalties), halves)
     total = np.add(halves[0], halves[1], out=halves[0])
     index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
     kernels.winner(total, cost, seen, index, ratio)
     spacing = levels[1] - levels[0]
     found = cv2.medianBlur((levels[0] + spacing * index).astype(np.float32), 3)  # single spikes
-    return upright(found, ratio, rays, ground, about, grid)
+    return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
 
 
-def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid) -> Swept:
+def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:
     """Put what was found along the rays to `about` on the world grid: of several in one cell, the highest."""
     height, which = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
     to = np.array(
         [rays.east - grid.east, rays.north - grid.north, about[0] - grid.east, about[1] - grid.north, about[2]]
     )
     kernels.splat(found, ratio, ground, rays.cell, to, height, which)
-    return close_gaps(height), which
+    return close_gaps(height, gap), which
 
 
-def close_gaps(height: F32) -> F32:
+def close_gaps(height: F32, reach: int) -> F32:
     """Fill gaps of a few cells with the lowest height beside them: what a step hides lies at its foot."""
     known = np.isfinite(height)
-    near = np.ones((2 * GAP + 1,) * 2, np.uint8)
+    near = np.ones((2 * reach + 1,) * 2, np.uint8)
     gap = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, near).astype(np.bool_) & ~known
     lowest = cv2.erode(np.where(known, height, np.float32(np.inf)), near)
     return np.where(gap, lowest, height)

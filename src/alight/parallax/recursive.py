@@ -2,8 +2,8 @@
 
 The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
 sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. A cell
-enters the map by a sweep of its own, as soon as the views that see it span `FIRST_LOOK` of the height; from then on it
-starts from the map.
+enters the map by a sweep of its own, as soon as the views that see it span `first_baseline` of the height; from then
+on it starts from the map.
 """
 
 from __future__ import annotations
@@ -26,15 +26,6 @@ from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
 from alight.records import F32, F64, U8, ElevationMap, Heights, KeyframePosterior, View
 from alight.settings import ParallaxSettings
 
-FIRST_LOOK = 0.12  # baseline over height that a cell needs to be swept; 0.04 left four times the wrong heights
-LEAST_VIEWS = 3  # of that sweep
-SPAN = 0.8  # baseline over height beyond which a keyframe leaves the ring
-STEPS = 1  # Gauss-Newton steps a keyframe
-UNKNOWN_RATIO = np.float32(0.6)  # ambiguity of a cell whose sweep was not kept
-WORSE = 1.5  # a look whose sigma is larger by this changes nothing
-SAME_PX = 2.0  # parallax pixels between sweep and map, their common shift taken out, that let the map's shape stay
-SHIFT_PX = 0.1  # the same, of the common shift, that leaves the map as it is
-BELOW = 0.06  # horizontal over vertical distance at which the newest view renews the colour
 FUSED = ("height", "sigma", "flags", "views", "residual")
 
 
@@ -42,14 +33,15 @@ class RecursiveParallax:
     """Keyframes at distances that grow with age, and the step that they allow."""
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
-        self._settings = settings
+        self._settings, self._tuning = settings, settings.recursive
+        self._unswept = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
-        self._unknown = UNKNOWN_RATIO
+        self._unknown = self._unswept
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
         self._sharper = False  # the cells became smaller: the colours of the map are coarse
         self._buffers = Buffers()
-        self._alignment = Alignment(settings.ring)
+        self._alignment = Alignment(settings.ring, settings.poses)
 
     @property
     def plane(self) -> F64:
@@ -75,7 +67,7 @@ class RecursiveParallax:
             self._sharper = cell < self._cell
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute what the sweep found
-                self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * UNKNOWN_RATIO)
+                self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
             self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
 
     def look_anew(self) -> None:
@@ -98,7 +90,7 @@ class RecursiveParallax:
         centres = np.array([exposure[0][0].centre for exposure in self._kept])
         above = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / above
-        self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring)]
+        self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span)]
         if poses is not None:
             times = {exposure[0][0].t_ns for exposure in self._kept}
             self._alignment.tell(poses, times, above)
@@ -126,17 +118,19 @@ class RecursiveParallax:
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
-        visible = refine.visible_from(fine, grid, start, per_px)
-        fit = refine.gauss_newton(fine, grid, start, per_px, visible, STEPS, self._buffers)
+        tuning = self._settings.refinement
+        visible = refine.visible_from(fine, grid, start, per_px, tuning.occlusion_px)
+        fit = refine.gauss_newton(fine, grid, start, per_px, visible, self._tuning.steps, tuning, self._buffers)
         rgb = self._coloured(views[-1], grid, fit.height, known)
-        ratio = trust.half_resolution(np.where(np.isnan(ratio) | np.isnan(start), UNKNOWN_RATIO, ratio))
+        ratio = trust.half_resolution(np.where(np.isnan(ratio) | np.isnan(start), self._unswept, ratio))
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
-        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb)
+        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb, self._settings.uncertainty)
         samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
-        moves = witness.moving(samples, witness.instants([v for v, _, _ in views]), fit, grid)
+        pairs, consistency = witness.instants([v for v, _, _ in views]), self._settings.consistency
+        moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
         found = replace(found, flags=found.flags | moves)
-        return replace(fused(found, known), gauge=self._alignment.gauge(grid))
+        return replace(fused(found, known, self._tuning.worse), gauge=self._alignment.gauge(grid))
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, self._unknown, np.float32)
@@ -162,21 +156,23 @@ class RecursiveParallax:
         """Sweep the cells that are seen well for the first time; `ratio` gets their ambiguity.
 
         First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
-        differ by more than `SAME_PX`; what was not looked at yet is left out of the step.
+        differ by more than `same_px`; what was not looked at yet is left out of the step.
 
         Returns:
             Where to start from, (R, C) metres, and where what the map has is wrong.
         """
         above, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
-        base = np.where(seen.count >= LEAST_VIEWS, seen.baseline / np.float32(FIRST_LOOK * above), np.float32(0))
+        wide = seen.baseline / np.float32(self._tuning.first_baseline * above)
+        base = np.where(seen.count >= self._tuning.first_views, wide, np.float32(0))
         asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a look in vain, twice the baseline
         fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
             return start, fresh
-        new, found = sweep_unseen(fine, grid, searched, float(np.clip(self._ground, *searched)), fresh)
-        told = before + shift_of((new - before)[fresh], per_px[fresh])
-        new = np.where(np.abs(new - told) < SAME_PX * per_px, told, new)
+        ground = float(np.clip(self._ground, *searched))
+        new, found = sweep_unseen(fine, grid, searched, ground, fresh, self._settings.sweep)
+        told = before + shift_of((new - before)[fresh], per_px[fresh], self._tuning.shift_px)
+        new = np.where(np.abs(new - told) < self._tuning.same_px * per_px, told, new)
         wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)
         np.copyto(start, new, where=fresh)
         np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
@@ -187,7 +183,7 @@ class RecursiveParallax:
         view, fine, _ = newest
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
-        k = BELOW * (view.centre[2] - self._ground) / grid.cell
+        k = self._tuning.renew_below * (view.centre[2] - self._ground) / grid.cell
         below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
         self._sharper = False
@@ -211,22 +207,22 @@ def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return nearest[has], has
 
 
-def shift_of(apart: F32, per_px: F32) -> np.float32:
+def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:
     """What a sweep and a map differ by as a whole, metres; 0 where that is little, or nothing in common."""
     both = np.isfinite(apart)
     if not both.any():
         return np.float32(0)
     shift = np.median(apart[both])
-    return np.float32(shift if abs(shift) > SHIFT_PX * np.median(per_px[both]) else 0)
+    return np.float32(shift if abs(shift) > least_px * np.median(per_px[both]) else 0)
 
 
-def spread_baselines(away: NDArray[np.float64], count: int) -> list[int]:
+def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list[int]:
     """Choose `count` keyframes, oldest first, whose distances from the newest grow evenly in proportion.
 
     `away` (N,): baseline to the newest, the last, over the height. The nearest find what is new, the farthest measure
-    it best; what is farther than `SPAN` sees too little of what the newest sees.
+    it best; what is farther than `span` sees too little of what the newest sees.
     """
-    kept = [i for i in range(len(away)) if away[i] < SPAN]
+    kept = [i for i in range(len(away)) if away[i] < span]
     while len(kept) > count:
         gaps = [
             (away[kept[k - 1]] - away[kept[k + 1]]) / (away[kept[k]] + 0.02) for k in range(1, len(kept) - 1)
@@ -235,12 +231,12 @@ def spread_baselines(away: NDArray[np.float64], count: int) -> list[int]:
     return kept
 
 
-def fused(new: Heights, old: ElevationMap) -> Heights:
+def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
     """Weigh a step against the map (eq. 16).
 
     Heights that disagree by more than three sigma are not averaged: the new one stands. Where the ring sees a cell much
     worse than it once did, at the edge of its pictures, the map stays as it is.
     """
     out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
-    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), WORSE)
+    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), worse)
     return out

@@ -15,36 +15,29 @@ from scipy.spatial import cKDTree
 
 from alight.parallax.views import grey_of
 from alight.records import F64, View
-
-FEATURES = 1500
-LONGEST_PX = 960  # features are found on images of at most this size
-LEAST_ANGLE = 0.02  # rad between the rays of a point
-MOST_PAIRS = 40
-RATIO = 0.8
-NEIGHBOURS = 8  # nearest points over the ground
-SUPPORTERS = 2  # of them at a like height: a wrong match triangulates anywhere, and seldom twice at one height
-LIKE = 0.05  # of the height above the ground
+from alight.settings.tuning.parallax import PointsTuning
 
 
 class _Features:
     """SIFT features of one view, as descriptors and rays in the world."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: View, tuning: PointsTuning) -> None:
         grey = grey_of(view.image).astype(np.uint8)
-        scale = min(1.0, LONGEST_PX / max(grey.shape))
+        scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        found, self.descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(small, None)  # type: ignore[attr-defined]
+        sift = cv2.SIFT_create(tuning.features)  # type: ignore[attr-defined]
+        found, self.descriptors = sift.detectAndCompute(small, None)
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
         self.rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         self.centre = view.centre
 
 
-def _matches(a: _Features, b: _Features) -> NDArray[np.int64]:
+def _matches(a: _Features, b: _Features, ratio: float) -> NDArray[np.int64]:
     if len(a.rays) < 2 or len(b.rays) < 2:
         return np.empty((0, 2), int)
     best = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2)
-    good = [(m.queryIdx, m.trainIdx) for m, n in (p for p in best if len(p) == 2) if m.distance < RATIO * n.distance]
+    good = [(m.queryIdx, m.trainIdx) for m, n in (p for p in best if len(p) == 2) if m.distance < ratio * n.distance]
     return np.array(good, dtype=int).reshape(-1, 2)
 
 
@@ -66,22 +59,22 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
     return 0.5 * (A + B), np.sqrt(det), miss
 
 
-def _pair(a: _Features, b: _Features) -> tuple[F64, float]:
+def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]:
     """Points of a pair of views and the median angle between its matched rays."""
-    m = _matches(a, b)
+    m = _matches(a, b, tuning.descriptor_ratio)
     if len(m) < 12:
         return np.empty((0, 3)), np.inf
     points, angle, miss = triangulate_pair(a.centre, a.rays[m[:, 0]], b.centre, b.rays[m[:, 1]])
-    good = (angle > LEAST_ANGLE) & (miss < 0.01)
+    good = (angle > tuning.least_angle) & (miss < 0.01)
     near = points[good]
     return (near if len(near) >= 8 else np.empty((0, 3))), float(np.median(angle))
 
 
-def _starts(count: int) -> Iterator[int]:
-    yield from np.unique(np.linspace(0, max(count - 2, 0), min(MOST_PAIRS, max(count - 1, 1))).astype(int)).tolist()
+def _starts(count: int, most: int) -> Iterator[int]:
+    yield from np.unique(np.linspace(0, max(count - 2, 0), min(most, max(count - 1, 1))).astype(int)).tolist()
 
 
-def find_points(views: Sequence[View]) -> F64:
+def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
     """Triangulate points of the scene from pairs of `views` (in order of time), (N, 3) metres in the world.
 
     The stride between the views of a pair doubles until their rays meet at 0.06 rad, or the overlap ends.
@@ -91,35 +84,35 @@ def find_points(views: Sequence[View]) -> F64:
 
     def of(i: int) -> _Features:
         if i not in features:
-            features[i] = _Features(views[i])
+            features[i] = _Features(views[i], tuning)
         return features[i]
 
     found, stride = [], 1
-    for i in _starts(len(views)):
+    for i in _starts(len(views), tuning.most_pairs):
         while i + stride < len(views):
-            points, angle = _pair(of(i), of(i + stride))
-            if angle < 3 * LEAST_ANGLE and i + 2 * stride < len(views):
+            points, angle = _pair(of(i), of(i + stride), tuning)
+            if angle < 3 * tuning.least_angle and i + 2 * stride < len(views):
                 stride *= 2
                 continue
             if not len(points) and stride > 1:
                 stride //= 2
-                points, angle = _pair(of(i), of(i + stride))
+                points, angle = _pair(of(i), of(i + stride), tuning)
             found.append(points)
             break
         for k in [k for k in features if k < i]:
             del features[k]
     points = np.concatenate(found) if found else np.empty((0, 3))
-    return supported(points, float(np.median([v.centre[2] for v in views])))
+    return supported(points, float(np.median([v.centre[2] for v in views])), tuning)
 
 
-def supported(points: F64, height_of_camera: float) -> F64:
+def supported(points: F64, height_of_camera: float, tuning: PointsTuning) -> F64:
     """Drop the points (N, 3) that hardly any neighbour agrees with: one wrong match in a tile widens all its search."""
-    if len(points) <= NEIGHBOURS:
+    if len(points) <= tuning.neighbours:
         return points
-    like = LIKE * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
-    _, near = cKDTree(points[:, :2]).query(points[:, :2], NEIGHBOURS + 1)
+    like = tuning.like_height * max(height_of_camera - float(np.median(points[:, 2])), 1.0)
+    _, near = cKDTree(points[:, :2]).query(points[:, :2], tuning.neighbours + 1)
     agree = np.abs(points[near[:, 1:], 2] - points[:, 2:]) < like
-    return np.asarray(points[agree.sum(axis=1) >= SUPPORTERS])
+    return np.asarray(points[agree.sum(axis=1) >= tuning.supporters])
 
 
 def height_range(

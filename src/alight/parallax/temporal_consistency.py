@@ -19,13 +19,9 @@ from alight.geometry import Grid
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit, enlarged
 from alight.records import F32, U8, U16, Flag, View
+from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells
-NEAR = 5  # blocks: the window of the sums
-CUT = 0.55  # normalised grey: a view that is farther off sees something else; beside steps both of an instant do
-MOST_SHARED = 0.05  # of the samples' variance: 98 of 100 blocks of dry ground have less, of wavy water 1
-LEAST_SEEN = 0.25  # of a block's cells, in one pair
-LEAST_VIEWS = 5  # of a cell: of fewer, the pair is most of the template
 
 
 def instants(views: Sequence[View]) -> NDArray[np.int64]:
@@ -37,7 +33,7 @@ def instants(views: Sequence[View]) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: int = LEAST_VIEWS) -> F32:
+def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: int, tuning: ConsistencyTuning) -> F32:
     """Share of the variance that views of one instant have in common beyond the template (eq. 15a), by blocks.
 
     Args:
@@ -51,20 +47,19 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
         (R / BLOCK, C / BLOCK), rounded up; 0 where the pairs say nothing, negative where they differ more than others.
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
-    kernels.common(samples, pairs, mean, BLOCK, CUT, sums)
-    both, own, count, square, known = (cv2.blur(s, (NEAR, NEAR)) for s in sums)
+    kernels.common(samples, pairs, mean, BLOCK, tuning.cut, sums)
+    both, own, count, square, known = (cv2.blur(s, (tuning.near_blocks, tuning.near_blocks)) for s in sums)
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    heard = (count >= LEAST_SEEN * BLOCK * BLOCK) & (views >= least)
+    heard = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
     number, cells = np.where(heard, count, np.float32(1)), np.maximum(known, 1)
     both /= (1 - 2 / np.maximum(views, least)) * number  # a pair pulls the template towards itself
     return np.where(heard, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
-def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int = LEAST_VIEWS) -> U16:
+def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int, tuning: ConsistencyTuning) -> U16:
     """MOVING where the witnesses agree on something else than the template, (R, C)."""
     if not len(pairs):
         return np.zeros(grid.shape, np.uint16)
-    bits = np.where(
-        shared(samples, pairs, fit.mean, fit.seen, least) > MOST_SHARED, np.uint16(Flag.MOVING), np.uint16(0)
-    )
+    share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
+    bits = np.where(share > tuning.most_shared, np.uint16(Flag.MOVING), np.uint16(0))
     return enlarged(bits, grid, BLOCK)

@@ -18,26 +18,9 @@ from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit, median_height
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.records import F32, U16, Flag
+from alight.settings.tuning.parallax import UncertaintyTuning
 
-MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: less carries no height
-MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
-MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby: there the smoothing overruled what the cells saw
-# sigma (eq. 14), fitted on simulated flights
-FIT = 0.16  # of noise over information
-FLOOR_CELL = 0.03  # cells: a window is no point
-ROUGH = 2.2  # of the variance of the relief that is seen
-HIDDEN = 6.5  # parallax pixels
-FINE, BROAD, NOISE = 0.16, 0.22, 0.42  # powers of the variances of relief and samples that it goes with
 LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
-STEP_PX = 4.0  # parallax pixels
-STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
-NEAR = 5  # cells of half resolution: what is nearby
-MAX_DOUBT = 0.45  # probability of a wrong match that is still given out
-
-# Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
-# means the same for any camera and height. Between what bench/doubt.py fits on simulated flights, where the second-best
-# cost says nothing that the others do not, and what real photos need, where it does.
-DOUBT = {"ambiguity": 1.2, "residual": 1.1, "sigma": 0.3, "drop": 0.99, "rise": 0.63, "slide": -1.9, "one": -0.97}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +29,7 @@ class Pooled:
 
     low: F32  # metres, of 2 x 2 cells; the middle of the map where unknown
     high: F32
-    lowest: F32  # metres, of what is within `STEP_CELLS`
+    lowest: F32  # metres, of what is within `step_cells`
     highest: F32
     texture: F32  # variance of the template nearby: the texture that all views share
     residual: F32  # share of the samples' variance that the views do not have in common: 0 perfect, 1 nothing
@@ -56,7 +39,7 @@ class Pooled:
     metres_per_px: F32
 
 
-def pooled(fit: Fit, cell: float) -> Pooled:
+def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
     """Look at a fit at half resolution: what is nearby needs no more, and costs a quarter."""
     height, mean, noise, precision, per_px = (
         _even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
@@ -66,24 +49,24 @@ def pooled(fit: Fit, cell: float) -> Pooled:
     low, high, mid, uneven, mean, square, s2, fitted = out
     texture = np.maximum(_box(square, 3) - _box(mean, 3) ** 2, 0)
     per_px = np.ascontiguousarray(per_px[::2, ::2])
-    hidden2 = _hidden(mid, uneven, s2, per_px) + np.float32((FLOOR_CELL * cell) ** 2)
-    sigma2 = np.float32(FIT) * fitted + hidden2 / (per_px * per_px)
-    near = np.ones((2 * STEP_CELLS + 1,) * 2, np.uint8)
+    hidden2 = _hidden(mid, uneven, s2, per_px, tuning) + np.float32((tuning.floor_cells * cell) ** 2)
+    sigma2 = np.float32(tuning.fit) * fitted + hidden2 / (per_px * per_px)
+    near = np.ones((2 * tuning.step_cells + 1,) * 2, np.uint8)
     lowest, highest = cv2.erode(low, near), cv2.dilate(high, near)
     share = s2 / np.maximum(texture + s2, 1e-6)
     return Pooled(low, high, lowest, highest, texture, share, s2, hidden2, sigma2, per_px)
 
 
-def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32) -> F32:
+def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyTuning) -> F32:
     """Variance of what the windows flatten, metres^2: it goes with the relief that is left and with the noise."""
     fine, broad = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
     rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(broad * broad, (0, 0), 1.5)
     square = per_px * per_px
-    out = square * np.float32(HIDDEN**2)
-    for variance, power in ((rough, FINE), (wide, BROAD)):
+    out = square * np.float32(tuning.hidden_px**2)
+    for variance, power in ((rough, tuning.fine_power), (wide, tuning.broad_power)):
         out *= cv2.pow(np.maximum(variance / square, np.float32(LEAST_RELIEF)), 2 * power)
-    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * NOISE)
-    return np.asarray(out + np.float32(ROUGH) * rough, dtype=np.float32)
+    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * tuning.noise_power)
+    return np.asarray(out + np.float32(tuning.relief) * rough, dtype=np.float32)
 
 
 def _even(values: NDArray[Any]) -> NDArray[Any]:
@@ -102,26 +85,31 @@ def half_resolution(values: F32) -> F32:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def match_evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
+def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str, F32]:
     """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost `ratio` nearby; residual: share of the variance that the views do not share,
     nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
-    pixels (the high side of a step is where windows smear); slide: baseline over height.
+    pixels (the high side of a step is where windows smear); slide: baseline over height. `near`: cells of half
+    resolution, the window of what is nearby.
     """
     return {
-        "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), NEAR), 1e-2, 1e3),
-        "sigma": np.sqrt(np.clip(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), NEAR), 2.5e-3, 25.0)),
-        "residual": np.clip(_box(seen.residual, NEAR), 1e-2, 1.0),
+        "ambiguity": np.clip(_box(np.where(np.isfinite(ratio), ratio, np.float32(1)), near), 1e-2, 1e3),
+        "sigma": np.sqrt(np.clip(_box(np.minimum(seen.sigma2_px, np.float32(25.0)), near), 2.5e-3, 25.0)),
+        "residual": np.clip(_box(seen.residual, near), 1e-2, 1.0),
         "drop": np.clip((seen.high - seen.lowest) / seen.metres_per_px, 5e-2, 50.0),
         "rise": np.clip((seen.highest - seen.low) / seen.metres_per_px, 5e-2, 50.0),
         "slide": np.clip(slide, 1e-2, 2.0),
     }
 
 
-def outlier_probability(terms: dict[str, F32]) -> F32:
-    """Probability that a height is off by more than a hundredth of the height above it (eq. 15)."""
-    score = sum((np.float32(DOUBT[k]) * np.log(terms[k]) for k in terms), start=np.float32(DOUBT["one"]))
+def outlier_probability(terms: dict[str, F32], tuning: UncertaintyTuning) -> F32:
+    """Probability that a height is off by more than a hundredth of the height above it (eq. 15).
+
+    The log odds are linear in the logarithms of terms without unit: they hold for any camera and height.
+    """
+    weights = {k: np.float32(getattr(tuning, f"odds_{k}")) for k in terms}
+    score = sum((weights[k] * np.log(terms[k]) for k in terms), start=np.float32(tuning.odds))
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
@@ -138,7 +126,12 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
 
 
 def sigma_and_flags(
-    fit: Fit, grid: Grid, ratio: F32, lit: list[Prepared], searched: tuple[float, float]
+    fit: Fit,
+    grid: Grid,
+    ratio: F32,
+    lit: list[Prepared],
+    searched: tuple[float, float],
+    tuning: UncertaintyTuning,
 ) -> tuple[F32, U16, F32]:
     """Put sigma, flags and residual share to a fit, all (R, C).
 
@@ -147,18 +140,18 @@ def sigma_and_flags(
         lit: the views asked for the brightness.
         searched: lowest and highest height, metres.
     """
-    seen = pooled(fit, grid.cell)
-    terms = match_evidence(seen, ratio, np.float32(grid.cell) / seen.metres_per_px)
+    seen = pooled(fit, grid.cell, tuning)
+    terms = match_evidence(seen, ratio, np.float32(grid.cell) / seen.metres_per_px, tuning.near_cells)
     grey = brightness(lit, grid, np.float32(0.5) * (seen.low + seen.high))
-    near = _bit(terms["residual"] > MAX_RESIDUAL, Flag.MOVING)
-    near |= _bit(terms["ambiguity"] > MAX_COST_RATIO, Flag.AMBIGUOUS)
+    near = _bit(terms["residual"] > tuning.max_residual, Flag.MOVING)
+    near |= _bit(terms["ambiguity"] > tuning.max_cost_ratio, Flag.AMBIGUOUS)
     near |= _bit((grey < 3) | (grey > 252), Flag.SATURATED)
-    near |= _bit(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
-    near |= _bit(seen.texture + seen.noise < (MIN_CONTRAST / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    near |= _bit(outlier_probability(terms) > MAX_DOUBT, Flag.UNSURE)
+    near |= _bit(np.maximum(terms["drop"], terms["rise"]) > tuning.step_px, Flag.STEP)
+    near |= _bit(seen.texture + seen.noise < (tuning.min_contrast / NORM_FLOOR) ** 2, Flag.TEXTURE)
+    near |= _bit(outlier_probability(terms, tuning) > tuning.max_outlier, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
-    kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, FIT, sigma)
+    kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, tuning.fit, sigma)
     kernels.flag(
         near, seen.residual, fit.height, fit.seen, fit.used, sigma, searched[0] + edge, searched[1] - edge,
         (int(Flag.UNSEEN), int(Flag.INCONSISTENT), int(Flag.FEW), int(Flag.RANGE)), residual, flags,

@@ -13,7 +13,7 @@ from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.timing import Timings
 from alight.records import ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
@@ -38,7 +38,7 @@ class JudgingLane:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
     """
 
-    def __init__(self, settings: Settings, appearance: terrain.Model | None, timings: Timings) -> None:
+    def __init__(self, settings: StageSettings, appearance: terrain.Model | None, timings: Timings) -> None:
         self._settings, self._appearance, self._timings = settings, appearance, timings
         self._reserve = sites.Reserve()  # in the map's frame
         self._frame: MapFrame | None = None  # of the newest map
@@ -75,7 +75,7 @@ class JudgingLane:
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, seen.vehicle.position)
             above = seen.vehicle.height_above_ground
-            look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
+            look = None if chosen.sites else sites.next_view(danger, elevation, s.sites, s.lander, above)
             self._keep(chosen, danger)
         return Verdict(
             frame.elevation(without_water(elevation, cover)),

@@ -16,7 +16,7 @@ from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses, a
 from alight.pipeline.schedule import Schedule, turns
 from alight.pipeline.timing import Clock, Timings
 from alight.records import Event, Motion, Rig, Route
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings
 
 Tell = Callable[[str, float], None]  # stage, share done
 
@@ -34,13 +34,14 @@ class Pipeline:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
         schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
         navigation: a lane to use instead of the one that `kind` and the settings call for.
+        imu: noise that the recording states for its IMU.
     """
 
     def __init__(
         self,
         rig: Rig,
-        kind: Literal["flight", "photos"],
-        settings: Settings,
+        kind: Literal["flight", "photos"] = "flight",
+        settings: Settings | None = None,
         poses: TimedPoses | None = None,
         clock: Clock = lambda: 0.0,
         far: TileStore | None = None,
@@ -48,13 +49,14 @@ class Pipeline:
         appearance: terrain.Model | None = None,
         schedule: Schedule | None = None,
         navigation: NavigationLane | None = None,
+        imu: ImuNoise | None = None,
     ) -> None:
-        self._settings, self._timings = settings, Timings(clock, history)
-        self._navigation = navigation or navigation_lane(rig, kind, settings, poses, history)
-        at_end = all_at_end(kind, settings, poses)
-        self._mapping = mapping_lane(rig, settings, at_end, far, self._timings, history)
-        self._judging = JudgingLane(settings, appearance, self._timings)
-        self._turns = turns(schedule, settings.sites.every)
+        self._settings = stages = (settings or Settings()).stages(imu)
+        self._timings, at_end = Timings(clock, history), all_at_end(kind, stages, poses)
+        self._navigation = navigation or navigation_lane(rig, kind, stages, poses, history)
+        self._mapping = mapping_lane(rig, stages, at_end, far, self._timings, history)
+        self._judging = JudgingLane(stages, appearance, self._timings)
+        self._turns = turns(schedule, stages.sites.every)
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion when that is known at once."""

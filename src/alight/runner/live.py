@@ -24,7 +24,7 @@ from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation
 from alight.records import Event, Motion, Rig, SettingsError
 from alight.runner.mailbox import Closed, Mailbox
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings
 
 log = logging.getLogger(__name__)
 
@@ -68,6 +68,7 @@ class Live:
         capacity: how much may wait, and what happens then.
         far: where the map puts what the vehicle has left behind.
         appearance: what ground looks like.
+        imu: noise that is stated for the IMU.
 
     Raises:
         SettingsError: the settings ask for what only a recording allows.
@@ -81,6 +82,7 @@ class Live:
         capacity: Capacity = Capacity(),
         far: TileStore | None = None,
         appearance: terrain.Model | None = None,
+        imu: ImuNoise | None = None,
     ) -> None:
         if settings.motion.method == "bundle":
             raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
@@ -90,9 +92,9 @@ class Live:
         self._filtering = Mailbox[Callable[[], Navigation | None]](4)  # two for the exposure in work, two for the next
         self._exposures = Mailbox[Navigation](capacity.mapping, newest_exposure if drop else None)
         self._maps = Mailbox[MapSnapshot](1, newest if drop else None)
-        self._navigation = FilterLane(rig, settings, history=False, handover=self._predictions)
+        self._navigation = FilterLane(rig, settings.stages(imu), history=False, handover=self._predictions)
         self.pipeline = Pipeline(
-            rig, "flight", settings, clock=time.perf_counter, far=far, history=False, appearance=appearance,
+            rig, "flight", settings, clock=time.perf_counter, far=far, history=False, appearance=appearance, imu=imu,
             navigation=self._navigation,
         )  # fmt: skip
         self._tracked, self._mapped, self._judged = (deque[int](maxlen=capacity.schedule) for _ in range(3))

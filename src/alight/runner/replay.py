@@ -12,7 +12,7 @@ from alight.elevation import TileStore
 from alight.outputs import FileStore, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import Frame, InputError, RunResult
-from alight.settings import Settings, with_imu
+from alight.settings import Settings
 from alight.sources import Source, open_source, read_tum
 from alight.sources.library import read_model
 from alight.terrain import Model
@@ -58,7 +58,6 @@ def replay(
     Raises:
         InputError: nothing in the recording can be used.
     """
-    settings = with_imu(settings, source.notes.get("imu_noise", {}))
     pipeline = Pipeline(
         source.rig,
         source.kind,
@@ -67,6 +66,7 @@ def replay(
         time.perf_counter,
         far,
         appearance=appearance_of(settings),
+        imu=source.imu_noise,
     )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0

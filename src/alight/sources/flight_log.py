@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import U8, Event, Frame, InputError, Rig
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings
 from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
@@ -19,13 +20,6 @@ from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin,
 from alight.sources.source import Findings, RecordedSource
 from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_trajectory
 from alight.sources.tables import read_names
-
-IMU_NOISE = (
-    "gyroscope_noise_density",
-    "gyroscope_random_walk",
-    "accelerometer_noise_density",
-    "accelerometer_random_walk",
-)
 
 
 class FlightLog(RecordedSource):
@@ -42,6 +36,7 @@ class FlightLog(RecordedSource):
         self._root = root / "mav0" if (root / "mav0").is_dir() else root
         self.name = self._root.parent.name if self._root.name == "mav0" else root.name
         self.notes: dict[str, Any] = {}
+        self.imu_noise = ImuNoise()
         self.local, self.georeferenced = self._origin()
         self._nav = read_nav(self._root, self._findings)
         if self.georeferenced and self._nav is None:
@@ -77,9 +72,9 @@ class FlightLog(RecordedSource):
             return Pose()
         path = self._root / "imu0" / "sensor.yaml"
         tree = load_yaml(path)
-        self.notes["imu_noise"] = {
-            k: float(numbers(tree | {k: [tree[k]]}, k, (1,), path)[0]) for k in IMU_NOISE if k in tree
-        }
+        stated = (f.name for f in fields(ImuNoise) if f.name in tree)
+        self.imu_noise = ImuNoise(**{k: float(numbers(tree | {k: [tree[k]]}, k, (1,), path)[0]) for k in stated})
+        self.notes["imu_noise"] = self.imu_noise.stated()
         pose = body_from_sensor(tree, path)
         if (arm := float(np.linalg.norm(pose.translation))) > 0.02:
             self._findings.say(f"imu0 sits {arm:.2f} m from the body's origin: its accelerations are taken as if there")

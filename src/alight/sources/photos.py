@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.geometry import Camera
 from alight.records import Event, Frame, InputError, Rig, RigCamera
-from alight.settings import Settings
+from alight.settings import ImuNoise, Settings
 from alight.sources.images import UNREADABLE, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import photo_camera
@@ -41,6 +41,7 @@ class Photos(RecordedSource):
     kind: Literal["photos"] = "photos"
     truth_trajectory: Trajectory | None = None
     georeferenced = True
+    imu_noise = ImuNoise()
 
     def __init__(self, root: Path, files: Sequence[Path], settings: Settings) -> None:
         self._findings = Findings()

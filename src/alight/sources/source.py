@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import LocalFrame, Pose
 from alight.records import Event, Rig
+from alight.settings import ImuNoise
 
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
 
@@ -52,6 +53,10 @@ class Source(Protocol):
     @property
     def notes(self) -> dict[str, Any]:
         """Facts for the report: camera, focal length and where it came from, kind of GPS."""
+
+    @property
+    def imu_noise(self) -> ImuNoise:
+        """Noise that the recording states for its IMU."""
 
     @property
     def length(self) -> int:

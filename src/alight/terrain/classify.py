@@ -22,10 +22,6 @@ from alight.terrain.water import ponds, wetness
 Bool = NDArray[np.bool_]
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
-SURE = np.float32(4.0)  # log odds given to what the shape alone settles: standing water
-LEAFY = 0.09  # excess green of plants
-TALL = 1.5  # metres above the ground: a tree
-UNDER = np.float32(0.27)  # P(landable) at most, within reach of a crown
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Bool:
@@ -70,19 +66,19 @@ def landable_of(odds: F32) -> F32:
     return np.asarray(np.exp(log_softmax(odds))[..., OPEN].sum(axis=-1), np.float32)
 
 
-def _open_kind(look: Appearance) -> U8:
+def _open_kind(look: Appearance, leafy: float) -> U8:
     """Which open ground it is, by its colour, cautiously."""
-    green = np.nan_to_num(look.green) > LEAFY
+    green = np.nan_to_num(look.green) > leafy
     grey = (np.abs(look.cool) < 0.05) & (np.abs(look.green) < 0.04) & (look.texture < 0.05)
     return np.where(green, Terrain.SHORT_GRASS, np.where(grey, Terrain.PAVED, Terrain.BARE)).astype(np.uint8)
 
 
-def _settled(odds: F32, water: Bool, cell: float) -> F32:
+def _settled(odds: F32, water: Bool, cell: float, settings: TerrainSettings) -> F32:
     """Log odds with standing water made sure, and gaps between tufts given to the tufts."""
     out = odds.copy()
     best = odds.max(axis=-1)
     wet = Terrain.WATER - 1
-    out[..., wet] = np.where(water, best + SURE, odds[..., wet])
+    out[..., wet] = np.where(water, best + np.float32(settings.basin_odds), odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
     tufts = close_mask(without_specks(plants, cell), cell) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
@@ -96,11 +92,11 @@ def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings:
     hazards = odds.copy()
     hazards[..., OPEN] = -np.inf
     kind = (np.argmax(hazards, axis=-1) + 1).astype(np.uint8)
-    above, leafy = np.nan_to_num(shape.above), np.nan_to_num(look.green) > LEAFY
+    above, leafy = np.nan_to_num(shape.above), np.nan_to_num(look.green) > settings.leafy
     raised = (above > settings.raised) & (kind != Terrain.WATER)
     plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
-    kind = np.where(plants, np.where(above > TALL, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
-    return np.where(landable >= 0.5, _open_kind(look), kind).astype(np.uint8)
+    kind = np.where(plants, np.where(above > settings.tall, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
+    return np.where(landable >= 0.5, _open_kind(look, settings.leafy), kind).astype(np.uint8)
 
 
 def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> tuple[U8, F32, F32]:
@@ -110,12 +106,12 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     wet = wetness(elevation, look)
     shape = relief(elevation, wet, settings)
     water = ponds(elevation, look, shape, wet, settings)
-    plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell)
+    plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell, settings)
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
     landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)
     standing = (np.nan_to_num(shape.above) > settings.raised) | beside_tall(elevation, shape, settings)
-    landable = np.where(standing, np.minimum(landable, UNDER), landable)
+    landable = np.where(standing, np.minimum(landable, np.float32(settings.beside_tall)), landable)
     return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
 
 

@@ -14,7 +14,6 @@ from alight.terrain.masks import without_specks
 from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
-SEEN_AS = 0.2  # share of what looks alike that must be water by itself: of ponds on flights 0.2 to 1, of pavement less
 LIKELY = 0.5  # median P(water) of a patch whose heights are those of a bed: of the sample's pond 0.98
 
 
@@ -62,7 +61,7 @@ def _grown(seed: Bool, into: Bool) -> Bool:
     return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
 
 
-def flooded(odds: F32, wet: F32, bed: F32, cell: float) -> Bool:
+def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> Bool:
     """Spread water over what must be wet too (G15).
 
     First to what looks alike and hangs together with it; then to all that hangs together with it and lies lower,
@@ -74,6 +73,7 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float) -> Bool:
         wet: (R, C) how much a cell looks like water.
         bed: (R, C) metres, smoothed heights, NaN = unknown.
         cell: metres.
+        least_share: of a patch that looks like water, that is water by itself: a slab looks like water, too.
     """
     seed = without_specks(odds > 0, cell, 1.0)
     out = np.zeros_like(seed)
@@ -81,7 +81,9 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float) -> Bool:
     count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     for i in range(1, count):
         pond = labels == i
-        if seed[pond].mean() < SEEN_AS:  # a slab looks like water too, and a wet corner of it does not make it a pond
+        if (
+            seed[pond].mean() < least_share
+        ):  # a slab looks like water too, and a wet corner of it does not make it a pond
             out |= pond & seed
             continue
         known = pond & np.isfinite(bed)
@@ -98,7 +100,7 @@ def ponds(elevation: ElevationMap, look: Appearance, shape: Relief, wet: F32, se
     cell = elevation.grid.cell
     odds = water_odds(look, shape, _moving(elevation), settings)
     near = masked_gaussian(odds, seen(elevation).astype(np.float32), 0.2 / cell)
-    return flooded(near, wet, shape.level - shape.depth, cell)
+    return flooded(near, wet, shape.level - shape.depth, cell, settings.pond_share)
 
 
 def open_water(cover: TerrainMap) -> Bool:

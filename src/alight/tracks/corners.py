@@ -14,7 +14,6 @@ Ids = NDArray[np.int64]
 
 BORDER = 4  # px; closer to the edge the SSD window leaves the image
 _RESPONSE_HALF = 2  # px, half side of the window of the response, without its centre
-_MAX_PER_CELL = 3  # features in one cell of the grid; younger ones are dropped
 
 
 def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
@@ -24,15 +23,15 @@ def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
     return out
 
 
-def oldest_per_cell(ids: Ids, pixels: F32, good: Mask, cell: float) -> Mask:
-    """Keep the `_MAX_PER_CELL` oldest good features of every cell: converging tracks add cost and no information."""
+def oldest_per_cell(ids: Ids, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
+    """Keep the `most` oldest good features of every cell: converging tracks add cost and no information."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T
     key = row * 100_000 + column
     order = np.argsort(key, kind="stable")  # ids grow with the row, so the oldest of a cell come first
     ranked = key[order]
     rank = np.arange(len(at)) - np.searchsorted(ranked, ranked)
-    keep[at[order[rank < _MAX_PER_CELL]]] = True
+    keep[at[order[rank < most]]] = True
     return keep
 
 

@@ -7,15 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.records import F32, U8
+from alight.settings import TracksSettings
 
 Mask = NDArray[np.bool_]
 
 _MIN_FEATURES = 12  # for an affine warp of the whole image
 _SMALL_SIDE = 160  # px, approximate shorter side of a downsampled image
-_MIN_OVERLAP = 0.2  # share of the image that two images must have in common
-_MAX_COMMON_SHIFT = 160  # px, of the common error of all predicted pixels
 _SAMPLING = 4  # px between those used for the brightness of an image
-_MAX_GAIN, _SAME_GAIN, _SAME_GREY = 4.0, 0.05, 4.0  # ratios of contrast; grey levels. Smaller changes are left
 TURNS = tuple(np.radians(np.arange(0.0, 360.0, 15.0)).tolist())  # rad about the optical axis, tried last
 
 
@@ -37,28 +35,29 @@ def warp_affine(image: U8, pixels: F32, predicted: F32) -> tuple[U8, F32]:
     return np.asarray(warped), (ones @ affine.T).astype(np.float32)
 
 
-def match_brightness(image: U8, other: U8) -> U8:
+def match_brightness(image: U8, other: U8, settings: TracksSettings) -> U8:
     """Adapt an image to the brightness and contrast of another one of the same ground (M1d).
 
     The SSD does not model exposure: a step of 20 % between two images cost 0.4 px, one of 50 % nine of ten features.
     Small differences are left: they come from ground that only one image shows.
     """
     a, b = image[::_SAMPLING, ::_SAMPLING].astype(np.float32), other[::_SAMPLING, ::_SAMPLING].astype(np.float32)
-    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / _MAX_GAIN, _MAX_GAIN))
+    most = settings.most_gain
+    gain = float(np.clip(b.std() / max(float(a.std()), 1e-3), 1.0 / most, most))
     shift = float(b.mean()) - gain * float(a.mean())
-    if abs(gain - 1.0) < _SAME_GAIN and abs(float(b.mean() - a.mean())) < _SAME_GREY:
+    if abs(gain - 1.0) < settings.same_gain and abs(float(b.mean() - a.mean())) < settings.same_grey:
         return image
     levels = np.clip(np.round(gain * np.arange(256.0) + shift), 0, 255).astype(np.uint8)
     return np.asarray(cv2.LUT(image, levels))
 
 
-def common_shift(then: U8, now: U8, pixels: F32, predicted: F32) -> F32:
+def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, least_overlap: float) -> F32:
     """Return the (2,) px of the common error of all predicted pixels: a degree of tilt is 34 px, beyond the search."""
     a, b = downsampled(then), downsampled(now)
     k = downsampling_factor(now)
     warped, valid = _warped(a, b, pixels, predicted, k)
-    r = _MAX_COMMON_SHIFT // k
-    if valid.mean() < _MIN_OVERLAP or min(a.shape) <= 4 * r:
+    r = reach_px // k
+    if valid.mean() < least_overlap or min(a.shape) <= 4 * r:
         return np.zeros(2, np.float32)
     high = [_high_pass(warped), _high_pass(b)]
     inner = high[0][r:-r, r:-r] * valid[r:-r, r:-r]
@@ -113,10 +112,10 @@ def _warped(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> tupl
     return np.asarray(cv2.warpAffine(then, affine, size)), np.asarray(valid)
 
 
-def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int) -> float:
+def image_correlation(then: U8, now: U8, pixels: F32, predicted: F32, factor: int, least_overlap: float) -> float:
     """Correlation of two downsampled images where they overlap by the affine map from `pixels` to `predicted`."""
     warped, valid = _warped(then, now, pixels, predicted, factor)
-    if valid.mean() < _MIN_OVERLAP:
+    if valid.mean() < least_overlap:
         return -1.0
     x, y = warped[valid].astype(np.float64), now[valid].astype(np.float64)
     return float(np.corrcoef(x, y)[0, 1]) if x.std() > 0 and y.std() > 0 else -1.0

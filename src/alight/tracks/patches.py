@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Pose
 from alight.records import F64, U8
+from alight.settings import TracksSettings
 from alight.tracks.lens import Lens
 from alight.tracks.patch_kernels import align_patches
 
@@ -21,8 +22,6 @@ Ids = NDArray[np.int64]
 _PATCH_MARGIN = 9  # px of a patch around the window: room for rotation and scale
 _BLUR = 0.7  # px; without it linear interpolation biases matches towards whole pixels (M1e)
 _MAX_LAST_STEP, _MAX_STEPS = 0.01, 12  # px; steps
-_MIN_CORRELATION = 0.8  # least, of a match
-_MAX_SHIFT = 1.5  # px from the pixel where tracking in time has led
 _NO_DEPTH = 1e6  # m, depth of the ground where no feature has one
 _DIFFERENCE = 4.0  # px over which the map between two views is differenced
 _DIFFERENCES = _DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -117,21 +116,23 @@ class FeaturePatches:
         both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
         return FeaturePatches(*(x[order] for x in both))
 
-    def locate(self, image: U8, predicted: F64, warp: F64, window: int) -> tuple[F64, Mask]:
+    def locate(self, image: U8, predicted: F64, warp: F64, settings: TracksSettings) -> tuple[F64, Mask]:
         """Locate patches in a smoothed image from (N, 2) predicted pixels on; (N, 2) pixels, and which were found."""
-        there, fit = predicted.copy(), np.empty(len(predicted))
+        there, fit, window = predicted.copy(), np.empty(len(predicted)), settings.window_px | 1
         lay, slopes = np.empty((window + 2, window + 2), np.float32), np.empty((2, window, window), np.float32)
         align_patches(self.grey, self.places, warp, image, _MAX_LAST_STEP, _MAX_STEPS, lay, slopes, there, fit)
-        good = (fit > _MIN_CORRELATION) & (np.linalg.norm(there - predicted, axis=1) < _MAX_SHIFT)
+        good = fit > settings.patch_correlation
+        good &= np.linalg.norm(there - predicted, axis=1) < settings.patch_moved_px
         return np.where(good[:, None], there, predicted), good
 
 
 class AnchorPatches:
     """Patches of the features of one camera, with the camera poses at which they were cut."""
 
-    def __init__(self, lens: Lens, span: float, window: int) -> None:
-        """Take the lens, the px that a feature may move before it needs a new patch, and the window in px."""
-        self._lens, self._span, self._window = lens, span, window | 1
+    def __init__(self, lens: Lens, span: float, settings: TracksSettings) -> None:
+        """Take the lens, and the px that a feature may move before it needs a new patch."""
+        self._lens, self._span, self._settings = lens, span, settings
+        self._window = settings.window_px | 1
         self._poses: dict[int, Pose] = {}
         self._patches = self._none()
 
@@ -158,7 +159,7 @@ class AnchorPatches:
         then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
         views = [then_from_now[k] for k in held.image_number.tolist()]
         warp = patch_warps(pixels[at], self._lens, views, GroundPlane.under(pose, depth), held.pixels, self._lens)
-        there, good = held.locate(image, pixels[at], warp, self._window)
+        there, good = held.locate(image, pixels[at], warp, self._settings)
         good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
         out = pixels.copy()
         out[at] = there

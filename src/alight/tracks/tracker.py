@@ -39,14 +39,6 @@ Stop = tuple[int, int, float]
 
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.005)  # iterations; px
 _STOP_ROUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.03)  # backward, and before patches
-_LARGE_MOTION = 40.0  # px between two images; above it the common error of the prediction is corrected first
-_MIN_FOUND = 0.1  # share of the features; with fewer found, the prediction may be wrong as a whole
-_MIN_PARALLAX = 10.0  # px of motion due to depth; above it the depth is taken from it
-_DEPTH_STEP = 0.12  # of the logarithm of depth, between the depths tried
-_MAX_WARP_ERROR = 5.0  # px, 90th percentile of the prediction error; above it predicted patch warps are not used
-_PATCH_REACH = 0.125  # of the image width; features that moved further get a new patch
-_PARALLAX_SIGMA, _UNKNOWN_DEPTH_SIGMA = 0.3, 0.5  # px; share of the median depth where a depth is unknown
-_SMALL_ERROR = 1.5  # px, 90th percentile of the prediction error; below it no pyramid is needed, above it two levels
 
 
 def grey(image: U8) -> U8:
@@ -87,7 +79,7 @@ class Tracker:
         self._rig_baseline_px = max(
             [b for b in baselines if b > 0], default=np.inf
         )  # m px: over the depth, the disparity
-        self._anchors = AnchorPatches(self._lenses[0], _PATCH_REACH * self._cameras[0].width, settings.window_px)
+        self._anchors = AnchorPatches(self._lenses[0], settings.patch_span * self._cameras[0].width, settings)
         # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
         self._prediction_error = [np.inf] * len(rig.cameras)
         self._next_id = 0
@@ -112,7 +104,10 @@ class Tracker:
         image = grey(frame.images[0])
         ids, pixels, depth = self._track_in_time(image, prediction)
         poses = prediction.world_from_cams if prediction else None
-        pose, soft = poses[0] if poses and self._prediction_error[0] < _MAX_WARP_ERROR else None, smooth_image(image)
+        pose, soft = (
+            poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None,
+            smooth_image(image),
+        )
         pixels = self._anchors.refine(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
         ids, pixels, depth = self._add_corners(image, ids, pixels, depth)
         self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
@@ -133,10 +128,10 @@ class Tracker:
         pixels, good = self._match_in_time(m, image, predicted, now_from_then is not None)
         if good.mean() < 0.5 and now_from_then is not None:
             pixels, good = self._match_in_time(m, image, PredictedPixels(predicted.pixels))
-        if good.mean() < _MIN_FOUND:  # the prediction may be wrong as a whole: try without it
+        if good.mean() < self._settings.few_share:  # the prediction may be wrong as a whole: try without it
             other = self._match_in_time(m, image, PredictedPixels(relocate(m.image, image, m.pixels, TURNS)))
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
-        good &= oldest_per_cell(m.ids, pixels, good, self._cell)
+        good &= oldest_per_cell(m.ids, pixels, good, self._cell, self._settings.most_in_cell)
         depth = self._updated_depths(m, pixels, now_from_then) if now_from_then is not None else m.depth
         return m.ids[good], pixels[good], depth[good]
 
@@ -147,14 +142,16 @@ class Tracker:
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._common_depth(m, image, now_from_then)
         predicted = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], relative_covariance)
-        if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > _LARGE_MOTION:
-            return PredictedPixels(predicted.pixels + common_shift(m.image, image, m.pixels, predicted.pixels))
+        if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
+            s = self._settings
+            shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
+            return PredictedPixels(predicted.pixels + shift)
         return predicted if has_depth and relative_covariance is not None else PredictedPixels(predicted.pixels)
 
     def _match_in_time(
         self, m: _LastExposure, image: U8, predicted: PredictedPixels, expected: bool = False
     ) -> tuple[F32, Mask]:
-        patched = expected and self._prediction_error[0] < _SMALL_ERROR
+        patched = expected and self._prediction_error[0] < self._settings.close_px
         then, start = (m.image, m.pixels) if patched else warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
 
@@ -165,7 +162,7 @@ class Tracker:
         """
         baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
         least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
-        shifts = np.geomspace(least, most, int(np.log(most / least) / _DEPTH_STEP))
+        shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
         if baseline * camera.fu < least:
             return m.depth
         small, now = downsampled(m.image), downsampled(image)
@@ -176,6 +173,7 @@ class Tracker:
                 m.pixels,
                 self._transfer(m.pixels, depth, now_from_then, camera).pixels,
                 downsampling_factor(image),
+                self._settings.least_overlap,
             )
             for depth in (np.full(len(m.ids), baseline / s) for s in shifts)
         ]
@@ -186,7 +184,7 @@ class Tracker:
         camera = self._cameras[0]
         then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (m.pixels, pixels))
         w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > _MIN_PARALLAX, 1.0 / np.maximum(w, 1e-9), m.depth)
+        z = np.where(w * arm * camera.fu > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), m.depth)
         points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
         return np.asarray(now_from_then.apply(points)[:, 2])
 
@@ -210,8 +208,9 @@ class Tracker:
         out = other.project(moved).astype(np.float32)
         relative_sigma = np.where(
             has_depth,
-            _PARALLAX_SIGMA / np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), _MIN_PARALLAX),
-            _UNKNOWN_DEPTH_SIGMA,
+            self._settings.depth_sigma_px
+            / np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), self._settings.depth_parallax_px),
+            self._settings.unknown_depth_share,
         )
         by_depth = (points * relative_sigma[:, None]) @ other_from_first.rotation.T
         covariance = pixel_covariance(moved, by_depth, other.fu, relative_covariance) if has_depth.any() else None
@@ -232,8 +231,9 @@ class Tracker:
         Returns:
             (N, 2) pixels in `b`; (N,) which are inside the image and the search region.
         """
-        a, s = match_brightness(a, b), self._settings
-        enough_levels = 1 if self._prediction_error[cam] < _SMALL_ERROR else 2
+        s = self._settings
+        a = match_brightness(a, b, s)
+        enough_levels = 1 if self._prediction_error[cam] < self._settings.close_px else 2
         patched = expected and enough_levels == 1  # refined by its patch afterwards
         levels, stop = min(s.levels, enough_levels) if expected else s.levels, _STOP_ROUGH if patched else _STOP
         found, ok = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, stop)
@@ -312,7 +312,7 @@ class Tracker:
         ground = GroundPlane.under(pose @ to_first if pose is not None else None, depth)
         predicted = found[at].astype(np.float64)
         warps = patch_warps(predicted, self._lenses[i], [to_first], ground, patched.pixels, self._lenses[0])
-        found[at], good[at] = patched.locate(right, predicted, warps, self._settings.window_px | 1)
+        found[at], good[at] = patched.locate(right, predicted, warps, self._settings)
         return found
 
     def _tracks_of(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from alight.geometry import Grid, Pose, plane_on
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, regress_on
 from alight.parallax.pose_refinement.solve import (
-    CELLS,
     RefinementCells,
     RefinementView,
     ViewPair,
@@ -20,18 +19,10 @@ from alight.parallax.pose_refinement.solve import (
 )
 from alight.parallax.views import Prepared
 from alight.records import F32, F64, REFUSED, Datum, ElevationMap, Flag, KeyframePosterior, View
+from alight.settings.tuning.parallax import PoseRefinementTuning
 
 Mask = NDArray[np.bool_]
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
-
-HOLD = 10.0  # a cell is held to the map by so many of its sigma; by 3 the map's own faults bent good poses
-FREE = 10.0  # heights above ground: sigma of a cell that the map does not know
-FLAT = 0.05  # the same before there is a map: the ground about its plane
-FAR_CELLS = 0.5  # doubt of the newest exposure from which the coarse pictures are asked first
-NEAR_CELLS = 0.25  # from which one linearisation is not enough
-LEAST_KNOWN = 200  # cells that make a map
-PLANE_SIGMA = np.array([0.1, 0.1, 0.1])  # of the height above it [m/m] and rad, before there is a map
-WANDER = np.array([5e-5, 2e-4, 2e-4])  # the same, that a plane of new cells is off those before it, a keyframe
 
 
 @dataclass(eq=False)
@@ -39,6 +30,7 @@ class Alignment:
     """Belief about the exposures of a ring and the map below it."""
 
     ring: int  # exposures
+    tuning: PoseRefinementTuning
     about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, where the plane's offset is meant
     belief: PoseGaussian | None = None
     plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # by which the map was off at the last step
@@ -50,7 +42,7 @@ class Alignment:
         """Take over what the navigation lane says of its keyframes; what is neither theirs nor `held` is forgotten."""
         if self.belief is None:
             self.belief, self.about = (
-                PoseGaussian.none(PLANE_SIGMA * [drop, 1, 1]),
+                PoseGaussian.none(np.array(self.tuning.plane_sigma) * [drop, 1, 1]),
                 poses.motions[-1].world_from_body.translation[:2],
             )
         times = held | {m.t_ns for m in poses.motions}
@@ -76,7 +68,7 @@ class Alignment:
         belief = self._prior(drop)
         looks = self._looks(exposures, belief, self._ground(grid, known, old, ground, drop), drop)
         pixel = grid.cell / drop
-        self.belief, plane = refine_poses(belief, looks, pixel, drop, self.ring)
+        self.belief, plane = refine_poses(belief, looks, pixel, drop, self.ring, self.tuning)
         if self._mapped:
             self.plane = plane
         poses = dict(zip(self.belief.times, self.belief.poses, strict=True))
@@ -86,9 +78,9 @@ class Alignment:
         assert self.belief is not None
         scale = np.array([drop, 1.0, 1.0])
         if not self._mapped:
-            return self.belief.with_plane(PLANE_SIGMA * scale)
+            return self.belief.with_plane(np.array(self.tuning.plane_sigma) * scale)
         P = self.belief.covariance.copy()
-        P[range(PLANE), range(PLANE)] += (WANDER * scale) ** 2
+        P[range(PLANE), range(PLANE)] += (np.array(self.tuning.wander) * scale) ** 2
         return replace(self.belief, covariance=P)
 
     def _moved(self, kept: Kept, world_from_body: Pose) -> Kept:
@@ -105,23 +97,23 @@ class Alignment:
         coarse = [self._sight(view, ready) for view, _, ready in all_of]
         doubt = doubt_of_last(belief, drop) / cells.arm
         wide = cells.coarser()
-        if doubt > FAR_CELLS:
+        if doubt > self.tuning.far_cells:
             return [(coarse, wide)] * 2 + [(fine, cells)] * 2
-        return [(fine, cells)] * (2 if doubt > NEAR_CELLS else 1)
+        return [(fine, cells)] * (2 if doubt > self.tuning.near_cells else 1)
 
     def _sight(self, view: View, prepared: Prepared) -> RefinementView:
         return RefinementView(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
     def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
         """Some cells: the trusted ones near where the map has them, those it does not know anywhere, no others."""
-        some, (xs, ys) = thinning(grid, CELLS), grid.xy()
+        some, (xs, ys) = thinning(grid, self.tuning.cells), grid.xy()
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
         ok = np.isfinite(height) & ((flags & np.uint16(REFUSED | Flag.STEP)) == 0) & seen
-        self._mapped = self._mapped or int(ok.sum()) >= LEAST_KNOWN
-        free = (FREE if self._mapped else FLAT) * drop
+        self._mapped = self._mapped or int(ok.sum()) >= self.tuning.least_known
+        free = (self.tuning.free if self._mapped else self.tuning.flat) * drop
         level = np.float32(np.median(height[ok]) if ok.any() else ground)
-        kappa = np.where(ok, 1 / (HOLD * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
+        kappa = np.where(ok, 1 / (self.tuning.hold * np.maximum(np.nan_to_num(sigma, nan=1.0), 1e-3)) ** 2, 1 / free**2)
         height = np.where(ok, height, np.where(seen, np.float32(np.nan), level))
         return RefinementCells(
             xs[some[1]], ys[some[0]], height.astype(np.float32), kappa.astype(np.float32), self.about, grid.cell

@@ -14,22 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import Grid, Pose, ground_projection, plane_on
-from alight.parallax.gauss_newton import TAU
 from alight.parallax.gauss_newton_kernels import template
 from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, moved
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
 from alight.records import F32, F64
+from alight.settings.tuning.parallax import PoseRefinementTuning
 
 log = logging.getLogger(__name__)
-
-CELLS = 1500  # that take part
-TAKEN = 0.5  # share of the heights that a step takes from its own pictures (eq. 16)
-LEAST = 40  # cells that a view must share with others
-CORRELATED = 4.0  # of the variance: samples of neighbouring cells are not independent
-UNLIKELY = 6.0  # squared error over its covariance, a degree of freedom, at which nothing is believed
-APPARENT_PX = 0.03  # px by which a picture as a whole is off, however many cells it has
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +75,12 @@ def thinning(grid: Grid, count: int) -> tuple[slice, slice]:
 
 
 def refine_poses(
-    belief: PoseGaussian, looks: Sequence[ViewPair], pixel: float, drop: float, ring: int
+    belief: PoseGaussian,
+    looks: Sequence[ViewPair],
+    pixel: float,
+    drop: float,
+    ring: int,
+    tuning: PoseRefinementTuning,
 ) -> tuple[PoseGaussian, F64]:
     """The belief with what the pictures say, and the plane (3,) by which the map was off (eqs. 17 to 24).
 
@@ -99,22 +97,23 @@ def refine_poses(
     P, held, one = belief.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
     x = belief.start[rows]
     x[:PLANE] = -belief.plane
-    F = np.concatenate([np.zeros(PLANE), np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * APPARENT_PX]) ** 2
+    apparent = np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * tuning.apparent_px
+    F = np.concatenate([np.zeros(PLANE), apparent]) ** 2
     A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
     for sights, ground in looks:
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
-        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held)
+        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held, tuning)
         known = np.linalg.inv(one + seen * F)
         A, b = known @ seen, known @ b
         whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
-    if not whitened @ x <= UNLIKELY * len(x):  # so that NaN is refused
+    if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
         log.info("the pictures contradict what is believed of the poses, which stay as they were")
         return belief, np.zeros(PLANE)
     across, shared = belief.covariance[:, rows], A / ring
     known = np.linalg.solve(one + shared @ P, shared)
     after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
-    follow = _following(seen, rows, len(after), TAKEN)
+    follow = _following(seen, rows, len(after), tuning.taken_share)
     return belief.corrected(across @ whitened, follow @ after @ follow.T), belief.plane + x[:PLANE]
 
 
@@ -133,6 +132,7 @@ def _information(
     ground: RefinementCells,
     height: F32,
     held: Buffers,
+    tuning: PoseRefinementTuning,
 ) -> tuple[F64, F64]:
     """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
     owner = np.array([times.index(s.exposure) for s in sights], np.int64)
@@ -140,13 +140,13 @@ def _information(
     s = _crosses(views, ground, height, held)
     n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
     weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)
-    template(s.reshape(n, 5 * rows, cols), network(n), TAU, weights, mean)
+    template(s.reshape(n, 5 * rows, cols), network(n), np.float32(tuning.residual_scale), weights, mean)
     w, m = np.ascontiguousarray(weights[:, :rows]), mean.reshape(5, rows, cols)
     samples = np.ascontiguousarray(s[:, 0])
     A, b = np.empty((rows, M, M)), np.empty((rows, M))
     kernels.joint_normal_equations(
         samples, w, m, owner, centres_of(views), np.array([p.translation for p in poses]),
-        _precision(samples, w, m[0]), ground.xs, ground.ys, height, ground.about, ground.arm,
+        _precision(samples, w, m[0], tuning), ground.xs, ground.ys, height, ground.about, ground.arm,
         np.ascontiguousarray(ground.kappa), A, b,
     )  # fmt: skip
     upper = A.sum(axis=0)
@@ -166,10 +166,10 @@ def _crosses(views: list[Prepared], ground: RefinementCells, height: F32, held: 
     return out
 
 
-def _precision(samples: F32, weights: F32, mean: F32) -> F64:
+def _precision(samples: F32, weights: F32, mean: F32, tuning: PoseRefinementTuning) -> F64:
     """One over the variance of each view's samples; 0 for a view that shares too little."""
     e = np.where(weights > 0, samples - mean, np.float32(0))
     total = weights.sum(axis=(1, 2), dtype=np.float64)
-    enough = (weights > 0).sum(axis=(1, 2)) >= LEAST
+    enough = (weights > 0).sum(axis=(1, 2)) >= tuning.least_cells
     variance = (weights * e * e).sum(axis=(1, 2), dtype=np.float64) / np.maximum(total, 1e-9)
-    return np.asarray(np.where(enough, 1.0 / (CORRELATED * np.maximum(variance, 1e-4)), 0.0))
+    return np.asarray(np.where(enough, 1.0 / (tuning.correlated * np.maximum(variance, 1e-4)), 0.0))

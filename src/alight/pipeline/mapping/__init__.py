@@ -11,7 +11,7 @@ from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, 
 from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.timing import Timings
 from alight.records import Rig
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 __all__ = [
     "BatchMapper", "FinishedMap", "MapSnapshot", "MapUpdate", "MappingLane", "PhotoMapper", "RecursiveMapper",
@@ -20,7 +20,7 @@ __all__ = [
 
 
 def mapping_lane(
-    rig: Rig, settings: Settings, at_end: bool, far: TileStore | None, timings: Timings, history: bool
+    rig: Rig, settings: StageSettings, at_end: bool, far: TileStore | None, timings: Timings, history: bool
 ) -> MappingLane:
     """Choose the way to map.
 
@@ -31,7 +31,6 @@ def mapping_lane(
     """
     if at_end:
         return PhotoMapper(rig, settings, far, timings)
-    method = settings.parallax.method
-    if method == "ring" or (method == "auto" and not history):
+    if settings.parallax.method == "ring" or not history:  # without an end there is no batch
         return RecursiveMapper(rig, settings, far, timings, history)
     return BatchMapper(rig, settings, far, timings)

@@ -10,12 +10,12 @@ from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, posed, views_of
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
-from alight.pipeline.mapping.policy import FIND_EVERY, FIRST_STEP, NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Timings
 from alight.records import MotionState, Rig
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 log = logging.getLogger(__name__)
 
@@ -23,10 +23,10 @@ log = logging.getLogger(__name__)
 class BatchMapper:
     """Keeps keyframes by their baseline, and maps at the end; where the store is full, a part of it before."""
 
-    def __init__(self, rig: Rig, settings: Settings, far: TileStore | None, timings: Timings) -> None:
-        self._rig, self._settings, self._timings = rig, settings.parallax, timings
+    def __init__(self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings) -> None:
+        self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
         self._map = BatchMap(settings, far)
-        self.store = FrameStore()
+        self.store = FrameStore(settings.mapping.turn)
 
     def feed(self, navigation: Navigation) -> MapUpdate | None:
         """Keep the exposure if it is a keyframe; the map comes at the end."""
@@ -34,8 +34,12 @@ class BatchMapper:
         if motion is None or motion.state is MotionState.LOST:
             return None
         ground = self._map.ground
-        step = FIRST_STEP if ground is None else keyframe_step(motion, ground, self._settings)
-        if self.store.offer(navigation.frame, motion, step) and ground is None and self.store.taken % FIND_EVERY == 0:
+        step = self._tuning.first_step if ground is None else keyframe_step(motion, ground, self._settings)
+        if (
+            self.store.offer(navigation.frame, motion, step)
+            and ground is None
+            and self.store.taken % self._tuning.find_every == 0
+        ):
             self._map.find_ground(views_of(self.store.keyframes, self._rig))
         if self.store.bytes > self._settings.store_mb * 1_000_000:
             self._make_room()

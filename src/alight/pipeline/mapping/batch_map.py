@@ -50,7 +50,7 @@ class BatchMap(GroundMap):
         level, of = 0, []
         for v in views:
             if self.settings.parallax.cell is None:
-                level = level_for(ground_sampling(v, ground), self.elevation.cell, level)
+                level = level_for(ground_sampling(v, ground), self.elevation.cell, level, self.settings.mapping)
             of.append(level)
         for k in sorted(set(of), reverse=True):
             asking = [v for v, its in zip(views, of, strict=True) if its == k]

@@ -10,8 +10,6 @@ import numpy as np
 from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, Rig, View
 
-TURN = 0.15  # rad of the optical axis that make a keyframe without a step
-
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
@@ -27,9 +25,14 @@ class Keyframe:
 
 
 class FrameStore:
-    """Frames that are far enough apart to be worth matching."""
+    """Frames that are far enough apart to be worth matching.
 
-    def __init__(self) -> None:
+    Args:
+        turn: rad of the optical axis that make a keyframe without a step.
+    """
+
+    def __init__(self, turn: float) -> None:
+        self._turn = turn
         self.keyframes: list[Keyframe] = []
         self.bytes = 0
         self.taken = 0  # frames that were ever kept
@@ -46,7 +49,7 @@ class FrameStore:
 
     def offer(self, frame: Frame, motion: Motion, step: float) -> bool:
         """Keep the frame if it moved `step` metres or turned since the last one kept."""
-        if self._last is not None and not _moved(self._last, motion, step):
+        if self._last is not None and not _moved(self._last, motion, step, self._turn):
             return False
         self.keep(frame, motion)
         return True
@@ -69,10 +72,10 @@ class FrameStore:
         self.bytes = sum(k.bytes for k in keyframes)
 
 
-def _moved(last: Motion, motion: Motion, step: float) -> bool:
+def _moved(last: Motion, motion: Motion, step: float, turn: float) -> bool:
     a, b = last.world_from_cams[0], motion.world_from_cams[0]
     axis = float(np.clip(a.rotation[:, 2] @ b.rotation[:, 2], -1, 1))
-    return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= TURN)
+    return bool(np.linalg.norm(a.translation - b.translation) >= step or np.arccos(axis) >= turn)
 
 
 def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion] | None = None) -> list[View]:

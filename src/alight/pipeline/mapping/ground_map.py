@@ -14,27 +14,21 @@ from alight.geometry import Grid
 from alight.parallax import find_points, ground_sampling, height_range
 from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
 from alight.records import F64, Datum, ElevationMap, Flag, Heights, View, is_trusted
-from alight.settings import Settings
-
-MAX_SIGMA = 0.0065  # of the height: of those with this sigma one in thirteen is off by more than a hundredth
-LEAST_POINTS = 20
-MOST_POINTS = 20_000  # that the height of the ground is the median of
-LEAST_KNOWN = 400  # heights of the map that say it better
-# a height is given out among others that are: of those that are left where most are refused one in five is wrong
-LEAST_GIVEN = 0.25  # of the cells about it
-ABOUT = 41  # cells
+from alight.settings import StageSettings
+from alight.settings.tuning import MappingTuning
 
 
-def lone(given: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def lone(given: NDArray[np.bool_], tuning: MappingTuning) -> NDArray[np.bool_]:
     """Which of the heights that are given out, (R, C), have too few about them that are."""
-    return np.asarray(given & (cv2.blur(given.astype(np.float32), (ABOUT, ABOUT)) < LEAST_GIVEN))
+    window = (tuning.given_cells, tuning.given_cells)
+    return np.asarray(given & (cv2.blur(given.astype(np.float32), window) < tuning.least_given))
 
 
 @dataclass(eq=False)
 class GroundMap:
     """The map so far, and the points that its ground was found by."""
 
-    settings: Settings
+    settings: StageSettings
     far: TileStore | None = None  # where tiles go that the vehicle has left behind; None: memory
     elevation: TiledElevation | None = None
     ground: float | None = None  # metres above the origin, the ground in general
@@ -51,9 +45,9 @@ class GroundMap:
         if len(down) < 2:
             self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
             return False
-        points = find_points(down)
+        points = find_points(down, self.settings.parallax.points)
         below = points[points[:, 2] < min(v.centre[2] for v in down)]
-        if len(below) < LEAST_POINTS:
+        if len(below) < self.settings.mapping.least_points:
             self.reason = (
                 "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
             )
@@ -63,12 +57,12 @@ class GroundMap:
             self.reason = "the aircraft hardly moved for its height, so no height can be measured"
             return False
         self._points = np.concatenate([self._points, below])
-        self._points = self._points[:: -(-len(self._points) // MOST_POINTS)]
+        self._points = self._points[:: -(-len(self._points) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
             sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
-            cell = self.settings.parallax.cell or nice_cell(sampling)
-            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far)
+            cell = self.settings.parallax.cell or nice_cell(sampling, self.settings.mapping.cell_over_pixel)
+            self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
 
     def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
@@ -79,15 +73,19 @@ class GroundMap:
         near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
         low, high = height_range(self._points, camera, near)
         heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
-        if len(heights) < LEAST_KNOWN:
+        if len(heights) < self.settings.mapping.least_known:
             return low, high
         return height_range(np.column_stack([heights, heights, heights]), camera)
 
     def _without_doubtful(self, heights: Heights, above: float) -> Heights:
         """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""
-        limit = self.settings.elevation.max_sigma or MAX_SIGMA * max(above, 1.0)
+        limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit
-        unsure = np.where(vague | lone(is_trusted(heights.flags) & ~vague), np.uint16(Flag.UNSURE), np.uint16(0))
+        unsure = np.where(
+            vague | lone(is_trusted(heights.flags) & ~vague, self.settings.mapping),
+            np.uint16(Flag.UNSURE),
+            np.uint16(0),
+        )
         return replace(heights, flags=heights.flags | unsure)
 
     def snapshot(self) -> ElevationMap | None:

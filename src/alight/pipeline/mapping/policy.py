@@ -5,8 +5,6 @@ from __future__ import annotations
 from alight.records import Motion
 from alight.settings import ParallaxSettings
 
-FIRST_STEP = 0.25  # metres between keyframes before the height above ground is known
-FIND_EVERY = 8  # keyframes: how often the ground is looked for until it is found
 NO_HEIGHT = "no height could be measured: no place was seen by two views"
 
 

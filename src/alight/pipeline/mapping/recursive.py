@@ -11,19 +11,15 @@ from alight.elevation import TileStore
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, Vehicle, vehicle_at_end
-from alight.pipeline.mapping.policy import FIND_EVERY, FIRST_STEP, NO_HEIGHT, keyframe_step
+from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Timings
 from alight.records import KeyframePosterior, Motion, MotionState, Rig, View
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 log = logging.getLogger(__name__)
-
-FIND_BASELINE = 0.08  # of the height, to find the ground: at 97 m 4 m found a ground that was 36 m too high
-WINDOW = 16  # keyframes that find the ground: those of the recursive map, and a few
-FINER = 64  # keyframes whose pixels stay, to look at the ground more finely than at its heights
 
 
 class RecursiveMapper:
@@ -33,11 +29,13 @@ class RecursiveMapper:
         history: keep what the end of a recording needs.
     """
 
-    def __init__(self, rig: Rig, settings: Settings, far: TileStore | None, timings: Timings, history: bool) -> None:
-        self._rig, self._settings, self._timings = rig, settings.parallax, timings
+    def __init__(
+        self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings, history: bool
+    ) -> None:
+        self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
         self._map = RecursiveMap(settings, far)
-        self.store, self._first_step = FrameStore(), FIRST_STEP
-        self._most = FINER if history else WINDOW
+        self.store, self._first_step = FrameStore(settings.mapping.turn), settings.mapping.first_step
+        self._most = settings.mapping.kept_to_look if history else settings.mapping.kept_by_ring
         self._newest: Navigation | None = None  # keyframe
         self._frame: MapFrame | None = None  # of the map, by the newest exposure
         self._newest_ns = -(1 << 62)  # exposure
@@ -87,15 +85,17 @@ class RecursiveMapper:
 
     def _grow(self, navigation: Navigation) -> int:
         """Find the ground, or take the newest keyframe into the map; how many steps that were."""
-        look = self.store.taken % FIND_EVERY == 0
+        look = self.store.taken % self._tuning.find_every == 0
         if self._map.ground is not None:
             steps = self._advance(self.store.keyframes[-1:], navigation)
             if self._map.out_of_range and look:
-                self._map.find_ground_again(self._views_now(), FIND_BASELINE)
+                self._map.find_ground_again(self._views_now(), self._tuning.find_baseline)
             return steps
-        if look and self._map.find_ground(self._views_now(), FIND_BASELINE):
+        if look and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
             return self._advance(self.store.keyframes, navigation)
-        if len(self.store) >= WINDOW:  # the height is not known, so the baseline that it takes is not
+        if (
+            len(self.store) >= self._tuning.kept_by_ring
+        ):  # the height is not known, so the baseline that it takes is not
             self.store.thin()
             self._first_step *= 2
         return 0
@@ -109,11 +109,11 @@ class RecursiveMapper:
                 self._step += self._map.step(views_of([k], self._rig), poses)
         return self._step - before
 
-    def _views_now(self, most: int = WINDOW) -> list[View]:
+    def _views_now(self, most: int | None = None) -> list[View]:
         """The newest keyframes as views, with what is known of their poses by now."""
         known = self._newest.posterior if self._newest is not None else None
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
-        return views_of(self.store.keyframes[-most:], self._rig, newer)
+        return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)
 
     def snapshot(self) -> MapSnapshot | None:
         """The map under the newest keyframe as it is now; None without one there."""

@@ -9,12 +9,9 @@ import numpy as np
 
 from alight.elevation import TiledElevation
 from alight.parallax import RecursiveParallax, ground_sampling
-from alight.pipeline.mapping.ground_map import LEAST_KNOWN, GroundMap
+from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import F64, ElevationMap, Flag, Heights, KeyframePosterior, View
-
-LEAST_HEIGHT = 1.0  # metres above the ground: nearer, the map is not what is needed
-OUT_OF_RANGE = 0.3  # share of a step's cells at an end of the searched range that asks for another
 
 
 @dataclass(eq=False)
@@ -53,7 +50,9 @@ class RecursiveMap(GroundMap):
         mapped = self.ground_here is not None
         for name in list(self.far or ()):
             del self.far[name]  # type: ignore[union-attr]
-        self.elevation = TiledElevation(self.elevation.cell, self.settings.elevation.tile, self.far)
+        self.elevation = TiledElevation(
+            self.elevation.cell, self.settings.elevation.tile, self.far, self.settings.elevation
+        )
         self.ground, self._points = self.ground + float(shift[2]), self._points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self._ring, self.gauge, self.out_of_range = None, None, False
@@ -69,9 +68,11 @@ class RecursiveMap(GroundMap):
             return False
         newest = down[0]
         here = self.ground if self.ground_here is None else self.ground_here
-        self.ground_here = min(here, float(newest.centre[2]) - LEAST_HEIGHT)
+        self.ground_here = min(here, float(newest.centre[2]) - self.settings.mapping.least_height)
         if self.settings.parallax.cell is None:
-            self.level = level_for(ground_sampling(newest, self.ground_here), self.elevation.cell, self.level)
+            self.level = level_for(
+                ground_sampling(newest, self.ground_here), self.elevation.cell, self.level, self.settings.mapping
+            )
         cell = self.elevation.cell_at(self.level)
         if self._ring is None:
             self._ring = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
@@ -92,9 +93,9 @@ class RecursiveMap(GroundMap):
             return False
         self.gauge = found.gauge
         found = self._without_doubtful(found, up - ground)
-        self.out_of_range = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > OUT_OF_RANGE)
+        self.out_of_range = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
         heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
-        if len(heights) >= LEAST_KNOWN // 4:
+        if len(heights) >= self.settings.mapping.least_known // 4:
             self.ground_here = float(np.median(heights))
         self.elevation.add(changed(found, known), replace_all=True)
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))

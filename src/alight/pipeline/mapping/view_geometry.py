@@ -8,25 +8,24 @@ from collections.abc import Sequence
 import numpy as np
 
 from alight.records import F64, View
+from alight.settings.tuning import MappingTuning
 
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
-CELL_OVER_PIXEL = 1.8
-SLACK = 0.15  # octaves that the cell may be off beyond the half before it changes: a level is not left by a gust
 NICE = np.array([1.0, 1.5, 2.0, 3.0, 5.0, 7.0])
 
 
-def nice_cell(sampling: float) -> float:
-    """The round cell size nearest to 1.8 ground sampling distances, metres."""
-    target = CELL_OVER_PIXEL * sampling
+def nice_cell(sampling: float, ratio: float) -> float:
+    """The round cell size nearest to `ratio` ground sampling distances, metres."""
+    target = ratio * sampling
     decade = 10.0 ** np.floor(np.log10(target))
     sizes = np.concatenate([NICE * decade, [10.0 * decade]])
     return float(np.round(sizes[np.argmin(np.abs(np.log(sizes / target)))], 6))
 
 
-def level_for(sampling: float, cell: float, now: int) -> int:
+def level_for(sampling: float, cell: float, now: int, tuning: MappingTuning) -> int:
     """The level whose cells, `cell * 2**level` metres, suit a ground sampling distance: `now` while it will do."""
-    exact = math.log2(CELL_OVER_PIXEL * sampling / cell)
-    return now if abs(exact - now) <= 0.5 + SLACK else round(exact)
+    exact = math.log2(tuning.cell_over_pixel * sampling / cell)
+    return now if abs(exact - now) <= 0.5 + tuning.level_slack else round(exact)
 
 
 def looking_down(views: Sequence[View]) -> list[View]:

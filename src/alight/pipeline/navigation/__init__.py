@@ -10,7 +10,7 @@ from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Hando
 from alight.pipeline.navigation.given import GivenLane
 from alight.pipeline.navigation.lane import Navigation, NavigationLane, TimedPoses, Trajectory
 from alight.records import Rig
-from alight.settings import Settings
+from alight.settings import StageSettings
 
 __all__ = [
     "FilterLane", "FrameBatch", "GivenLane", "Handover", "Navigation", "NavigationLane", "TimedPoses", "TrackedFrame",
@@ -18,13 +18,15 @@ __all__ = [
 ]  # fmt: skip
 
 
-def all_at_end(kind: str, settings: Settings, poses: TimedPoses | None) -> bool:
+def all_at_end(kind: str, settings: StageSettings, poses: TimedPoses | None) -> bool:
     """Whether the motions of a recording come all at once, at its end."""
     method = settings.motion.method
     return poses is None and (method == "bundle" or (method == "auto" and kind == "photos"))
 
 
-def navigation_lane(rig: Rig, kind: str, settings: Settings, poses: TimedPoses | None, history: bool) -> NavigationLane:
+def navigation_lane(
+    rig: Rig, kind: str, settings: StageSettings, poses: TimedPoses | None, history: bool
+) -> NavigationLane:
     """Choose the way to find the motion.
 
     Args:

@@ -18,7 +18,7 @@ from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
-from alight.settings import Settings
+from alight.settings import StageSettings
 from alight.tracks import Tracker
 
 _STAMPS = 256  # of exposures that are remembered, to find those that come twice
@@ -108,7 +108,7 @@ def prediction_for(exposure: int) -> int:
 class TrackingHalf:
     """The tracker, the inertial measurements that it predicts by, and the predictions that it gets."""
 
-    def __init__(self, rig: Rig, settings: Settings, handover: Handover) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, handover: Handover) -> None:
         self._tracker = Tracker(rig, settings.tracks)
         self._imu: deque[ImuSample] = deque()
         self._handover = handover
@@ -133,7 +133,7 @@ class TrackingHalf:
 class FilterHalf:
     """The filter, what it gives out, and how often it was lost."""
 
-    def __init__(self, rig: Rig, settings: Settings, handover: Handover, history: bool) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, handover: Handover, history: bool) -> None:
         self._settings = settings.motion.filter
         if not history:
             self._settings = self._settings.model_copy(update={"smooth": False})
@@ -199,7 +199,9 @@ class FilterLane:
         handover: how predictions go from the filter to the tracker, where the halves run on two threads.
     """
 
-    def __init__(self, rig: Rig, settings: Settings, history: bool = True, handover: Handover | None = None) -> None:
+    def __init__(
+        self, rig: Rig, settings: StageSettings, history: bool = True, handover: Handover | None = None
+    ) -> None:
         self._rig = rig
         between = handover or HandoverInTurn()
         self._batcher = EventBatcher()

@@ -1,0 +1,27 @@
+"""Settings: what a user sets, the tuned constants of the stages, and how both are read."""
+
+from alight.settings.imu import ImuNoise
+from alight.settings.loading import load_settings, settings_of_run
+from alight.settings.page import settings_page
+from alight.settings.stages import (
+    BundleSettings,
+    ElevationSettings,
+    FilterSettings,
+    HazardsSettings,
+    MotionSettings,
+    ParallaxSettings,
+    RouteSettings,
+    SitesSettings,
+    StageSettings,
+    TerrainSettings,
+    TracksSettings,
+)
+from alight.settings.tuning import Tuning
+from alight.settings.user import Lander
+from alight.settings.whole import Settings
+
+__all__ = [
+    "BundleSettings", "ElevationSettings", "FilterSettings", "HazardsSettings", "ImuNoise", "Lander", "MotionSettings",
+    "ParallaxSettings", "RouteSettings", "Settings", "SitesSettings", "StageSettings", "TerrainSettings",
+    "TracksSettings", "Tuning", "load_settings", "settings_of_run", "settings_page",
+]  # fmt: skip

@@ -1,0 +1,62 @@
+"""The names of all keys, where keys of earlier versions went, and the nearest name to a wrong one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from difflib import get_close_matches
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from alight.settings.whole import Settings
+
+# groups of earlier versions whose constants are now tuning: the stage they went to
+_STAGE_OF = {
+    "motion.filter": "filter",
+    "motion.bundle": "bundle",
+    "tracks": "tracks",
+    "parallax": "parallax",
+    "elevation": "elevation",
+    "terrain": "terrain",
+    "hazards": "hazards",
+    "sites": "sites",
+    "route": "route",
+}
+
+
+def walk(model: type[BaseModel] = Settings, before: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    """Every key with its field: `lander.radius`, ..., `tuning.filter.gate`."""
+    for name, info in model.model_fields.items():
+        inner = info.annotation
+        if isinstance(inner, type) and issubclass(inner, BaseModel):
+            yield from walk(inner, f"{before}{name}.")
+        else:
+            yield before + name, info
+
+
+def all_keys() -> dict[str, FieldInfo]:
+    """All keys in order, those of a user first."""
+    return dict(walk())
+
+
+def user_keys() -> dict[str, FieldInfo]:
+    """The keys of a user."""
+    return {k: v for k, v in walk() if not k.startswith("tuning.")}
+
+
+def moved_to(key: str) -> str | None:
+    """The name of a key of an earlier version that became tuning; None for any other."""
+    group, _, name = key.rpartition(".")
+    new = f"tuning.{_STAGE_OF.get(group)}.{name}"
+    return new if new in all_keys() else None
+
+
+def nearest(key: str) -> str | None:
+    """The known key or group that is most like an unknown one; None where none is alike."""
+    names = {k: k for k in all_keys()}
+    names |= {group: group for k in names if (group := k.rpartition(".")[0])}
+    for old, stage in _STAGE_OF.items():
+        start = f"tuning.{stage}."
+        names |= {k.replace(start, f"{old}."): k for k in all_keys() if k.startswith(start)}
+    found = get_close_matches(key, names, n=1, cutoff=0.75)
+    return names[found[0]] if found else None

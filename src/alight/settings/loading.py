@@ -1,0 +1,98 @@
+"""Reading settings: YAML text, `key=value` assignments, and the settings in the run.json of an earlier run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+
+from alight.settings.keys import all_keys, moved_to, nearest
+from alight.settings.whole import Settings
+
+Tree = dict[str, Any]
+
+
+def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
+    """Make settings of YAML text and `key=value` assignments, the latter winning.
+
+    Raises:
+        ValueError: the text is no YAML, a key is unknown or moved, or a value is out of range; the message names the
+            key.
+    """
+    try:
+        tree = yaml.safe_load(text) or {}
+        if not isinstance(tree, dict):
+            raise ValueError("settings: needs a mapping of keys at the top")
+        for a in assignments:
+            _assign(tree, a)
+    except yaml.YAMLError as e:
+        raise ValueError(f"settings: not valid YAML: {' '.join(str(e).split())}") from e
+    return _validated(tree)
+
+
+def settings_of_run(stored: Mapping[str, Any]) -> Settings:
+    """The settings in a run.json, also of another version: moved keys are moved, unknown ones left out.
+
+    Raises:
+        ValueError: the value of a known key is not valid; the message names the key.
+    """
+    known, tree = all_keys(), dict[str, Any]()
+    for key, value in _leaves(stored):
+        now = moved_to(key) or key
+        if now in known:
+            _put(tree, now, value)
+    return _validated(tree)
+
+
+def _validated(tree: Tree) -> Settings:
+    try:
+        return Settings.model_validate(tree)
+    except ValidationError as e:
+        raise ValueError(_explain(e)) from e
+
+
+def _assign(tree: Tree, assignment: str) -> None:
+    key, sep, value = assignment.partition("=")
+    if not sep or not key.strip():
+        raise ValueError(f"--set takes key=value, got {assignment!r}")
+    _put(tree, key.strip(), yaml.safe_load(value))
+
+
+def _put(tree: Tree, key: str, value: Any) -> None:
+    *path, last = key.split(".")
+    for part in path:
+        tree = tree.setdefault(part, {})
+        if not isinstance(tree, dict):
+            raise ValueError(f"{key}: {part} is not a group of settings")
+    tree[last] = value
+
+
+def _leaves(tree: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
+def _explain(error: ValidationError) -> str:
+    lines: list[str] = []
+    for e in error.errors():
+        key = ".".join(str(k) for k in e["loc"])
+        if e["type"] != "extra_forbidden":
+            lines.append(f"{key}: {e['msg']} (got {e['input']!r})")
+        elif isinstance(e["input"], dict) and any(moved_to(f"{key}.{name}") for name in e["input"]):
+            lines += [_refusal(f"{key}.{name}") for name in e["input"]]  # a group that is no longer there
+        else:
+            lines.append(_refusal(key))
+    return "; ".join(lines) + "; 'alight settings' lists every key"
+
+
+def _refusal(key: str) -> str:
+    new = moved_to(key)
+    if new:
+        return f"{key} is now {new}"
+    like = nearest(key)
+    return f"{key}: unknown key" + (f", did you mean {like}?" if like else "")

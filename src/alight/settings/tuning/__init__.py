@@ -1,0 +1,38 @@
+"""Tuning: constants that were fitted or chosen on data, one frozen model a stage.
+
+They are hidden from users, stored in `run.json`, and can be set as `tuning.<stage>.<name>`.
+"""
+
+from __future__ import annotations
+
+from alight.settings.base import FrozenModel
+from alight.settings.tuning.bundle import BundleTuning
+from alight.settings.tuning.elevation import ElevationTuning
+from alight.settings.tuning.filter import FilterTuning
+from alight.settings.tuning.hazards import HazardsTuning
+from alight.settings.tuning.mapping import MappingTuning
+from alight.settings.tuning.parallax import ParallaxTuning
+from alight.settings.tuning.route import RouteTuning
+from alight.settings.tuning.sites import SitesTuning
+from alight.settings.tuning.terrain import TerrainTuning
+from alight.settings.tuning.tracks import TracksTuning
+
+__all__ = [
+    "BundleTuning", "ElevationTuning", "FilterTuning", "HazardsTuning", "MappingTuning", "ParallaxTuning",
+    "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
+]  # fmt: skip
+
+
+class Tuning(FrozenModel):
+    """Tuned constants by stage; not meant to be changed."""
+
+    tracks: TracksTuning = TracksTuning()
+    filter: FilterTuning = FilterTuning()
+    bundle: BundleTuning = BundleTuning()
+    parallax: ParallaxTuning = ParallaxTuning()
+    mapping: MappingTuning = MappingTuning()
+    elevation: ElevationTuning = ElevationTuning()
+    terrain: TerrainTuning = TerrainTuning()
+    hazards: HazardsTuning = HazardsTuning()
+    sites: SitesTuning = SitesTuning()
+    route: RouteTuning = RouteTuning()

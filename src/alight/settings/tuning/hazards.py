@@ -1,0 +1,52 @@
+"""Tuning of the hazard judgement (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
+
+
+class SharpenTuning(FrozenModel):
+    """Heights on the finer pixels of an image, by its light and shade ('alight hazards --image')."""
+
+    least_explained: Fraction = Field(
+        0.5, description="Least share of the image's variance that shading explains; below, the image is not used"
+    )
+    shade_floor: Positive = Field(0.0075, description="Least 1-sigma of the shading model over the sun's brightness")
+    bend: Positive = Field(0.4, description="1-sigma of the Laplacian of the heights over a pixel, m")
+
+
+class HazardsTuning(FrozenModel):
+    """Judging the ground."""
+
+    unknown_share: Fraction = Field(0.02, description="Largest share of the footprint that was never seen")
+    doubtful_share: Fraction = Field(
+        0.35, description="Largest share of the footprint without a height that can be trusted"
+    )
+    bridge: NonNegative = Field(
+        0.15, description="Half the width of gaps across which doubtful heights count if they agree with the rim, m"
+    )
+    bridge_plain: NonNegative = Field(0.75, description="The same where the image is plain (little texture, glare), m")
+    min_landable: Fraction = Field(
+        0.2, description="Least probability of landable ground; below it the cell is refused, above it P weighs it"
+    )
+    tilt_sigma: NonNegative = Field(
+        0.008, description="Least 1-sigma of the common tilt of the map, rad, where the poses do not give a larger one"
+    )
+    noise_length: NonNegative = Field(0.6, description="Distance over which neighbouring heights share their noise, m")
+    smoothed: bool = Field(
+        True, description="The heights come from matched images, which flatten small obstacles: P is lowered for it"
+    )
+    hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
+    resolved_share: Positive = Field(
+        0.8,
+        description="Pixel size over the limit of roughness or clearance up to which no obstacle is too small to see",
+    )
+    clearly_sigmas: NonNegative = Field(
+        2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
+    )
+    surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
+    even_length: Positive = Field(0.2, description="1-sigma of the window of averaged heights, m")
+    broad_length: Positive = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")
+    sharpen: SharpenTuning = SharpenTuning()

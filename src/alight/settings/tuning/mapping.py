@@ -1,0 +1,32 @@
+"""Tuning of the mapping lane (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
+
+
+class MappingTuning(FrozenModel):
+    """When the ground is looked for, which heights are given out, and how fine the cells are."""
+
+    first_step: Positive = Field(0.25, description="Distance of keyframes before the height above ground is known, m")
+    turn: Positive = Field(0.15, description="Turn of the optical axis that makes a keyframe without a step, rad")
+    find_every: int = Field(8, ge=1, description="Keyframes from one search for the ground to the next")
+    find_baseline: Positive = Field(0.08, description="Baseline over height that this search needs in flight")
+    kept_by_ring: int = Field(16, ge=3, description="Keyframes kept to find the ground in flight")
+    kept_to_look: int = Field(64, ge=3, description="Keyframes whose images are kept for pixels finer than the heights")
+    least_points: int = Field(20, ge=1, description="Least number of triangulated points that show the ground")
+    most_points: int = Field(20_000, ge=1, description="Most triangulated points kept")
+    least_known: int = Field(400, ge=1, description="Known heights from which the map gives the range that is searched")
+    beyond: Fraction = Field(
+        0.3, description="Share of cells at an end of the searched range that asks for another range"
+    )
+    cell_over_pixel: Positive = Field(1.8, description="Size of a cell over the ground sampling distance")
+    level_slack: NonNegative = Field(0.15, description="Hysteresis before the size of the cells is changed, octaves")
+    max_sigma: Positive = Field(
+        0.0065, description="Largest sigma of a height that is given out over the height above ground"
+    )
+    least_given: Fraction = Field(0.25, description="Least share of neighbours given out with a height; below: UNSURE")
+    given_cells: int = Field(41, ge=1, description="Window of these neighbours, cells")
+    least_height: Positive = Field(1.0, description="Least height of the camera above the mapped ground, m")

@@ -1,0 +1,169 @@
+"""Tuning of planar parallax (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import Finite, Fraction, FrozenModel, NonNegative, Positive
+
+Triple = tuple[Positive, Positive, Positive]
+
+
+class PointsTuning(FrozenModel):
+    """Points triangulated before the ground is known."""
+
+    features: int = Field(1500, ge=100, description="SIFT features in each view")
+    longest_px: int = Field(960, ge=100, description="Longest side of the images on which features are found, px")
+    least_angle: Positive = Field(0.02, description="Least angle between the rays of a point, rad")
+    most_pairs: int = Field(40, ge=1, description="Most pairs of views")
+    descriptor_ratio: Fraction = Field(0.8, description="Largest ratio of best to second-best descriptor distance")
+    neighbours: int = Field(8, ge=1, description="Nearest points over the ground that must agree on the height")
+    supporters: int = Field(2, ge=0, description="Least number of these neighbours at a like height")
+    like_height: Positive = Field(0.05, description="Difference of like heights over the height above ground")
+
+
+class SweepTuning(FrozenModel):
+    """Plane sweep along the rays of a view, with semi-global aggregation."""
+
+    references: int = Field(2, ge=1, description="Views along whose rays a tile is swept (batch)")
+    views: int = Field(10, ge=2, description="Most views of such a sweep (batch)")
+    max_tangent: Positive = Field(0.4, description="Horizontal over vertical distance of a preferred view (batch)")
+    keep_share: Fraction = Field(0.7, description="Share of the views of a cell that has to agree on a plane")
+    truncation: Positive = Field(1.5, description="Largest matching cost of a view, normalised grey")
+    penalty_one_plane: Positive = Field(0.1, description="Penalty P1 for neighbours one plane apart, normalised grey")
+    penalty_more_planes: Positive = Field(1.0, description="Penalty P2 for neighbours further apart, normalised grey")
+    edge_discount: Fraction = Field(0.5, description="Share of P2 that is waived at edges of the reference image")
+    most_planes: int = Field(192, ge=5, description="Most height planes")
+    gap_cells: int = Field(2, ge=0, description="Half the width of gaps that are filled with their lowest rim, cells")
+    most_references: int = Field(4, ge=1, description="Most views along whose rays what was not seen yet is swept")
+    least_wanted: Fraction = Field(0.25, description="Share of wanted cells from which a block is swept")
+    least_blocks: int = Field(4, ge=1, description="Least number of blocks of a region that is swept")
+
+
+class RefinementTuning(FrozenModel):
+    """Gauss-Newton refinement of the heights."""
+
+    iterations: int = Field(4, ge=1, description="Gauss-Newton steps on a tile (batch)")
+    residual_scale: Positive = Field(
+        0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
+    )
+    occlusion_px: Positive = Field(3.0, description="Height above a ray from which the map hides a cell, parallax px")
+    step_px: Positive = Field(0.5, description="Largest step, parallax px of the widest baseline")
+    plane_prior: Positive = Field(
+        4500.0, description="Weight of the local plane: one over its variance, 1 / parallax px^2"
+    )
+
+
+class UncertaintyTuning(FrozenModel):
+    """Sigma of a height (eq. 14), the probability of a wrong match (eq. 15), and flags."""
+
+    min_contrast: Positive = Field(0.7, description="Least contrast of the views, grey levels; below: TEXTURE")
+    max_residual: Fraction = Field(
+        0.5, description="Largest share of the variance nearby that the views do not have in common; above: MOVING"
+    )
+    max_cost_ratio: Positive = Field(
+        1.2, description="Largest mean ratio of best to second-best cost nearby; above: AMBIGUOUS"
+    )
+    fit: Positive = Field(0.16, description="Factor of the variance of the fit (noise over information)")
+    floor_cells: NonNegative = Field(0.03, description="Least 1-sigma, cells")
+    relief: NonNegative = Field(2.2, description="Factor of the variance of the visible relief")
+    hidden_px: NonNegative = Field(6.5, description="Factor of the relief that the windows flatten, parallax px")
+    fine_power: NonNegative = Field(0.16, description="Power of the 1-sigma of the fine relief in it")
+    broad_power: NonNegative = Field(0.22, description="Power of the 1-sigma of the broad relief in it")
+    noise_power: NonNegative = Field(0.42, description="Power of the 1-sigma of the samples in it")
+    step_px: Positive = Field(
+        4.0, description="Height difference to a neighbour from which a cell is a STEP, parallax px"
+    )
+    step_cells: int = Field(2, ge=1, description="Reach of the neighbours across a step, cells of half resolution")
+    near_cells: int = Field(5, ge=1, description="Window of what is nearby, cells of half resolution")
+    max_outlier: Fraction = Field(0.45, description="Largest probability of a wrong match; above: UNSURE")
+    odds: Finite = Field(-0.97, description="Log odds of a wrong match: constant term")
+    odds_ambiguity: Finite = Field(1.2, description="Log odds per logarithm of the cost ratio nearby")
+    odds_residual: Finite = Field(1.1, description="Log odds per logarithm of the residual share nearby")
+    odds_sigma: Finite = Field(0.3, description="Log odds per logarithm of sigma nearby, parallax px")
+    odds_drop: Finite = Field(
+        0.99, description="Log odds per logarithm of the drop to the lowest neighbour, parallax px"
+    )
+    odds_rise: Finite = Field(
+        0.63, description="Log odds per logarithm of the rise to the highest neighbour, parallax px"
+    )
+    odds_slide: Finite = Field(-1.9, description="Log odds per logarithm of the baseline over the height")
+
+
+class ConsistencyTuning(FrozenModel):
+    """Moving ground, found by cameras that expose at the same instant."""
+
+    near_blocks: int = Field(5, ge=1, description="Window of the sums, blocks")
+    cut: Positive = Field(0.55, description="Deviation from which a view sees something else, normalised grey")
+    most_shared: Fraction = Field(
+        0.05, description="Largest share of the variance that the views of an instant have in common; above: MOVING"
+    )
+    least_seen: Fraction = Field(0.25, description="Least share of the cells of a block that a pair sees")
+    least_views: int = Field(5, ge=2, description="Least number of views of a cell (recursive)")
+    least_views_batch: int = Field(7, ge=2, description="Least number of views of a cell (batch)")
+    pairs: int = Field(6, ge=1, description="Most pairs of views of one instant (batch)")
+
+
+class RecursiveTuning(FrozenModel):
+    """Heights carried from keyframe to keyframe."""
+
+    first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
+    first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
+    span: Positive = Field(0.8, description="Baseline over height from which a keyframe is dropped")
+    steps: int = Field(1, ge=1, description="Gauss-Newton steps with each keyframe")
+    unknown_ratio: Positive = Field(0.6, description="Ratio of best to second-best cost of a cell that was not swept")
+    worse: Positive = Field(1.5, description="Ratio of new to old sigma from which a step leaves the map as it is")
+    same_px: Positive = Field(
+        2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
+    )
+    shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
+    renew_below: NonNegative = Field(
+        0.06, description="Horizontal over vertical distance within which the newest view renews the colour"
+    )
+
+
+class PoseRefinementTuning(FrozenModel):
+    """Poses of the keyframes refined together with the map."""
+
+    cells: int = Field(1500, ge=100, description="Cells that take part")
+    taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
+    residual_scale: Positive = Field(
+        0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
+    )
+    least_cells: int = Field(40, ge=1, description="Least number of cells that a view shares with others")
+    correlated: Positive = Field(4.0, description="Inflation of the variance: samples of neighbours are correlated")
+    unlikely: Positive = Field(
+        6.0, description="Squared error over its covariance, per degree of freedom, from which a step is refused"
+    )
+    apparent_px: NonNegative = Field(0.03, description="1-sigma of the common error of a whole image, px")
+    hold: Positive = Field(10.0, description="Sigmas of a cell by which its height is held to the map")
+    free: Positive = Field(10.0, description="1-sigma of the height of an unknown cell over the height above ground")
+    flat: Positive = Field(0.05, description="The same before there is a map")
+    far_cells: Positive = Field(
+        0.5, description="1-sigma of the newest view on the ground from which coarse images come first, cells"
+    )
+    near_cells: Positive = Field(0.25, description="The same from which two linearisations are made, cells")
+    least_known: int = Field(200, ge=1, description="Least number of known cells of a map")
+    plane_sigma: Triple = Field(
+        (0.1, 0.1, 0.1),
+        description="1-sigma of the ground's plane before there is a map: offset over height, tilts in rad",
+    )
+    wander: Triple = Field(
+        (5e-5, 2e-4, 2e-4),
+        description="1-sigma of the change of the map's plane with each keyframe: offset over height, tilts in rad",
+    )
+
+
+class ParallaxTuning(FrozenModel):
+    """Planar parallax on the world grid."""
+
+    views: int = Field(16, ge=2, le=32, description="Most views that a cell uses (batch)")
+    ring: int = Field(7, ge=3, le=16, description="Keyframes held (recursive)")
+    keyframe_baseline: Positive = Field(0.02, description="Baseline between keyframes over the height above ground")
+    points: PointsTuning = PointsTuning()
+    sweep: SweepTuning = SweepTuning()
+    refinement: RefinementTuning = RefinementTuning()
+    uncertainty: UncertaintyTuning = UncertaintyTuning()
+    consistency: ConsistencyTuning = ConsistencyTuning()
+    recursive: RecursiveTuning = RecursiveTuning()
+    poses: PoseRefinementTuning = PoseRefinementTuning()

@@ -1,0 +1,15 @@
+"""Tuning of the route (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import Fraction, FrozenModel
+
+
+class RouteTuning(FrozenModel):
+    """Way-points to the best site."""
+
+    look_share: Fraction = Field(
+        0.5, description="Height of the last inspection of the ground over the approach height"
+    )

@@ -1,0 +1,206 @@
+"""What a user sets: few keys, each with a description and its unit; none is needed to run."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from alight.settings.base import Finite, Fraction, FrozenModel, NonNegative, Positive
+
+
+class SourcesKeys(FrozenModel):
+    """How the recording is read."""
+
+    calibration: str | None = Field(
+        None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
+    )
+    skip: int = Field(0, ge=0, description="Number of exposures left out at the start")
+    every: int = Field(1, ge=1, description="Use every n-th exposure")
+
+
+class FilterKeys(FrozenModel):
+    """Clock and mounting of the cameras, for flights."""
+
+    mounting_sigma: NonNegative | None = Field(
+        None,
+        description="1-sigma of the rotation between cameras and GPS/INS that the calibration leaves open, rad; "
+        "0: exactly as calibrated; null: 0.03 for photos, 0 for flights",
+    )
+    time_offset: Finite = Field(
+        0.0, description="Known time by which the camera stamps are ahead of the GPS/INS and IMU clock, s"
+    )
+    time_offset_sigma: NonNegative = Field(0.0, description="1-sigma of that time, s; 0: it is known exactly")
+
+
+class BundleKeys(FrozenModel):
+    """Calibration of the camera, for photos."""
+
+    focal: Literal["held", "free"] = Field(
+        "held",
+        description="Focal length: held at the calibration, or free (estimated; needs photos from several heights)",
+    )
+    lens: Literal["held", "free"] = Field(
+        "free", description="Principal point and distortion: held at the calibration, or free (estimated)"
+    )
+
+
+class MotionKeys(FrozenModel):
+    """How the poses of the cameras are found."""
+
+    method: Literal["auto", "filter", "bundle"] = Field(
+        "auto",
+        description="filter: exposure by exposure, for flights; bundle: all photos together; "
+        "auto: the one that suits the recording",
+    )
+    given_position_sigma: NonNegative = Field(
+        0.0,
+        description="1-sigma of the position of poses given with --poses, m; above 0, ring refines them",
+    )
+    given_attitude_sigma: NonNegative = Field(
+        0.0, description="1-sigma of the attitude of poses given with --poses, rad"
+    )
+    filter: FilterKeys = FilterKeys()
+    bundle: BundleKeys = BundleKeys()
+
+
+def _batch_for_auto(method: Any) -> Any:
+    """`auto` of earlier versions means `batch`."""
+    return "batch" if method == "auto" else method
+
+
+class ParallaxKeys(FrozenModel):
+    """How heights are measured."""
+
+    method: Annotated[Literal["batch", "ring"], BeforeValidator(_batch_for_auto)] = Field(
+        "batch",
+        description="batch (also: auto): from all exposures at the end; "
+        "ring: step by step with every keyframe, as in flight",
+    )
+    cell: Positive | None = Field(
+        None, description="Size of a cell of the map, m; null: about 1.8 pixels on the ground"
+    )
+    height_range: tuple[float, float] | None = Field(
+        None, description="Lowest and highest ground that is searched, m above the origin; null: found by itself"
+    )
+    store_mb: int = Field(
+        1500, ge=64, description="Memory for the images of keyframes, MB; a long recording is mapped part by part"
+    )
+
+
+class ElevationKeys(FrozenModel):
+    """The height map."""
+
+    max_sigma: Positive | None = Field(
+        None, description="Heights with a larger 1-sigma are left out, m; null: 0.65 % of the height above ground"
+    )
+    most_cells: int = Field(
+        16_000_000,
+        ge=10_000,
+        description="Most cells of the written rasters; a larger map is written with coarser cells",
+    )
+
+
+class TerrainKeys(FrozenModel):
+    """What covers the ground."""
+
+    enabled: bool = Field(True, description="Classify the ground and refuse water, plants, trees and structures")
+    model: str | None = Field(
+        "default",
+        description="Model of what ground looks like: default, a file written by 'alight terrain train', "
+        "or null (shape and colour of the map alone)",
+    )
+
+
+def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
+    """Whether any three of the points span a triangle."""
+    return any(
+        abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])) > 1e-6 for a, b, c in combinations(feet, 3)
+    )
+
+
+class Lander(FrozenModel):
+    """The vehicle that lands: its size, its gear and its limits."""
+
+    radius: Positive = Field(1.5, description="Radius of the footprint, m")
+    max_slope: Positive = Field(math.radians(10.0), description="Steepest slope of the ground, rad")
+    max_roughness: Positive = Field(0.15, description="Largest deviation of the ground from the footprint's plane, m")
+    belly_clearance: Positive | None = Field(
+        None, description="Clearance between the contact plane of the feet and the belly, m; null: not judged"
+    )
+    feet: tuple[tuple[float, float], ...] | None = Field(
+        None, description="Position (forward, left) of each foot from the centre, m; null: no feet"
+    )
+    foot_radius: NonNegative = Field(0.0, description="Radius of a foot, m")
+    foot_contact: Literal["highest", "mean"] = Field(
+        "highest", description="A foot stands on the highest ground under it, or sinks in to the mean"
+    )
+    support: Literal["resting", "any"] = Field(
+        "resting", description="Planes judged: those on which the lander can rest or rock, or any three feet (stricter)"
+    )
+    skids: tuple[float, float] | None = Field(
+        None, description="Length of the skids and distance between them, m; null: no skids"
+    )
+    max_step: Positive | None = Field(
+        None, description="Largest step between neighbouring cells, m; null: only the roughness counts"
+    )
+    rotor_radius: Positive | None = Field(
+        None, description="Radius of the circle that the rotors sweep, m; null: the footprint"
+    )
+    rotor_rise: NonNegative = Field(
+        0.3, description="Height to which the ground beside the footprint may rise under the rotors, m"
+    )
+    headings: int = Field(
+        8, ge=1, le=72, description="Number of headings tried with feet or skids; the worst one counts"
+    )
+
+    @property
+    def has_gear(self) -> bool:
+        """Whether feet or skids are given; else the lander stands on its whole footprint."""
+        return self.feet is not None or self.skids is not None
+
+    @model_validator(mode="after")
+    def _sound(self) -> Lander:
+        if self.feet is not None and self.skids is not None:
+            raise ValueError("give feet or skids, not both")
+        if self.skids is not None and min(self.skids) <= 0:
+            raise ValueError("skids: length and distance must be above 0")
+        if self.feet is not None and not _spread(self.feet):
+            raise ValueError("feet: needs three or more that are not in one line")
+        return self
+
+
+class HazardsKeys(FrozenModel):
+    """How strictly the ground is judged."""
+
+    p_safe: Fraction = Field(0.95, description="Least probability of a safe touchdown at a site")
+    alpha: NonNegative = Field(1.0, description="Weight of flatness in the quality Q of a site (paper, eq. 5)")
+    beta: NonNegative = Field(1.0, description="Weight of land cover in the quality Q of a site (paper, eq. 5)")
+    usual_sigma: NonNegative = Field(
+        0.03, description="1-sigma of the heights of a raster that does not state it ('alight hazards'), m"
+    )
+
+
+class SitesKeys(FrozenModel):
+    """Which sites are listed."""
+
+    count: int = Field(8, ge=1, description="Most sites listed")
+    margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
+    separation: Positive | None = Field(
+        None, description="Least distance between two sites, m; null: twice the footprint radius"
+    )
+    distance_weight: NonNegative = Field(0.0, description="Loss of quality per metre from the vehicle to the site, 1/m")
+    every: int = Field(
+        32, ge=0, description="Keyframes from one judgement to the next in flight (parallax.method=ring); 0: at the end"
+    )
+
+
+class RouteKeys(FrozenModel):
+    """The way to the best site."""
+
+    approach_height: Positive = Field(10.0, description="Height above the site at which the final descent starts, m")
+    clearance: Positive = Field(3.0, description="Least distance to everything above and beside the way, m")
+    cruise_speed: Positive = Field(5.0, description="Speed on the way to the site, m/s")
+    descent_speed: Positive = Field(1.0, description="Speed of the descent, m/s")
