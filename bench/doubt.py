@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 import alight_sim as simulate
 from alight.parallax import uncertainty as trust
 from alight.pipeline.terrain_lane import TerrainLane
+from alight.raster import upsample
 from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
 from alight.settings import Settings
 from alight_sim.ladder import rung
@@ -81,7 +82,7 @@ def rows_of(
     grid = np.zeros_like(use)
     grid[24:-24:EVERY, 24:-24:EVERY] = True
     use &= grid
-    at = [np.log(np.repeat(np.repeat(terms[k], 2, 0), 2, 1)[: e.shape[0], : e.shape[1]][use]) for k in names()]
+    at = [np.log(upsample(terms[k], 2, e.shape)[use]) for k in names()]
     wrong = np.abs(found.height - truth.height[r, c]) > WRONG * (camera - truth.height[r, c])
     return np.stack(at, axis=-1).astype(np.float64), wrong[use]
 

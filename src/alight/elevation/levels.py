@@ -7,6 +7,7 @@ import numpy as np
 
 from alight.elevation.level_kernels import halve
 from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
+from alight.raster import upsample
 from alight.records import REFUSED, Flag, is_trusted
 
 WHOLE = 3  # of four cells seen: the coarse one is
@@ -30,7 +31,7 @@ def double_fields(coarse: Fields, less_sure: np.float32) -> Fields:
 
     Sigma grows by a factor.
     """
-    near = {k: np.repeat(np.repeat(v, 2, axis=0), 2, axis=1) for k, v in coarse.items()}
+    near = {k: upsample(v, 2) for k, v in coarse.items()}
     shape = near["flags"].shape[::-1]
     bad = ~is_trusted(coarse["flags"])
     near["sigma"] *= less_sure

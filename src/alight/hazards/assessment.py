@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.hazards.contact import (
     Footprint,
-    any_near,
     footprint_of,
     gear_contact,
-    near_edge,
     rotor_rise,
-    share_near,
     step_of,
 )
 from alight.hazards.evidence import Shape, hazard_terms, unresolved
 from alight.hazards.monotone_net import safe_belief
-from alight.hazards.probability import SURELY, Margins, margins_over_sigma, mean_near, safe_probability
+from alight.hazards.probability import SURELY, Margins, margins_over_sigma, safe_probability
 from alight.hazards.usable_heights import BROAD, evened, judged_height
+from alight.raster import disc_any, disc_crosses_edge, disc_mean, disc_share, distance_to
 from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -63,21 +60,21 @@ def _find(
     cell: float,
 ) -> _Findings:
     fp = footprint_of(height, lander.radius, cell)
-    edge = near_edge(height.shape, lander.radius, cell)
+    edge = disc_crosses_edge(height.shape, lander.radius, cell)
     doubtful = settings.doubtful_share if settings.smoothed else settings.unknown_share
     unknown = np.isnan(fp.level) | (fp.unknown > doubtful) | (unseen if settings.smoothed else np.isnan(height))
-    unknown |= share_near(unseen, lander.radius, cell) > settings.unknown_share + ROUNDING
+    unknown |= disc_share(unseen, lander.radius, cell) > settings.unknown_share + ROUNDING
     blocked, slope, rise = np.zeros_like(edge), fp.slope, None
     if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
         blocked |= rotor_rise(height, fp, lander, cell) > lander.rotor_rise
-        unknown |= share_near(np.isnan(height), lander.rotor_radius, cell) > doubtful + ROUNDING
-        edge |= near_edge(height.shape, lander.rotor_radius, cell)
+        unknown |= disc_share(np.isnan(height), lander.rotor_radius, cell) > doubtful + ROUNDING
+        edge |= disc_crosses_edge(height.shape, lander.rotor_radius, cell)
     if lander.has_gear:
         slope, rise = gear_contact(height, fp, edge | unknown, lander, cell, spare)
         unknown |= np.isnan(slope) & ~edge
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
         rise = None if lander.belly_clearance is None else rise
-    vetoed = any_near(_veto(terrain, settings, height.shape), lander.radius, cell)
+    vetoed = disc_any(_veto(terrain, settings, height.shape), lander.radius, cell)
     even = broad = fp.roughness
     if settings.smoothed:
         even = footprint_of(evened(height, cell), lander.radius, cell).roughness
@@ -144,17 +141,14 @@ def _quality(
     doubt = (sigma / np.float32(lander.max_roughness)) ** 2
     cover = np.zeros_like(doubt)
     if terrain is not None:
-        cover = np.nan_to_num(1 - mean_near(terrain.landable, lander.radius, cell), nan=0.0)
+        cover = np.nan_to_num(1 - disc_mean(terrain.landable, lander.radius, cell), nan=0.0)
     q: F32 = (-settings.alpha * flatness - settings.beta * (cover + doubt)).astype(np.float32)
     return q
 
 
 def clearance_of(safe: Bool, cell: float) -> F32:
     """Distance of every cell's centre to the rim of the nearest cell that is refused, metres; 0 on those."""
-    if safe.all():  # cannot happen with a rim of EDGE, but the transform needs one zero
-        return np.full(safe.shape, np.inf, dtype=np.float32)
-    cells: F32 = cv2.distanceTransform(safe.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    out: F32 = np.maximum(cells - np.float32(0.5), np.float32(0)) * np.float32(cell)
+    out: F32 = np.maximum(distance_to(~safe) - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out
 
 
@@ -179,7 +173,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     cell = elevation.grid.cell
     height = judged_height(elevation, lander, settings)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
-    sigma = np.sqrt(mean_near(variance, lander.radius, cell))
+    sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
     found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
     reasons = _reasons(found, sigma, lander, settings.smoothed)

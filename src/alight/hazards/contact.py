@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from alight.hazards import contact_kernels as gear
 from alight.hazards import footprint_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
-from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, padded_spans, skids_of
+from alight.hazards.footprint import block_starts, feet_of, padded_spans, skids_of
+from alight.raster import disc_mask, disc_spans
 from alight.records import F32
 from alight.settings import Lander
 
@@ -133,25 +134,3 @@ def gear_contact(
         skids = (s.axes, s.offsets, s.along, s.gauge, g.spans, g.blocks, limits)
         gear.skid_contact(g.ground, g.body, g.tops, skip, g.own, *skids, tilt, rise)
     return np.arctan(tilt), rise * np.float32(cell)
-
-
-def share_near(mask: Bool, radius: float, cell: float) -> F32:
-    """Share of the disc about every cell where the mask holds; cells off the map do not count as holding it."""
-    disc = disc_mask(disc_spans(radius / cell)).astype(np.float32)
-    share: F32 = cv2.filter2D(mask.astype(np.float32), cv2.CV_32F, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT)
-    return share
-
-
-def any_near(mask: Bool, radius: float, cell: float) -> Bool:
-    """Whether the mask holds anywhere in the disc about every cell."""
-    disc = disc_mask(disc_spans(radius / cell))
-    near: Bool = cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    return near
-
-
-def near_edge(shape: tuple[int, int], radius: float, cell: float) -> Bool:
-    """Cells whose disc leaves the map."""
-    reach = disc_spans(radius / cell).size // 2
-    out = np.ones(shape, dtype=np.bool_)
-    out[reach : shape[0] - reach, reach : shape[1] - reach] = False
-    return out

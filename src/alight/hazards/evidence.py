@@ -11,8 +11,7 @@ from scipy.special import logit
 
 from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.contact import Footprint
-from alight.hazards.footprint import disc_mask, disc_spans
-from alight.hazards.probability import mean_near
+from alight.raster import disc_max, disc_mean, log_at_least
 from alight.records import F32, ElevationMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -32,16 +31,6 @@ class Shape:
     even: F32  # metres, largest deviation of heights averaged over the noise's length
     broad: F32  # metres, of heights averaged over twice as much
     rise_margin: F32  # (limit - deviation or rise) / sigma
-
-
-def worst_near(values: F32, radius: float, cell: float) -> F32:
-    """The largest value in the disc about every cell."""
-    disc = disc_mask(disc_spans(max(radius, cell) / cell))
-    return np.asarray(cv2.dilate(values, disc, borderType=cv2.BORDER_REPLICATE), np.float32)
-
-
-def _log(values: F32, floor: float) -> F32:
-    return np.asarray(np.log(np.maximum(np.nan_to_num(values, nan=1.0), np.float32(floor))), np.float32)
 
 
 def _over(excess: F32, sigma: F32) -> F32:
@@ -77,23 +66,23 @@ def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Sha
     around = np.asarray(cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5)), np.float32)
     sigma = np.nan_to_num(elevation.sigma, nan=1.0)
     small = blob_contrast(elevation)
-    usual = mean_near(small["tint"], radius, cell) + np.float32(USUAL)
+    usual = disc_mean(small["tint"], radius, cell) + np.float32(USUAL)
     residual = np.nan_to_num(elevation.residual)
     return {
         "coarse": np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
         "rise": -shape.rise_margin,
-        "even": _log(shape.even / np.float32(limit), 0.03),
-        "broad": _log(shape.broad / np.float32(limit), 0.03),
-        "over": _over(shape.even - np.float32(limit), mean_near(sigma, radius, cell)),
+        "even": log_at_least(shape.even / np.float32(limit), 0.03),
+        "broad": log_at_least(shape.broad / np.float32(limit), 0.03),
+        "over": _over(shape.even - np.float32(limit), disc_mean(sigma, radius, cell)),
         "unknown": shape.footprint.unknown,
-        "residual": mean_near(residual, radius, cell),
-        "worst residual": worst_near(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
-        "cover": worst_near(doubt, inner, cell),
-        "cover around": worst_near(around, inner, cell),
-        "cover in the mean": mean_near(doubt, radius, cell),
-        "cover beyond": worst_near(around, radius + BEYOND, cell),
-        "cover far beyond": mean_near(around, radius + 3 * BEYOND, cell),
-        "dark": worst_near(small["dark"], inner, cell),
-        "bright": worst_near(small["bright"], inner, cell),
-        "tint": np.log(worst_near(small["tint"], inner, cell) / usual + np.float32(0.1)),
+        "residual": disc_mean(residual, radius, cell),
+        "worst residual": disc_max(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
+        "cover": disc_max(doubt, inner, cell),
+        "cover around": disc_max(around, inner, cell),
+        "cover in the mean": disc_mean(doubt, radius, cell),
+        "cover beyond": disc_max(around, radius + BEYOND, cell),
+        "cover far beyond": disc_mean(around, radius + 3 * BEYOND, cell),
+        "dark": disc_max(small["dark"], inner, cell),
+        "bright": disc_max(small["bright"], inner, cell),
+        "tint": np.log(disc_max(small["tint"], inner, cell) / usual + np.float32(0.1)),
     }

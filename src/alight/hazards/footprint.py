@@ -9,32 +9,11 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster.disc import RIM
 from alight.settings import Lander
 
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
-
-_HAIR = 1e-6  # cells; a centre exactly on the rim belongs to the disc whatever the last digit of the radius says
-
-
-def disc_spans(radius_cells: float) -> I64:
-    """Half width of each row of the disc of cells whose *centres* lie within the radius.
-
-    Args:
-        radius_cells: radius over cell size.
-
-    Returns:
-        (2 n + 1,) half widths in cells, from the northernmost row to the southernmost.
-    """
-    reach = math.floor(radius_cells + _HAIR)
-    rows = np.arange(-reach, reach + 1, dtype=np.float64)
-    return np.floor(np.sqrt(np.maximum((radius_cells + _HAIR) ** 2 - rows**2, 0.0)) + _HAIR).astype(np.int64)
-
-
-def disc_mask(spans: I64) -> NDArray[np.uint8]:
-    """The disc as a (2 n + 1, 2 n + 1) array of ones and zeros: what OpenCV's filters take."""
-    reach = spans.size // 2
-    return (np.abs(np.arange(-reach, reach + 1)) <= spans[:, None]).astype(np.uint8)
 
 
 def padded_spans(spans: I64, reach: int) -> I64:
@@ -97,7 +76,7 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
     near = np.round(centre)
     reach = math.ceil(radius_cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
-    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + _HAIR]
+    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + RIM]
     return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
 
 

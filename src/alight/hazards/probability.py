@@ -5,29 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.special import ndtr
 
 from alight.hazards.contact import Footprint
-from alight.hazards.footprint import disc_mask, disc_spans, feet_of
+from alight.hazards.footprint import feet_of
 from alight.records import F32
 from alight.settings import HazardsSettings, Lander
 
 SURELY = 40.0  # sigmas
-
-
-def mean_near(values: F32, radius: float, cell: float) -> F32:
-    """Mean of the known values in the disc about every cell; NaN where none is known."""
-    disc = disc_mask(disc_spans(radius / cell)).astype(np.float32)
-    known = np.isfinite(values)
-    total, weight = (
-        cv2.filter2D(a.astype(np.float32), cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT)
-        for a in (np.where(known, values, 0), known)
-    )
-    out = np.full(values.shape, np.nan, dtype=np.float32)
-    np.divide(total, weight, out=out, where=weight > 0.5)
-    return out
 
 
 def _over(margin: F32, sigma: F32) -> F32:

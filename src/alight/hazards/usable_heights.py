@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster import close_gaps, weighted_gaussian
+from alight.raster.smoothing import LEAST_SHARE
 from alight.records import F32, ElevationMap, Flag
 from alight.settings import HazardsSettings, Lander
 
@@ -22,21 +23,7 @@ def _within_reach(known: Bool, reach_cells: float) -> Bool:
     n = int(reach_cells + 1e-6)
     if n < 1:
         return known
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-    return np.asarray(cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, disc, borderValue=0) > 0)
-
-
-def _neighbours_level(height: F32, known: Bool, reach_cells: float) -> F32:
-    """Mean height of the known cells about each cell, weighed by nearness; NaN where none is near."""
-    mean, share = _gathered(height, known, reach_cells)
-    return np.where(share > 1e-3, mean, np.float32(np.nan))
-
-
-def _gathered(height: F32, known: Bool, sigma_cells: float) -> tuple[F32, F32]:
-    """Gaussian mean of the known cells about each, and their share of its weight."""
-    total = cv2.GaussianBlur(np.where(known, height, np.float32(0)), (0, 0), sigma_cells)
-    share = np.asarray(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma_cells), np.float32)
-    return np.asarray(total / np.maximum(share, np.float32(1e-3)), np.float32), share
+    return close_gaps(known, n)
 
 
 def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
@@ -60,7 +47,9 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
         cells = reach / elevation.grid.cell
         if cells >= 1:
             gap = _within_reach(known, cells) & ~known & where
-            agrees = np.abs(height - _neighbours_level(height, known, cells)) <= 0.5 * lander.max_roughness
+            near = weighted_gaussian(height, known.astype(np.float32), cells)
+            neighbours = np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
+            agrees = np.abs(height - neighbours) <= 0.5 * lander.max_roughness
             known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
 
@@ -68,5 +57,5 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
 def evened(height: F32, cell: float, sigma: float = EVEN) -> F32:
     """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
     known = np.isfinite(height)
-    mean, _ = _gathered(height, known, max(sigma / cell, 0.3))
+    mean = weighted_gaussian(height, known.astype(np.float32), max(sigma / cell, 0.3)).mean
     return np.where(known, mean, np.float32(np.nan))

@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
-from alight.geometry import Grid, ground_projection, nearest_known
+from alight.geometry import Grid, ground_projection
 from alight.parallax.views import project_cells, radius2_limit, rgb_of
+from alight.raster import nearest_known, upsample
 from alight.records import F32, U8, ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
@@ -25,13 +26,6 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
         for c in range(0, grid.cols, BLOCK):
             rows, cols = min(BLOCK, grid.rows - r), min(BLOCK, grid.cols - c)
             yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
-
-
-def finer(grid: Grid, factor: int) -> Grid:
-    """The grid whose pixels are a share of the cell, of the same extent."""
-    pixel = grid.cell / factor
-    shift = 0.5 * (grid.cell - pixel)
-    return Grid(grid.east - shift, grid.north + shift, pixel, grid.rows * factor, grid.cols * factor)
 
 
 def _seen_by(view: View, grid: Grid, height: F32) -> F32:
@@ -80,13 +74,13 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
     grid, factor = elevation.grid, FACTOR
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
-    out = np.repeat(np.repeat(elevation.rgb, factor, axis=0), factor, axis=1)
+    out = upsample(elevation.rgb, factor)
     for rows, cols, part in _blocks(grid):
         if not unseen[rows, cols].all():
-            fine = finer(part, factor)
+            fine = part.finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
             mean, number = _block(views, fine, up, count)
-            seen = (number > 0) & ~np.repeat(np.repeat(unseen[rows, cols], factor, axis=0), factor, axis=1)
+            seen = (number > 0) & ~upsample(unseen[rows, cols], factor)
             out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
     return out

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster import close_gaps, fill_pits, grow, without_specks
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
 from alight.terrain.evidence import cover_terms, weighed
 from alight.terrain.features import level_of
-from alight.terrain.masks import close_mask, without_pits, without_specks
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
@@ -20,6 +20,9 @@ Bool = NDArray[np.bool_]
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 SURE = np.float32(4.0)  # log odds given to what the shape alone settles: standing water
+SPECK = 0.1  # square metres: a smaller patch is left to the geometry
+TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
+PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 LEAFY = 0.09  # excess green of plants
 TALL = 1.5  # metres above the ground: a tree
 UNDER = np.float32(0.27)  # P(landable) at most, within reach of a crown
@@ -39,8 +42,7 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
         if n < 1:
             continue
         standing = without_specks(np.nan_to_num(above) > tall, cell, 0.5)
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-        out |= cv2.dilate(standing.astype(np.uint8), disc) > 0
+        out |= grow(standing, n)
     return out
 
 
@@ -81,7 +83,7 @@ def _settled(odds: F32, water: Bool, cell: float) -> F32:
     wet = Terrain.WATER - 1
     out[..., wet] = np.where(water, best + SURE, odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
-    tufts = close_mask(without_specks(plants, cell), cell) & ~water
+    tufts = close_gaps(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
         tufts, np.maximum(best, best + 1), out[..., Terrain.TALL_VEGETATION - 1]
     )
@@ -110,7 +112,9 @@ def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell)
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
-    landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)
+    landable = fill_pits(
+        np.minimum(landable_of(plain), landable_of(odds)), round(PIT / cell)
+    )  # appearance never gives (T5)
     standing = (np.nan_to_num(shape.above) > settings.raised) | beside_tall(elevation, shape, settings)
     landable = np.where(standing, np.minimum(landable, UNDER), landable)
     return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)

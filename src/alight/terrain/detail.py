@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
-import cv2
 import numpy as np
 
-from alight.geometry import cells_as_blocks, nearest_known
+from alight.raster import block_max, block_mean, gaussian_mean, local_max, nearest_known
 from alight.records import F32, U8, ElevationMap, Flag
 
 Found = Iterator[tuple[str, F32]]
@@ -22,43 +21,22 @@ NEAR, WIDE = 0.3, 1.0  # metres over which the strength of a band is gathered
 REACH = 0.5  # metres to the darkest and brightest, the highest and lowest place near
 FLOOR = np.float32(0.003)
 BUMP = np.float32(0.03)  # metres of height above which its logarithm counts
-COARSE = 6.0  # cells, 1-sigma beyond which a mean is taken on fewer cells
 FLAGS = {
     "ambiguous": Flag.AMBIGUOUS, "restless": Flag.INCONSISTENT | Flag.MOVING, "step": Flag.STEP,
     "saturated": Flag.SATURATED, "textureless": Flag.TEXTURE,
 }  # fmt: skip
 
 
-def mean_about(values: F32, sigma: float) -> F32:
-    """Gaussian mean; wide ones on fewer cells."""
-    if sigma <= COARSE:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), max(sigma, 0.3)), np.float32)
-    n = int(2 * sigma / COARSE)
-    size = (max(1, values.shape[1] // n), max(1, values.shape[0] // n))
-    small = cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), sigma / n)
-    return np.asarray(cv2.resize(small, values.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def _mean(fine: F32, factor: int) -> F32:
-    return np.asarray(cells_as_blocks(fine, factor).mean(axis=(1, 3)), np.float32)
-
-
-def _most(fine: F32, factor: int) -> F32:
-    return np.asarray(cells_as_blocks(fine, factor).max(axis=(1, 3)), np.float32)
-
-
 def _strength(power: F32, sigma: float) -> F32:
-    return np.asarray(np.log(np.sqrt(np.maximum(mean_about(power, sigma), 0)) + FLOOR), np.float32)
+    return np.asarray(np.log(np.sqrt(np.maximum(gaussian_mean(power, sigma), 0)) + FLOOR), np.float32)
 
 
 def _squashed(metres: F32) -> F32:
     return np.asarray(np.arcsinh(metres / BUMP), np.float32)
 
 
-def _most_near(values: F32, cell: float) -> F32:
-    n = max(1, round(REACH / cell))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-    return np.asarray(cv2.dilate(values, disc), np.float32)
+def _local_max(values: F32, cell: float) -> F32:
+    return local_max(values, max(1, round(REACH / cell)))
 
 
 def channels(rgb: U8) -> dict[str, F32]:
@@ -71,53 +49,53 @@ def channels(rgb: U8) -> dict[str, F32]:
 
 def bands(name: str, values: F32, factor: int, cell: float) -> Found:
     """What stands out of one channel at each width, and how strong each width is about a cell."""
-    narrow = mean_about(values, WIDTHS[0])
+    narrow = gaussian_mean(values, WIDTHS[0])
     for k, sigma in enumerate(WIDTHS[1:]):
-        wide = mean_about(values, sigma)
+        wide = gaussian_mean(values, sigma)
         band = narrow - wide
         if k == 0:
-            yield f"{name} 0 most", _most(band, factor)
-            yield f"{name} 0 least", -_most(-band, factor)
+            yield f"{name} 0 most", block_max(band, factor)
+            yield f"{name} 0 least", -block_max(-band, factor)
         else:
-            yield f"{name} {k}", _mean(band, factor)
+            yield f"{name} {k}", block_mean(band, factor)
         if name == "light" or k in (0, 2):
-            power = _mean(band * band, factor)
+            power = block_mean(band * band, factor)
             yield f"{name} {k} near", _strength(power, NEAR / cell)
             yield f"{name} {k} wide", _strength(power, WIDE / cell)
         narrow = wide
-    coarse = _mean(values, factor)
-    small, usual, broad = (mean_about(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
+    coarse = block_mean(values, factor)
+    small, usual, broad = (gaussian_mean(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
     yield f"{name} local", small - usual
     yield f"{name} broad", usual - broad
 
 
 def bumps(height: F32, cell: float) -> Found:
     """What stands out of the heights at each width, and the highest and the lowest place near."""
-    means = [height, *(mean_about(height, s) for s in HEIGHT_WIDTHS)]
+    means = [height, *(gaussian_mean(height, s) for s in HEIGHT_WIDTHS)]
     for k, (narrow, wide) in enumerate(pairwise(means)):
         yield f"height {k}", _squashed(narrow - wide)
-    usual = mean_about(height, 1.0 / cell)
-    yield "height local", _squashed(mean_about(height, 0.2 / cell) - usual)
-    yield "height broad", _squashed(usual - mean_about(height, 4.0 / cell))
-    yield "highest near", _squashed(_most_near(means[1] - usual, cell))
-    yield "lowest near", _squashed(_most_near(usual - means[1], cell))
-    north, east = np.gradient(mean_about(height, 0.3 / cell) / np.float32(cell))
+    usual = gaussian_mean(height, 1.0 / cell)
+    yield "height local", _squashed(gaussian_mean(height, 0.2 / cell) - usual)
+    yield "height broad", _squashed(usual - gaussian_mean(height, 4.0 / cell))
+    yield "highest near", _squashed(_local_max(means[1] - usual, cell))
+    yield "lowest near", _squashed(_local_max(usual - means[1], cell))
+    north, east = np.gradient(gaussian_mean(height, 0.3 / cell) / np.float32(cell))
     yield "steep", np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
 
 
 def spot_bands(light: F32, factor: int, cell: float) -> Found:
     """The darkest and the brightest place near: a stone and its shadow."""
-    spot = mean_about(light, WIDTHS[0]) - mean_about(light, 0.8 * factor / cell)
-    yield "darkest near", _most_near(_most(-spot, factor), cell)
-    yield "brightest near", _most_near(_most(spot, factor), cell)
+    spot = gaussian_mean(light, WIDTHS[0]) - gaussian_mean(light, 0.8 * factor / cell)
+    yield "darkest near", _local_max(block_max(-spot, factor), cell)
+    yield "brightest near", _local_max(block_max(spot, factor), cell)
 
 
 def doubts(elevation: ElevationMap) -> Found:
     """The residual against what is usual near, and the share of the cells near that carry each flag."""
     cell, residual = elevation.grid.cell, np.nan_to_num(elevation.residual)
-    yield "residual spot", mean_about(residual, 0.7) - mean_about(residual, 1.0 / cell)
+    yield "residual spot", gaussian_mean(residual, 0.7) - gaussian_mean(residual, 1.0 / cell)
     for name, flags in FLAGS.items():
-        yield name, mean_about(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
+        yield name, gaussian_mean(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
 
 
 def detail_terms(elevation: ElevationMap) -> Found:

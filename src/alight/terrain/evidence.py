@@ -12,17 +12,14 @@ from itertools import islice
 import numpy as np
 
 from alight.learned.layers import standard, unpack_layer
+from alight.raster import log_offset, masked_gaussian, ramp
 from alight.records import F32, REFUSED, ElevationMap, Flag
-from alight.terrain.appearance import Appearance, masked_gaussian, seen
+from alight.terrain.appearance import Appearance, seen
 from alight.terrain.detail import detail_terms
 from alight.terrain.relief import Relief
 from alight.terrain.weights import LAYERS, TERMS
 
 AT_A_TIME = 8  # terms
-
-
-def _log(values: F32, floor: float) -> F32:
-    return np.asarray(np.log(np.nan_to_num(values) + np.float32(floor)), np.float32)
 
 
 def _against(values: F32, looked: F32) -> F32:
@@ -31,16 +28,11 @@ def _against(values: F32, looked: F32) -> F32:
     return np.asarray(values - np.float32(np.median(known) if known.size else 0.0), np.float32)
 
 
-def _ramp(values: F32, low: float, high: float) -> F32:
-    out: F32 = np.nan_to_num(np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)).astype(np.float32)
-    return out
-
-
 def plants(look: Appearance, shape: Relief, restless: F32) -> F32:
     """Signs of tall plants that go together (G16): rough to the eye, rough or raised in height, green, restless."""
-    busy = _ramp(look.texture, 0.055, 0.09)
-    high = np.maximum(_ramp(shape.above, 0.15, 0.5), _ramp(shape.rough, 0.04, 0.10))
-    tone = _ramp(look.green, 0.06, 0.14) * np.float32(look.coloured)
+    busy = ramp(look.texture, 0.055, 0.09)
+    high = np.maximum(ramp(shape.above, 0.15, 0.5), ramp(shape.rough, 0.04, 0.10))
+    tone = ramp(look.green, 0.06, 0.14) * np.float32(look.coloured)
     return np.asarray(3.5 * busy + 3.0 * high + 2.0 * tone + 2.0 * restless - 5.0, np.float32)
 
 
@@ -66,7 +58,7 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
 
     def rough(metres: float) -> F32:
         off: F32 = height - np.nan_to_num(masked_gaussian(height, measured, metres / cell))
-        return _log(np.sqrt(np.nan_to_num(masked_gaussian(off * off, measured, metres / cell))), 0.01)
+        return log_offset(np.sqrt(np.nan_to_num(masked_gaussian(off * off, measured, metres / cell))), 0.01)
 
     def flagged(flags: int) -> F32:
         return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
@@ -74,7 +66,7 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
     usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
     restless, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
-    residual, busy = _log(near(elevation.residual, 0.5), 0.02), _log(look.texture, 0.01)
+    residual, busy = log_offset(near(elevation.residual, 0.5), 0.02), log_offset(look.texture, 0.01)
     return {
         "rough 0.3 m": rough(0.3),
         "rough 1 m": rough(1.0),
@@ -82,8 +74,8 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
         "standing": near(standing, 0.3).clip(-2, 8),
         "residual": residual,
         "residual against the frame": _against(residual, looked),
-        "residual 2 m": _log(near(elevation.residual, 2.0), 0.02),
-        "sigma": _log(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
+        "residual 2 m": log_offset(near(elevation.residual, 2.0), 0.02),
+        "sigma": log_offset(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
         "restless 2 m": near(restless, 2.0),
         "unsure": near(flagged(Flag.UNSURE), 0.5),
         "refused 2 m": near(refused, 2.0),

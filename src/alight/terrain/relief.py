@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import nearest_known
+from alight.raster import block_quantile, ellipse, masked_gaussian, nearest_known, upsample
 from alight.records import F32, ElevationMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import masked_gaussian
 from alight.terrain.basin_kernels import fill_basins
 
 Bool = NDArray[np.bool_]
@@ -28,26 +27,10 @@ class Relief:
     ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
 
-def block_quantile(values: F32, size: int, share: float) -> F32:
-    """Shrink by an odd or even factor: the quantile `share` of the known cells of each block, NaN where none is."""
-    rows, cols = (-(-n // size) for n in values.shape)
-    padded = np.full((rows * size, cols * size), np.nan, dtype=np.float32)
-    padded[: values.shape[0], : values.shape[1]] = values
-    cells = np.sort(padded.reshape(rows, size, cols, size).transpose(0, 2, 1, 3).reshape(rows, cols, -1), axis=2)
-    known = np.isfinite(cells).sum(axis=2)
-    pick = np.clip(np.floor(share * known), 0, np.maximum(known - 1, 0)).astype(np.int64)
-    return np.take_along_axis(cells, pick[..., None], axis=2)[..., 0]
-
-
-def upsample_blocks(coarse: F32, size: int, shape: tuple[int, int]) -> F32:
-    """Undo `blocks`: every cell of a block gets its value."""
-    return np.repeat(np.repeat(coarse, size, axis=0), size, axis=1)[: shape[0], : shape[1]]
-
-
 def ground_under(low: F32, window_cells: float) -> F32:
     """Ground below what is narrower than the window: a morphological opening that leaves planes as they are."""
     reach = max(1, round(window_cells / 2))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+    disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
     opened = cv2.dilate(np.where(eroded < 1e5, eroded, np.float32(-1e6)), disc, borderValue=-1e6)
     out: F32 = np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
@@ -114,7 +97,7 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     return Relief(
         above=above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
-        depth=upsample_blocks(depth, size, shape),
-        level=upsample_blocks(level, size, shape),
-        ground=upsample_blocks(nearest_known(bed, ~np.isnan(bed)), size, shape),
+        depth=upsample(depth, size, shape),
+        level=upsample(level, size, shape),
+        ground=upsample(nearest_known(bed, ~np.isnan(bed)), size, shape),
     )

@@ -7,21 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median
 
+from alight.raster import masked_gaussian, ramp, without_specks
 from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import Appearance, masked_gaussian, seen
-from alight.terrain.masks import without_specks
+from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
 SEEN_AS = 0.2  # share of what looks alike that must be water by itself: of ponds on flights 0.2 to 1, of pavement less
 LIKELY = 0.5  # median P(water) of a patch whose heights are those of a bed: of the sample's pond 0.98
-
-
-def _ramp(values: F32, low: float, high: float) -> F32:
-    """0 below `low`, 1 above `high`, straight between; no evidence (NaN) is 0."""
-    out: F32 = np.nan_to_num(np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)).astype(np.float32)
-    return out
 
 
 def _moving(elevation: ElevationMap) -> F32:
@@ -34,8 +28,8 @@ def _moving(elevation: ElevationMap) -> F32:
 
 def wet_look(look: Appearance) -> F32:
     """How much a cell looks like water, 0 to 1: smooth, and neither brown nor green. A car park does too."""
-    plain = 1 - _ramp(look.texture, 0.03, 0.06)
-    tone = _ramp(look.cool, -0.075, -0.04) * (1 - _ramp(look.green, 0.11, 0.16))
+    plain = 1 - ramp(look.texture, 0.03, 0.06)
+    tone = ramp(look.cool, -0.075, -0.04) * (1 - ramp(look.green, 0.11, 0.16))
     out: F32 = plain * tone * np.float32(look.coloured)
     return out
 
@@ -50,8 +44,8 @@ def wetness(elevation: ElevationMap, look: Appearance) -> F32:
 def water_odds(look: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
     """Log odds of water (G14): a closed basin, the look of water, restless; any two strong ones do."""
     d = settings.basin_depth
-    basin = _ramp(shape.depth, d / 2, 1.5 * d)
-    plain = 1 - _ramp(look.texture, 0.03, 0.06)
+    basin = ramp(shape.depth, d / 2, 1.5 * d)
+    plain = 1 - ramp(look.texture, 0.03, 0.06)
     odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * wet_look(look) + 3.0 * moving).astype(np.float32)
     return odds
 

@@ -1,0 +1,47 @@
+"""Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
+
+from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
+from alight.raster.disc import (
+    disc_any,
+    disc_crosses_edge,
+    disc_mask,
+    disc_max,
+    disc_mean,
+    disc_share,
+    disc_spans,
+)
+from alight.raster.distance import distance_to
+from alight.raster.fill import nearest_known
+from alight.raster.morphology import close_gaps, ellipse, fill_pits, grow, local_max, without_specks
+from alight.raster.scalars import log_at_least, log_offset, ramp
+from alight.raster.smoothing import WeightedMean, gaussian_mean, masked_gaussian, weighted_gaussian
+
+__all__ = [
+    "WeightedMean",
+    "block_max",
+    "block_mean",
+    "block_quantile",
+    "cells_as_blocks",
+    "close_gaps",
+    "disc_any",
+    "disc_crosses_edge",
+    "disc_mask",
+    "disc_max",
+    "disc_mean",
+    "disc_share",
+    "disc_spans",
+    "distance_to",
+    "ellipse",
+    "fill_pits",
+    "gaussian_mean",
+    "grow",
+    "local_max",
+    "log_at_least",
+    "log_offset",
+    "masked_gaussian",
+    "nearest_known",
+    "ramp",
+    "upsample",
+    "weighted_gaussian",
+    "without_specks",
+]
