@@ -147,7 +147,7 @@ def test_a_model_comes_back_from_its_file_as_it_was(model: Model, tmp_path: Path
 def test_the_default_model_is_small_and_credited() -> None:
     assert DEFAULT_MODEL.stat().st_size < 100_000
     assert "boruszyn" in read_model().provenance
-    credits = (DEFAULT_MODEL.parent / "CREDITS.md").read_text(encoding="utf-8")
+    credits = DEFAULT_MODEL.with_suffix(".md").read_text(encoding="utf-8")
     assert "Andrew Zaborowski" in credits
     assert "CC BY 3.0" in credits
 

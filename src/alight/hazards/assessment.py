@@ -15,7 +15,7 @@ from alight.hazards.contact import (
     step_of,
 )
 from alight.hazards.evidence import Shape, hazard_terms, unresolved
-from alight.hazards.monotone_net import safe_belief
+from alight.hazards.evidence_probability import evidence_probability
 from alight.hazards.probability import SURELY, Margins, margins_over_sigma, safe_probability
 from alight.hazards.usable_heights import BROAD, evened, judged_height
 from alight.raster import disc_any, disc_crosses_edge, disc_mean, disc_share, distance_to
@@ -103,7 +103,9 @@ def _probability(
         return safe_probability(tilt, rise, f.footprint.unknown, settings)
     level = safe_probability(tilt, np.full_like(tilt, SURELY), np.zeros_like(tilt), settings)
     level = level * np.float32(1 - unresolved(elevation, lander, settings))
-    return level * safe_belief(hazard_terms(elevation, terrain, Shape(f.footprint, f.even, f.broad, rise), lander))
+    return level * evidence_probability(
+        hazard_terms(elevation, terrain, Shape(f.footprint, f.even, f.broad, rise), lander)
+    )
 
 
 def _reasons(f: _Findings, sigma: F32, lander: Lander, smoothed: bool) -> U8:

@@ -11,6 +11,7 @@ from scipy.special import logit
 
 from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.contact import Footprint
+from alight.learned.terms import HazardTerm
 from alight.raster import disc_max, disc_mean, log_at_least
 from alight.records import F32, ElevationMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -58,8 +59,10 @@ def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSetting
     return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 
-def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
-    """The terms of `weights`, (R, C) each."""
+def hazard_terms(
+    elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander
+) -> dict[HazardTerm, F32]:
+    """Evidence against every footprint, (R, C) each, in the order of `HazardTerm`."""
     cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
     inner = radius - min(INNER, radius / 4)
     doubt = doubt_of(terrain, elevation.grid.shape)
@@ -69,20 +72,20 @@ def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Sha
     usual = disc_mean(small["tint"], radius, cell) + np.float32(USUAL)
     residual = np.nan_to_num(elevation.residual)
     return {
-        "coarse": np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
-        "rise": -shape.rise_margin,
-        "even": log_at_least(shape.even / np.float32(limit), 0.03),
-        "broad": log_at_least(shape.broad / np.float32(limit), 0.03),
-        "over": _over(shape.even - np.float32(limit), disc_mean(sigma, radius, cell)),
-        "unknown": shape.footprint.unknown,
-        "residual": disc_mean(residual, radius, cell),
-        "worst residual": disc_max(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
-        "cover": disc_max(doubt, inner, cell),
-        "cover around": disc_max(around, inner, cell),
-        "cover in the mean": disc_mean(doubt, radius, cell),
-        "cover beyond": disc_max(around, radius + BEYOND, cell),
-        "cover far beyond": disc_mean(around, radius + 3 * BEYOND, cell),
-        "dark": disc_max(small["dark"], inner, cell),
-        "bright": disc_max(small["bright"], inner, cell),
-        "tint": np.log(disc_max(small["tint"], inner, cell) / usual + np.float32(0.1)),
+        HazardTerm.COARSENESS: np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
+        HazardTerm.DEVIATION_SIGMAS: -shape.rise_margin,
+        HazardTerm.ROUGHNESS_SMOOTH: log_at_least(shape.even / np.float32(limit), 0.03),
+        HazardTerm.ROUGHNESS_TREND: log_at_least(shape.broad / np.float32(limit), 0.03),
+        HazardTerm.EXCESS_SIGMAS: _over(shape.even - np.float32(limit), disc_mean(sigma, radius, cell)),
+        HazardTerm.UNKNOWN: shape.footprint.unknown,
+        HazardTerm.RESIDUAL_MEAN: disc_mean(residual, radius, cell),
+        HazardTerm.RESIDUAL_WORST: disc_max(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
+        HazardTerm.COVER_WORST: disc_max(doubt, inner, cell),
+        HazardTerm.COVER_WORST_SMOOTH: disc_max(around, inner, cell),
+        HazardTerm.COVER_MEAN: disc_mean(doubt, radius, cell),
+        HazardTerm.COVER_WORST_BEYOND: disc_max(around, radius + BEYOND, cell),
+        HazardTerm.COVER_MEAN_BEYOND: disc_mean(around, radius + 3 * BEYOND, cell),
+        HazardTerm.BLOB_DARK: disc_max(small["dark"], inner, cell),
+        HazardTerm.BLOB_BRIGHT: disc_max(small["bright"], inner, cell),
+        HazardTerm.BLOB_TINT: np.log(disc_max(small["tint"], inner, cell) / usual + np.float32(0.1)),
     }

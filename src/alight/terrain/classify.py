@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.learned import Net, read_net, relu_net
 from alight.raster import close_gaps, fill_pits, grow, without_specks
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
-from alight.terrain.evidence import cover_terms, weighed
+from alight.terrain.evidence import cover_terms
 from alight.terrain.features import level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
@@ -102,14 +103,16 @@ def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings:
     return np.where(landable >= 0.5, _open_kind(look), kind).astype(np.uint8)
 
 
-def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> tuple[U8, F32, F32]:
+def _verdict(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net | None
+) -> tuple[U8, F32, F32]:
     """Labels, P(landable) and log probabilities of one map."""
     cell = elevation.grid.cell
     look = appearance(elevation)
     wet = wetness(elevation, look)
     shape = relief(elevation, wet, settings)
     water = ponds(elevation, look, shape, wet, settings)
-    plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell)
+    plain = _settled(relu_net(net, cover_terms(elevation, look, shape)), water, cell)
     seen_as = appearance_odds(model, elevation, look)
     odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
     landable = fill_pits(
@@ -135,13 +138,16 @@ def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None
     return "shape, matching and texture of the map, and a model of appearance, which may only refuse"
 
 
-def classify(elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None) -> TerrainMap:
+def classify(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, net: Net | None = None
+) -> TerrainMap:
     """Say what covers each cell, and how likely it may be landed on.
 
     Args:
         elevation: heights, flags and colours.
         settings: scales and weights; `enabled` False gives UNKNOWN everywhere, which refuses nothing.
         model: of appearance; None: the map's own evidence alone.
+        net: over the map's own evidence; None: the package's (`learned/land_cover.md`).
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
@@ -150,7 +156,7 @@ def classify(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p = _verdict(elevation, settings, model)
+    label, landable, log_p = _verdict(elevation, settings, model, net or read_net("land_cover"))
     looked = seen(elevation)
     return TerrainMap(
         elevation.grid,

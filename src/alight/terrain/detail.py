@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from alight.learned.terms import POWER_BANDS, DetailTerm, band
 from alight.raster import block_max, block_mean, gaussian_mean, local_max, nearest_known
 from alight.records import F32, U8, ElevationMap, Flag
 
@@ -22,9 +23,12 @@ REACH = 0.5  # metres to the darkest and brightest, the highest and lowest place
 FLOOR = np.float32(0.003)
 BUMP = np.float32(0.03)  # metres of height above which its logarithm counts
 FLAGS = {
-    "ambiguous": Flag.AMBIGUOUS, "restless": Flag.INCONSISTENT | Flag.MOVING, "step": Flag.STEP,
-    "saturated": Flag.SATURATED, "textureless": Flag.TEXTURE,
-}  # fmt: skip
+    DetailTerm.AMBIGUOUS: Flag.AMBIGUOUS,
+    DetailTerm.MOVING: Flag.INCONSISTENT | Flag.MOVING,
+    DetailTerm.STEP: Flag.STEP,
+    DetailTerm.SATURATED: Flag.SATURATED,
+    DetailTerm.TEXTURELESS: Flag.TEXTURE,
+}
 
 
 def _strength(power: F32, sigma: float) -> F32:
@@ -52,48 +56,48 @@ def bands(name: str, values: F32, factor: int, cell: float) -> Found:
     narrow = gaussian_mean(values, WIDTHS[0])
     for k, sigma in enumerate(WIDTHS[1:]):
         wide = gaussian_mean(values, sigma)
-        band = narrow - wide
+        difference = narrow - wide
         if k == 0:
-            yield f"{name} 0 most", block_max(band, factor)
-            yield f"{name} 0 least", -block_max(-band, factor)
+            yield band(name, 0, "max"), block_max(difference, factor)
+            yield band(name, 0, "min"), -block_max(-difference, factor)
         else:
-            yield f"{name} {k}", block_mean(band, factor)
-        if name == "light" or k in (0, 2):
-            power = block_mean(band * band, factor)
-            yield f"{name} {k} near", _strength(power, NEAR / cell)
-            yield f"{name} {k} wide", _strength(power, WIDE / cell)
+            yield band(name, k), block_mean(difference, factor)
+        if k in POWER_BANDS[name]:
+            power = block_mean(difference * difference, factor)
+            yield band(name, k, "near"), _strength(power, NEAR / cell)
+            yield band(name, k, "wide"), _strength(power, WIDE / cell)
         narrow = wide
     coarse = block_mean(values, factor)
     small, usual, broad = (gaussian_mean(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
-    yield f"{name} local", small - usual
-    yield f"{name} broad", usual - broad
+    yield f"{name}_local", small - usual
+    yield f"{name}_broad", usual - broad
 
 
 def bumps(height: F32, cell: float) -> Found:
     """What stands out of the heights at each width, and the highest and the lowest place near."""
     means = [height, *(gaussian_mean(height, s) for s in HEIGHT_WIDTHS)]
     for k, (narrow, wide) in enumerate(pairwise(means)):
-        yield f"height {k}", _squashed(narrow - wide)
+        yield band("height", k), _squashed(narrow - wide)
     usual = gaussian_mean(height, 1.0 / cell)
-    yield "height local", _squashed(gaussian_mean(height, 0.2 / cell) - usual)
-    yield "height broad", _squashed(usual - gaussian_mean(height, 4.0 / cell))
-    yield "highest near", _squashed(_local_max(means[1] - usual, cell))
-    yield "lowest near", _squashed(_local_max(usual - means[1], cell))
+    yield DetailTerm.HEIGHT_LOCAL, _squashed(gaussian_mean(height, 0.2 / cell) - usual)
+    yield DetailTerm.HEIGHT_BROAD, _squashed(usual - gaussian_mean(height, 4.0 / cell))
+    yield DetailTerm.HIGHEST_NEAR, _squashed(_local_max(means[1] - usual, cell))
+    yield DetailTerm.LOWEST_NEAR, _squashed(_local_max(usual - means[1], cell))
     north, east = np.gradient(gaussian_mean(height, 0.3 / cell) / np.float32(cell))
-    yield "steep", np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
+    yield DetailTerm.STEEP, np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
 
 
 def spot_bands(light: F32, factor: int, cell: float) -> Found:
     """The darkest and the brightest place near: a stone and its shadow."""
     spot = gaussian_mean(light, WIDTHS[0]) - gaussian_mean(light, 0.8 * factor / cell)
-    yield "darkest near", _local_max(block_max(-spot, factor), cell)
-    yield "brightest near", _local_max(block_max(spot, factor), cell)
+    yield DetailTerm.DARKEST_NEAR, _local_max(block_max(-spot, factor), cell)
+    yield DetailTerm.BRIGHTEST_NEAR, _local_max(block_max(spot, factor), cell)
 
 
 def doubts(elevation: ElevationMap) -> Found:
     """The residual against what is usual near, and the share of the cells near that carry each flag."""
     cell, residual = elevation.grid.cell, np.nan_to_num(elevation.residual)
-    yield "residual spot", gaussian_mean(residual, 0.7) - gaussian_mean(residual, 1.0 / cell)
+    yield DetailTerm.RESIDUAL_SPOT, gaussian_mean(residual, 0.7) - gaussian_mean(residual, 1.0 / cell)
     for name, flags in FLAGS.items():
         yield name, gaussian_mean(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
 

@@ -6,20 +6,16 @@ only take from.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from itertools import islice
+from collections.abc import Iterator
 
 import numpy as np
 
-from alight.learned.layers import standard, unpack_layer
+from alight.learned.terms import RELATIVE, SurfaceTerm
 from alight.raster import log_offset, masked_gaussian, ramp
 from alight.records import F32, REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.detail import detail_terms
 from alight.terrain.relief import Relief
-from alight.terrain.weights import LAYERS, TERMS
-
-AT_A_TIME = 8  # terms
 
 
 def _against(values: F32, looked: F32) -> F32:
@@ -42,8 +38,8 @@ def cover_terms(elevation: ElevationMap, look: Appearance, shape: Relief) -> Ite
     yield from surface(elevation, look, shape).items()
     for name, values in detail_terms(elevation):
         yield name, values
-        if name.endswith((" near", " wide")):
-            yield f"{name} against the frame", _against(values, looked)
+        if name.endswith(("_near", "_wide")):
+            yield name + RELATIVE, _against(values, looked)
 
 
 def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[str, F32]:
@@ -68,37 +64,18 @@ def surface(elevation: ElevationMap, look: Appearance, shape: Relief) -> dict[st
     restless, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
     residual, busy = log_offset(near(elevation.residual, 0.5), 0.02), log_offset(look.texture, 0.01)
     return {
-        "rough 0.3 m": rough(0.3),
-        "rough 1 m": rough(1.0),
-        "above": np.nan_to_num(shape.above).clip(-1, 6),
-        "standing": near(standing, 0.3).clip(-2, 8),
-        "residual": residual,
-        "residual against the frame": _against(residual, looked),
-        "residual 2 m": log_offset(near(elevation.residual, 2.0), 0.02),
-        "sigma": log_offset(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
-        "restless 2 m": near(restless, 2.0),
-        "unsure": near(flagged(Flag.UNSURE), 0.5),
-        "refused 2 m": near(refused, 2.0),
-        "texture": busy,
-        "texture against the frame": _against(busy, looked),
-        "plants": plants(look, shape, restless),
+        SurfaceTerm.ROUGH_03: rough(0.3),
+        SurfaceTerm.ROUGH_10: rough(1.0),
+        SurfaceTerm.HEIGHT_ABOVE_GROUND: np.nan_to_num(shape.above).clip(-1, 6),
+        SurfaceTerm.HEIGHT_ABOVE_BED: near(standing, 0.3).clip(-2, 8),
+        SurfaceTerm.RESIDUAL: residual,
+        SurfaceTerm.RESIDUAL_RELATIVE: _against(residual, looked),
+        SurfaceTerm.RESIDUAL_2M: log_offset(near(elevation.residual, 2.0), 0.02),
+        SurfaceTerm.SIGMA: log_offset(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
+        SurfaceTerm.MOVING_2M: near(restless, 2.0),
+        SurfaceTerm.UNSURE: near(flagged(Flag.UNSURE), 0.5),
+        SurfaceTerm.REFUSED_2M: near(refused, 2.0),
+        SurfaceTerm.TEXTURE: busy,
+        SurfaceTerm.TEXTURE_RELATIVE: _against(busy, looked),
+        SurfaceTerm.PLANTS: plants(look, shape, restless),
     }
-
-
-def weighed(found: Iterable[tuple[str, F32]]) -> F32:
-    """Log odds of the classes but for a constant, (R, C, 8) for codes 1 to 8 (T2).
-
-    Terms are taken a few at a time: all together they would be several times the map.
-    """
-    terms_of, (weights, bias) = iter(found), unpack_layer(LAYERS[0])
-    row_of, total, shape = {name: i for i, name in enumerate(TERMS)}, None, (0, 0)
-    while some := list(islice(terms_of, AT_A_TIME)):
-        shape = some[0][1].shape
-        z = np.stack([standard(values.ravel(), *TERMS[name]) for name, values in some], axis=1)
-        part = z @ weights[[row_of[name] for name, _ in some]]
-        total = part + bias if total is None else total + part
-    assert total is not None
-    for layer in LAYERS[1:]:
-        weights, bias = unpack_layer(layer)
-        total = np.maximum(total, 0, out=total) @ weights + bias
-    return np.asarray(total, np.float32).reshape(*shape, -1)
