@@ -19,10 +19,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from bench_steps import texture, view
-from doubt import exposures
 from heights_points import Points, points_of
 from heights_step import REPEATS, SPACING, Flight, cpu, lone_step, one_thread
 from heights_table import Row, head, kept
+from true_views import exposures
 
 from alight.evaluate.report import nmad
 from alight.geometry import Pose, so3_exp

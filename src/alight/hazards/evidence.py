@@ -59,9 +59,7 @@ def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSetting
     return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 
-def hazard_terms(
-    elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander
-) -> dict[HazardTerm, F32]:
+def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
     """Evidence against every footprint, (R, C) each, in the order of `HazardTerm`."""
     cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
     inner = radius - min(INNER, radius / 4)

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from alight.arrays import F32
 from alight.learned.net import Layer, Net
 from alight.learned.terms import HAZARD_TERMS, LAND_COVER_TERMS
 
@@ -57,7 +59,7 @@ def _check(net: Net) -> None:
         raise ValueError("the shapes of the table's layers do not fit its terms")
     if any(layer.bias.shape != layer.weights.shape[1:] for layer in (net.hidden, net.output)):
         raise ValueError("the shapes of the table's biases do not fit its layers")
-    arrays = [net.usual, net.spread, *net.hidden, *net.output]
+    arrays: list[NDArray[np.floating[Any]]] = [net.usual, net.spread, *net.hidden, *net.output]
     arrays += [] if net.calibration is None else [net.calibration]
     if not all(np.isfinite(a).all() for a in arrays) or not (net.spread > 0).all():
         raise ValueError("the table holds numbers that are not finite, or a spread that is not positive")
@@ -81,5 +83,5 @@ def net_bytes(net: Net) -> bytes:
     return out.getvalue()
 
 
-def _rounded(values: np.ndarray[Any, np.dtype[np.float32]]) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _rounded(values: F32) -> F32:
     return np.array([float(f"{v:.4g}") for v in values], np.float32)

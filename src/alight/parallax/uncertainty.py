@@ -35,8 +35,8 @@ NEAR = 5  # cells of half resolution: what is nearby
 MAX_DOUBT = 0.45  # probability of a wrong match that is still given out
 
 # Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
-# means the same for any camera and height. Between what bench/doubt.py fits on simulated flights, where the second-best
-# cost says nothing that the others do not, and what real photos need, where it does.
+# means the same for any camera and height. A compromise between the fit of training/outlier_probability.py on simulated
+# flights, where the second-best cost adds nothing to the other terms, and real photos, where it does.
 DOUBT = {"ambiguity": 1.2, "residual": 1.1, "sigma": 0.3, "drop": 0.99, "rise": 0.63, "slide": -1.9, "one": -0.97}
 
 

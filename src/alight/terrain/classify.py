@@ -103,9 +103,7 @@ def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings:
     return np.where(landable >= 0.5, _open_kind(look), kind).astype(np.uint8)
 
 
-def _verdict(
-    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net | None
-) -> tuple[U8, F32, F32]:
+def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net) -> tuple[U8, F32, F32]:
     """Labels, P(landable) and log probabilities of one map."""
     cell = elevation.grid.cell
     look = appearance(elevation)
