@@ -160,3 +160,12 @@ def test_a_finer_grid_covers_the_same_ground() -> None:
     assert_allclose((b[2], b[5], b[0] * 4), (a[2], a[5], a[0]))
     back = fine.coarser(4)
     assert_allclose((back.east, back.north, back.cell), (grid.east, grid.north, grid.cell))
+
+
+@pytest.mark.parametrize(("row", "col"), [(5, 6), (0, 0), (8, 10)])
+def test_a_disc_window_holds_the_cells_within_the_radius_and_ends_at_the_edge(row: int, col: int) -> None:
+    found = raster.disc_window((9, 11), row, col, 2.0)
+    want = np.hypot(*np.meshgrid(np.arange(9) - row, np.arange(11) - col, indexing="ij")) <= 2.0
+    mask = np.zeros((9, 11), np.bool_)
+    mask[found.rows, found.cols] = found.inside
+    assert_array_equal(mask, want)

@@ -13,7 +13,8 @@ import numpy as np
 from alight import terrain
 from alight.elevation import TileStore
 from alight.geometry import Grid
-from alight.landing import route, sites
+from alight.landing import route
+from alight.landing.reserve import Reserve
 from alight.pipeline.judging import Judge, Verdict, without_water
 from alight.pipeline.navigation import BundleLane, FilterLane, GivenLane, Lane, TimedPoses
 from alight.pipeline.store import FIRST_STEP, FrameStore, views_of
@@ -161,7 +162,7 @@ class Pipeline:
             self.judge_now()
 
     @property
-    def reserve(self) -> sites.Reserve:
+    def reserve(self) -> Reserve:
         """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
         return self._judging.reserve
 

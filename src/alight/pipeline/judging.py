@@ -9,6 +9,8 @@ import numpy as np
 
 from alight import hazards, terrain
 from alight.landing import sites
+from alight.landing.next_view import next_view
+from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
 from alight.records import F64, ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap, View
 from alight.settings import Settings
@@ -39,7 +41,7 @@ class Judge:
 
     def __init__(self, settings: Settings, appearance: terrain.Model | None, timed: Timed) -> None:
         self._settings, self._appearance, self._timed = settings, appearance, timed
-        self.reserve = sites.Reserve()
+        self.reserve = Reserve()
         self.lost: list[str] = []  # in words, the newest last
 
     def says(self, elevation: ElevationMap) -> str:
@@ -68,7 +70,7 @@ class Judge:
         danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         start = self._timed("hazards", start)
         chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, vehicle)
-        look = None if chosen.sites else sites.next_view(danger, elevation, s.lander, above)
+        look = None if chosen.sites else next_view(danger, elevation, s.lander, above)
         self._remember(chosen, danger)
         self._timed("sites", start)
         return Verdict(without_water(elevation, cover), cover, danger, chosen, look)

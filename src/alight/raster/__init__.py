@@ -2,6 +2,7 @@
 
 from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
 from alight.raster.disc import (
+    DiscWindow,
     disc_any,
     disc_crosses_edge,
     disc_mask,
@@ -9,6 +10,7 @@ from alight.raster.disc import (
     disc_mean,
     disc_share,
     disc_spans,
+    disc_window,
 )
 from alight.raster.distance import distance_to
 from alight.raster.fill import nearest_known
@@ -17,6 +19,7 @@ from alight.raster.scalars import log_at_least, log_offset, ramp
 from alight.raster.smoothing import WeightedMean, gaussian_mean, masked_gaussian, weighted_gaussian
 
 __all__ = [
+    "DiscWindow",
     "WeightedMean",
     "block_max",
     "block_mean",
@@ -30,6 +33,7 @@ __all__ = [
     "disc_mean",
     "disc_share",
     "disc_spans",
+    "disc_window",
     "distance_to",
     "ellipse",
     "fill_pits",

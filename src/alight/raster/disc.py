@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -74,3 +75,20 @@ def disc_crosses_edge(shape: tuple[int, int], radius: float, cell: float) -> Mas
     out = np.ones(shape, dtype=np.bool_)
     out[reach : shape[0] - reach, reach : shape[1] - reach] = False
     return out
+
+
+class DiscWindow(NamedTuple):
+    """The cells of a disc, cut at the map's edge."""
+
+    rows: slice
+    cols: slice
+    inside: Mask  # (rows, cols) of the window
+
+
+def disc_window(shape: tuple[int, int], row: int, col: int, radius_cells: float) -> DiscWindow:
+    """The window of the disc about one cell of a map of `shape`, and the cells of the disc in it."""
+    reach = math.floor(radius_cells + RIM)
+    rows = slice(max(0, row - reach), min(shape[0], row + reach + 1))
+    cols = slice(max(0, col - reach), min(shape[1], col + reach + 1))
+    y, x = np.ogrid[rows.start - row : rows.stop - row, cols.start - col : cols.stop - col]
+    return DiscWindow(rows, cols, np.hypot(x, y) <= radius_cells + RIM)
