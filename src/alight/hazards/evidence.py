@@ -1,4 +1,4 @@
-"""What a footprint is judged by, each term larger where it is less likely safe (docs/method-hazards.md, G7b)."""
+"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method-hazards.md, G7b)."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from alight.raster import disc_max, disc_mean, log_at_least
 from alight.records import F32, ElevationMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
-INNER = 0.25  # metres: what lies that near to the rim may as well lie outside
-BEYOND = 1.0  # metres past the rim: where tufts begin, there are more
-LEAST = 1e-4  # probability
-RESOLVED = 0.8  # of the limit, pixel: a stone as high is two of them wide
-USUAL = 0.01  # of a tint, that no ground is evener than
-SURE = np.float32(9.2)  # log odds: the cover where nobody judged it
+RIM = 0.25  # metres; an object this near to the rim may as well lie outside
+BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are more
+MIN_PROBABILITY = 1e-4  # keeps log odds finite
+RESOLVED = 0.8  # pixel over the height limit up to which an obstacle is seen: a stone that high is two pixels wide
+MIN_TINT_CONTRAST = 0.01  # log ratio; keeps the ratio to the footprint's mean bounded
+CERTAIN = np.float32(9.2)  # log odds of landable ground where no land cover was given
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """What the geometry says of every footprint, (R, C) each."""
+class FootprintShape:
+    """Geometry of every footprint, (R, C) each."""
 
     footprint: Footprint
-    even: F32  # metres, largest deviation of heights averaged over the noise's length
-    broad: F32  # metres, of heights averaged over twice as much
+    roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
+    roughness_trend: F32  # metres, of heights smoothed by 0.45 m
     rise_margin: F32  # (limit - deviation or rise) / sigma
 
 
-def _over(excess: F32, sigma: F32) -> F32:
+def _in_sigmas(excess: F32, sigma: F32) -> F32:
     return np.asarray(excess / np.maximum(sigma, np.float32(0.005)), np.float32)
 
 
-def doubt_of(terrain: TerrainMap | None, shape: tuple[int, int]) -> F32:
-    """Log odds against ground that may be landed on; nothing is said of cells without evidence."""
-    if terrain is None:
-        return np.full(shape, -SURE, np.float32)
-    landable = np.where(np.isfinite(terrain.landable), terrain.landable, 1.0)
-    return np.asarray(-logit(landable.clip(LEAST, 1 - LEAST)), np.float32)
+def hazard_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
+    """Log odds (R, C) against landable ground; a cell without a class counts as landable."""
+    if land_cover is None:
+        return np.full(shape, -CERTAIN, np.float32)
+    landable = np.where(np.isfinite(land_cover.landable), land_cover.landable, 1.0)
+    return np.asarray(-logit(landable.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
 
 
 def coarseness(elevation: ElevationMap, lander: Lander) -> float:
@@ -54,36 +54,40 @@ def coarseness(elevation: ElevationMap, lander: Lander) -> float:
 
 
 def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> float:
-    """P(something too high is too small for the pixels): 0 up to `RESOLVED` of the limit, at most `hidden_hazard`."""
+    """P(an obstacle above the limit is below the resolution): 0 up to `RESOLVED`, at most `hidden_hazard`."""
     excess = coarseness(elevation, lander) - math.log(RESOLVED)
     return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
 
 
-def hazard_terms(elevation: ElevationMap, terrain: TerrainMap | None, shape: Shape, lander: Lander) -> dict[str, F32]:
+def hazard_terms(
+    elevation: ElevationMap, land_cover: TerrainMap | None, shape: FootprintShape, lander: Lander
+) -> dict[str, F32]:
     """Evidence against every footprint, (R, C) each, in the order of `HazardTerm`."""
     cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
-    inner = radius - min(INNER, radius / 4)
-    doubt = doubt_of(terrain, elevation.grid.shape)
-    around = np.asarray(cv2.GaussianBlur(doubt, (0, 0), max(0.2 / cell, 0.5)), np.float32)
+    inner = radius - min(RIM, radius / 4)
+    odds = hazard_odds(land_cover, elevation.grid.shape)
+    odds_smooth = np.asarray(cv2.GaussianBlur(odds, (0, 0), max(0.2 / cell, 0.5)), np.float32)
     sigma = np.nan_to_num(elevation.sigma, nan=1.0)
-    small = blob_contrast(elevation)
-    usual = disc_mean(small["tint"], radius, cell) + np.float32(USUAL)
+    blobs = blob_contrast(elevation)
+    tint_mean = disc_mean(blobs["tint"], radius, cell) + np.float32(MIN_TINT_CONTRAST)
     residual = np.nan_to_num(elevation.residual)
     return {
         HazardTerm.COARSENESS: np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
         HazardTerm.DEVIATION_SIGMAS: -shape.rise_margin,
-        HazardTerm.ROUGHNESS_SMOOTH: log_at_least(shape.even / np.float32(limit), 0.03),
-        HazardTerm.ROUGHNESS_TREND: log_at_least(shape.broad / np.float32(limit), 0.03),
-        HazardTerm.EXCESS_SIGMAS: _over(shape.even - np.float32(limit), disc_mean(sigma, radius, cell)),
+        HazardTerm.ROUGHNESS_SMOOTH: log_at_least(shape.roughness_smooth / np.float32(limit), 0.03),
+        HazardTerm.ROUGHNESS_TREND: log_at_least(shape.roughness_trend / np.float32(limit), 0.03),
+        HazardTerm.EXCESS_SIGMAS: _in_sigmas(
+            shape.roughness_smooth - np.float32(limit), disc_mean(sigma, radius, cell)
+        ),
         HazardTerm.UNKNOWN: shape.footprint.unknown,
         HazardTerm.RESIDUAL_MEAN: disc_mean(residual, radius, cell),
         HazardTerm.RESIDUAL_WORST: disc_max(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
-        HazardTerm.COVER_WORST: disc_max(doubt, inner, cell),
-        HazardTerm.COVER_WORST_SMOOTH: disc_max(around, inner, cell),
-        HazardTerm.COVER_MEAN: disc_mean(doubt, radius, cell),
-        HazardTerm.COVER_WORST_BEYOND: disc_max(around, radius + BEYOND, cell),
-        HazardTerm.COVER_MEAN_BEYOND: disc_mean(around, radius + 3 * BEYOND, cell),
-        HazardTerm.BLOB_DARK: disc_max(small["dark"], inner, cell),
-        HazardTerm.BLOB_BRIGHT: disc_max(small["bright"], inner, cell),
-        HazardTerm.BLOB_TINT: np.log(disc_max(small["tint"], inner, cell) / usual + np.float32(0.1)),
+        HazardTerm.COVER_WORST: disc_max(odds, inner, cell),
+        HazardTerm.COVER_WORST_SMOOTH: disc_max(odds_smooth, inner, cell),
+        HazardTerm.COVER_MEAN: disc_mean(odds, radius, cell),
+        HazardTerm.COVER_WORST_BEYOND: disc_max(odds_smooth, radius + BEYOND, cell),
+        HazardTerm.COVER_MEAN_BEYOND: disc_mean(odds_smooth, radius + 3 * BEYOND, cell),
+        HazardTerm.BLOB_DARK: disc_max(blobs["dark"], inner, cell),
+        HazardTerm.BLOB_BRIGHT: disc_max(blobs["bright"], inner, cell),
+        HazardTerm.BLOB_TINT: np.log(disc_max(blobs["tint"], inner, cell) / tint_mean + np.float32(0.1)),
     }

@@ -1,4 +1,4 @@
-"""What a lander covers and touches, in whole cells of one grid (docs/method-hazards.md, section 1)."""
+"""The cells that a lander covers and touches (docs/method-hazards.md, section 1)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 
 
 def padded_spans(spans: I64, reach: int) -> I64:
-    """The same disc with -1 in the rows that it does not reach, for a larger disc's loops."""
+    """Spans of a disc padded with -1 to the rows of a larger one, so that both fit the same loops."""
     extra = reach - spans.size // 2
     return np.pad(spans, extra, constant_values=-1)
 
@@ -29,7 +29,7 @@ def directions(headings: int) -> F64:
 
 
 def unlike_directions(headings: int, points: F64) -> F64:
-    """Those of `directions` at which the points (n, 2) (forward, left), metres, lie elsewhere than at an earlier one.
+    """`directions`, without those that only exchange the points (n, 2) (forward, left), metres, of an earlier one.
 
     A lander that looks the same after a turn, as a square one does after a quarter, need not be judged twice.
     """
@@ -81,7 +81,7 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
 
 
 def _holds_centre(corners: F64) -> bool:
-    """Whether the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
+    """True if the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
     weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
     return bool((weights >= -1e-6).all())
 
@@ -97,7 +97,7 @@ def _triples(feet: F64, any_three: bool) -> I64:
 
 
 def _solves(xy: F64, triples: I64) -> F64:
-    """(headings, t, 3, 3): what takes three heights to the plane through them."""
+    """(headings, t, 3, 3): matrices from three heights to the plane through them."""
     corners = xy[:, triples]  # (headings, t, 3, 2)
     return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 

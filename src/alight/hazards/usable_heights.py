@@ -1,4 +1,4 @@
-"""Which heights a touchdown may be judged by."""
+"""Select the heights that count as known, bridging small gaps of doubtful ones (G0)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from alight.settings import HazardsSettings, Lander
 
 Bool = NDArray[np.bool_]
 
-EVEN, BROAD = 0.2, 0.45  # metres, 1-sigma
+SMOOTH_SIGMA, TREND_SIGMA = 0.2, 0.45  # metres, 1-sigma of the Gaussians
 
-_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or none that could be right
-_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # nothing to see: what stood there would be seen against it
+_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or one that cannot be right
+_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # no texture: an obstacle would stand out against it
 
 
-def _within_reach(known: Bool, reach_cells: float) -> Bool:
+def _with_gaps(known: Bool, reach_cells: float) -> Bool:
     """Known cells, and gaps between them that are narrower than twice the reach."""
     n = int(reach_cells + 1e-6)
     if n < 1:
@@ -26,7 +26,7 @@ def _within_reach(known: Bool, reach_cells: float) -> Bool:
     return close_gaps(known, n)
 
 
-def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
+def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
     """Heights that count as known, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
 
     These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
@@ -46,7 +46,7 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     ):
         cells = reach / elevation.grid.cell
         if cells >= 1:
-            gap = _within_reach(known, cells) & ~known & where
+            gap = _with_gaps(known, cells) & ~known & where
             near = weighted_gaussian(height, known.astype(np.float32), cells)
             neighbours = np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
             agrees = np.abs(height - neighbours) <= 0.5 * lander.max_roughness
@@ -54,8 +54,8 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     return np.where(known, height, np.float32(np.nan))
 
 
-def evened(height: F32, cell: float, sigma: float = EVEN) -> F32:
-    """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's."""
+def smoothed_height(height: F32, cell: float, sigma: float = SMOOTH_SIGMA) -> F32:
+    """Heights (R, C) smoothed by `sigma` metres, NaN where unknown: their largest deviation is less noise."""
     known = np.isfinite(height)
     mean = weighted_gaussian(height, known.astype(np.float32), max(sigma / cell, 0.3)).mean
     return np.where(known, mean, np.float32(np.nan))
