@@ -168,7 +168,7 @@ class Refined(Flight):
         joint = np.kron(np.ones((n, n)), np.diag(SIGMA**2)) + np.kron(np.eye(n), own) if n > 1 else np.diag(SIGMA**2)
         self._ring.push([view], KeyframePosterior(tuple(self._told), joint))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
-        self._map.lean(self._ring.plane, self._ring.about)
+        self._map.add_plane(self._ring.plane, self._ring.about)
         if found is not None:
             self._map.add(found, replace_all=True)
 

@@ -53,8 +53,8 @@ class Rows:
 
 def evidence_of(e: ElevationMap) -> dict[str, F32]:
     """The terms of one map."""
-    look = appearance(e)
-    return dict(evidence.cover_terms(e, look, relief(e, wetness(e, look), TerrainSettings())))
+    colours = appearance(e)
+    return dict(evidence.land_cover_terms(e, colours, relief(e, wetness(e, colours), TerrainSettings())))
 
 
 def worst_class(j: Judgeable) -> U8:

@@ -79,7 +79,7 @@ def rows_of(
 
 def names() -> list[str]:
     """The terms that have a coefficient."""
-    return [k for k in trust.DOUBT if k != "one"]
+    return [k for k in trust.OUTLIER_LOGIT if k != "one"]
 
 
 def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
@@ -120,10 +120,10 @@ def main() -> None:
             print(f"{labels[-1]}: {len(part[1])} cells, {100 * part[1].mean():.2f} % wrong", flush=True)
     weight = np.concatenate([np.full(len(y), 1 / len(y)) for _, y in parts])
     b = logistic(np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts]), weight)
-    print("DOUBT =", {k: round(float(v), 2) for k, v in zip([*names(), "one"], b, strict=True)})
+    print("OUTLIER_LOGIT =", {k: round(float(v), 2) for k, v in zip([*names(), "one"], b, strict=True)})
     for label, (X, y) in zip(labels, parts, strict=True):
         p = 1 / (1 + np.exp(-(np.c_[X, np.ones(len(X))] @ b)))
-        kept = p < trust.MAX_DOUBT
+        kept = p < trust.MAX_OUTLIER_PROBABILITY
         print(
             f"{label}: given out {100 * kept.mean():.1f} %, of these wrong {100 * (y & kept).sum() / kept.sum():.2f} %"
         )

@@ -17,15 +17,15 @@ from alight.elevation.tiles import FIELDS, Fields, Key, TileLayer, TileStore, is
 from alight.geometry import Grid, box_of
 from alight.records import ElevationMap, Heights, is_trusted
 
-# sigma of a coarse height as that of a cell in it, over its own, for a step that starts from it: what is smaller than a
-# coarse cell was not seen. With 1, tall grass seen from near kept the heights it had from afar: 41 % of what was given
-# out at 5 m was off by 0.1 m, with 1.5 7 %, with 2 9 %
-LESS_SURE = 1.5
+# Inflation of sigma where a step starts from the heights of a coarser level, which shows nothing below its cell size.
+# With 1, tall grass seen from near kept the heights it had from afar: 41 % of the heights given out at 5 m were off by
+# 0.1 m; with 1.5 7 %, with 2 9 %.
+COARSE_SIGMA_INFLATION = 1.5
 LEAST_SHARE = 0.05  # of the map that must have been seen with cells as fine as those of a snapshot
 
 
 def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
-    """Where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
+    """True where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
     new_ok, old_ok = is_trusted(new["flags"]), is_trusted(old["flags"])
     smaller = ~(np.nan_to_num(new["sigma"], nan=np.inf) >= np.nan_to_num(old["sigma"], nan=np.inf))
     fresh = ~is_seen(old["flags"])
@@ -86,7 +86,11 @@ class TiledElevation:
     def add(self, heights: Heights, replace_all: bool = False) -> None:
         """Fuse one step; each cell keeps the more trusted height (`replace_all`: the new one wherever it was seen)."""
         layer, new = self._layer_of(heights.grid.cell), {k: getattr(heights, k) for k in FIELDS}
-        take = is_seen(new["flags"]) if replace_all else better(new, self._known(layer, heights.grid, LESS_SURE))
+        take = (
+            is_seen(new["flags"])
+            if replace_all
+            else better(new, self._known(layer, heights.grid, COARSE_SIGMA_INFLATION))
+        )
         r, c = box_of(take)
         if r.stop > r.start:
             grid = heights.grid.window(r.start, c.start, r.stop - r.start, c.stop - c.start)
@@ -104,7 +108,7 @@ class TiledElevation:
         coarser.write(above, means, is_seen(means["flags"]))
         return above
 
-    def _known(self, layer: TileLayer, grid: Grid, less_sure: float = 1.0) -> Fields:
+    def _known(self, layer: TileLayer, grid: Grid, inflation: float = 1.0) -> Fields:
         """A layer's own cells, and where it has none the next coarser one's, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
@@ -113,11 +117,11 @@ class TiledElevation:
             return out
         south, north, west, east = layer.numbers(grid)
         around = south // 2 - 1, north // 2 + 1, west // 2 - 1, east // 2 + 1
-        coarse = self._known(coarser, coarser.cells(*around), less_sure)
+        coarse = self._known(coarser, coarser.cells(*around), inflation)
         if not is_seen(coarse["flags"]).any():
             return out
         from_coarse, r, c = (
-            double_fields(coarse, np.float32(less_sure)),
+            double_fields(coarse, np.float32(inflation)),
             2 * around[1] + 1 - north,
             west - 2 * around[2],
         )
@@ -125,18 +129,18 @@ class TiledElevation:
             out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
         return out
 
-    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
-        """Add a plane (3,), `plane[0]` metres up at `about` (2,) and rising east and north, to what is near."""
+    def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane (3,), `plane[0]` metres up at `about` (2,), rising east and north, to the near tiles."""
         for layer in self._layers.values():
-            layer.lean(plane, about)
+            layer.add_plane(plane, about)
 
     def read(self, grid: Grid) -> ElevationMap:
-        """The best that is known on a grid of whole cells of any level, copied."""
+        """The best heights on a grid of whole cells of any level, copied."""
         return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """The same as a step at these cells may start from: less sure of what was only seen with coarser ones."""
-        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, LESS_SURE))  # type: ignore[arg-type]
+        """`read`, as the start of a step: sigma is inflated where only coarser levels have seen a cell."""
+        return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid, COARSE_SIGMA_INFLATION))  # type: ignore[arg-type]
 
     def roll(self, centre: tuple[float, float], radius: float) -> None:
         """Pack the tiles farther than `radius` metres from the vehicle: memory follows the flight, not its length."""

@@ -23,20 +23,22 @@ from alight.records import F32, U8, U16, Heights, View
 from alight.settings import ParallaxSettings
 
 REFERENCES = 2  # views along whose rays all is swept
-SWEPT = 10  # views of these sweeps: with all 16, 1.4 times the CPU time and a sixth more wrong heights on the photos
+SWEEP_VIEWS = (
+    10  # views of these sweeps: with all 16, 1.4 times the CPU time and a sixth more wrong heights on the photos
+)
 MAX_TANGENT = 0.4  # horizontal over vertical distance of a view that is preferred
 ITERATIONS = 4
-LEAST_VIEWS = 7  # of a cell that they are asked about: one of a pair may see what the template's views do not
-WITNESSES = 6  # pairs of views of one instant that are asked what moves
+MIN_MOVING_VIEWS = 7  # views of a cell that may be flagged: one of a pair may see what the others do not
+MAX_PAIRS = 6  # synchronous pairs of views used for motion detection
 
 
-def fuse_sweeps(looks: Sequence[Swept]) -> Swept:
-    """Of what several views saw in a cell the median, the lower of two, with its ratio."""
-    heights = np.stack([h for h, _ in looks])
+def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
+    """Median height over the sweeps of several reference views (the lower of two), with that sweep's cost ratio."""
+    heights = np.stack([h for h, _ in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
     which = np.take_along_axis(order, middle[None], axis=0)
-    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*looks, strict=True))
+    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*sweeps, strict=True))
     return height, ratio
 
 
@@ -77,7 +79,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     fine = [images.get(i) for i in chosen]
     ground = min(max(images.height, low), high)
     views = [images.views[i] for i in chosen]
-    few, of = (choose_views(views, grid, 0.5 * (low + high), n, MAX_TANGENT) for n in (SWEPT, REFERENCES))
+    few, of = (choose_views(views, grid, 0.5 * (low + high), n, MAX_TANGENT) for n in (SWEEP_VIEWS, REFERENCES))
     swept = [fine[k] for k in few]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k)) for k in of])
     rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start))
@@ -95,20 +97,20 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid) -> U16:
-    """What moves, seen by some of the chosen views and the views of the same instants."""
+    """MOVING flags (R, C) from pairs of synchronous views, some of the chosen ones among them."""
     pairs = witness.instants(images.views)
     asked = pairs[np.isin(pairs, chosen).any(axis=1)]
-    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(WITNESSES, len(asked))).astype(int))]
+    asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(MAX_PAIRS, len(asked))).astype(int))]
     if not len(asked):
         return np.zeros(grid.shape, np.uint16)
     samples = stack([images.get(int(i)) for i in asked.ravel()], grid, fit.height)
-    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid, LEAST_VIEWS)
+    return witness.moving(samples, np.arange(asked.size).reshape(-1, 2), fit, grid, MIN_MOVING_VIEWS)
 
 
 def judged(
     fine: list[Prepared], grid: Grid, fit: refine.Fit, ratio: F32, searched: tuple[float, float], rgb: U8
 ) -> Heights:
-    """Put sigma and flags to a fit; the views `fine` are asked for the brightness."""
+    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
     sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
 
@@ -120,7 +122,7 @@ def colour(
     height: F32,
     visible: U8,
 ) -> U8:
-    """What the steepest view that sees each known cell saw, (R, C, 3)."""
+    """Colour of each cell with a height from the steepest view that sees it, (R, C, 3)."""
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
     left = np.isfinite(height)

@@ -1,4 +1,4 @@
-"""What the ground looks like on finer pixels than its heights have: the mean of the nearest views of each place.
+"""Orthophoto on finer pixels than the heights have: the mean of the nearest views of each place.
 
 Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
 shows them in its noise, the mean of five does not have it (docs/method-hazards.md, G9b).
@@ -29,7 +29,7 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
 
 
 def _seen_by(view: View, grid: Grid, height: F32) -> F32:
-    """What a view shows of the grid's pixels, (R, C, 3); NaN outside of the picture."""
+    """Picture of one view at the grid's pixels, (R, C, 3); NaN outside of it."""
     camera, (mapx, mapy) = view.camera, (np.empty_like(height), np.empty_like(height))
     H, b = ground_projection(camera, view.world_from_cam)
     project_cells(camera, radius2_limit(camera), H, b, *grid.xy(), height, (mapx, mapy))

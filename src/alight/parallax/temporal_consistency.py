@@ -1,9 +1,9 @@
-"""What moves: the cameras of a rig, asked at one instant, agree with each other and not with what all views share.
+"""Motion detection by temporal consistency: synchronous cameras of a rig agree with each other, not with the template.
 
 Light on waves, the edge of a drifting shadow, a car or a swaying blade looks alike to two cameras at the same time and
-different a moment later. What stands still looks alike to all, and noise to none. So the part of the deviations that
-views of one instant have in common tells time from baseline, where the residual alone cannot. A rig of one camera has
-no such witness.
+different a moment later. Still ground looks alike at all times; noise agrees with nothing. So the deviations that
+synchronous views share separate time from baseline, which the residual alone cannot. A rig of one camera has no such
+pairs.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from alight.records import F32, U8, U16, Flag, View
 
 BLOCK = 8  # cells
 NEAR = 5  # blocks: the window of the sums
-CUT = 0.55  # normalised grey: a view that is farther off sees something else; beside steps both of an instant do
-MOST_SHARED = 0.05  # of the samples' variance: 98 of 100 blocks of dry ground have less, of wavy water 1
-LEAST_SEEN = 0.25  # of a block's cells, in one pair
-LEAST_VIEWS = 5  # of a cell: of fewer, the pair is most of the template
+CUT = 0.55  # normalised grey; a larger deviation is an occlusion, which both views of a pair share beside steps
+MAX_SHARED = 0.05  # of the samples' variance: 98 of 100 blocks of dry ground have less, of wavy water 1
+MIN_SEEN = 0.25  # of a block's cells, in one pair
+MIN_VIEWS = 5  # views of a cell; with fewer the pair dominates the template
 
 
 def instants(views: Sequence[View]) -> NDArray[np.int64]:
@@ -37,7 +37,7 @@ def instants(views: Sequence[View]) -> NDArray[np.int64]:
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
-def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: int = LEAST_VIEWS) -> F32:
+def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: int = MIN_VIEWS) -> F32:
     """Share of the variance that views of one instant have in common beyond the template (eq. 15a), by blocks.
 
     Args:
@@ -45,26 +45,26 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
         pairs: (K, 2) of them.
         mean: (R, C) the template of all views.
         seen: (R, C) how many these are.
-        least: where these are fewer, the pairs are not asked.
+        least: views that a cell needs.
 
     Returns:
-        (R / BLOCK, C / BLOCK), rounded up; 0 where the pairs say nothing, negative where they differ more than others.
+        (R / BLOCK, C / BLOCK), rounded up; 0 where views are too few, negative where pairs differ more than others.
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
     kernels.common(samples, pairs, mean, BLOCK, CUT, sums)
     both, own, count, square, known = (cv2.blur(s, (NEAR, NEAR)) for s in sums)
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    heard = (count >= LEAST_SEEN * BLOCK * BLOCK) & (views >= least)
-    number, cells = np.where(heard, count, np.float32(1)), np.maximum(known, 1)
+    enough = (count >= MIN_SEEN * BLOCK * BLOCK) & (views >= least)
+    number, cells = np.where(enough, count, np.float32(1)), np.maximum(known, 1)
     both /= (1 - 2 / np.maximum(views, least)) * number  # a pair pulls the template towards itself
-    return np.where(heard, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
+    return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
-def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int = LEAST_VIEWS) -> U16:
-    """MOVING where the witnesses agree on something else than the template, (R, C)."""
+def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int = MIN_VIEWS) -> U16:
+    """MOVING flags (R, C) where synchronous views share a deviation from the template."""
     if not len(pairs):
         return np.zeros(grid.shape, np.uint16)
     bits = np.where(
-        shared(samples, pairs, fit.mean, fit.seen, least) > MOST_SHARED, np.uint16(Flag.MOVING), np.uint16(0)
+        shared(samples, pairs, fit.mean, fit.seen, least) > MAX_SHARED, np.uint16(Flag.MOVING), np.uint16(0)
     )
     return enlarged(bits, grid, BLOCK)

@@ -1,7 +1,7 @@
-"""How far a height can be trusted: sigma, and the flags that override it (docs/method.md, section 4).
+"""Uncertainty of heights: sigma, and the flags that override it (docs/method.md, section 4).
 
-Sigma says how well a surface fits; whether it is the right surface needs its own evidence: texture, the second-best
-cost, what the views do not share, neighbours, steps.
+Sigma measures how well a surface fits. Whether it is the right surface needs other evidence: texture, the second-best
+cost, the residual, neighbours, steps.
 """
 
 from __future__ import annotations
@@ -19,25 +19,33 @@ from alight.parallax.gauss_newton import Fit, median_height
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
 from alight.records import F32, U16, Flag
 
-MIN_CONTRAST = 0.7  # grey levels that the views have in common and in noise: less carries no height
-MAX_RESIDUAL = 0.5  # share of the samples' variance nearby that the views do not have in common
-MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby: there the smoothing overruled what the cells saw
+MIN_CONTRAST = 0.7  # grey levels, rms of signal plus noise; below it the texture is too weak to match
+MAX_RESIDUAL = 0.5  # share of the samples' variance that the views do not share, mean nearby
+MAX_COST_RATIO = 1.2  # best over second-best cost, mean nearby; above 1 the smoothing overruled the data
 # sigma (eq. 14), fitted on simulated flights
 FIT = 0.16  # of noise over information
-FLOOR_CELL = 0.03  # cells: a window is no point
-ROUGH = 2.2  # of the variance of the relief that is seen
-HIDDEN = 6.5  # parallax pixels
-FINE, BROAD, NOISE = 0.16, 0.22, 0.42  # powers of the variances of relief and samples that it goes with
+FLOOR_CELL = 0.03  # cells, least sigma: a window has an extent
+RELIEF_SHARE = 2.2  # of the variance of the visible relief
+HIDDEN = 6.5  # parallax pixels, scale of the relief that windows flatten
+POWER_FINE, POWER_TREND, POWER_NOISE = 0.16, 0.22, 0.42  # exponents of the variances of relief and samples in it
 LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2
-STEP_PX = 4.0  # parallax pixels
+STEP_PX = 4.0  # parallax pixels, height difference of a step
 STEP_CELLS = 2  # reach of the window over a step, cells of half resolution
 NEAR = 5  # cells of half resolution: what is nearby
-MAX_DOUBT = 0.45  # probability of a wrong match that is still given out
+MAX_OUTLIER_PROBABILITY = 0.45  # above it a height is flagged UNSURE
 
 # Odds of being off by more than a hundredth of the height (eq. 15): log-linear in evidence without unit, so that it
 # means the same for any camera and height. A compromise between the fit of training/outlier_probability.py on simulated
 # flights, where the second-best cost adds nothing to the other terms, and real photos, where it does.
-DOUBT = {"ambiguity": 1.2, "residual": 1.1, "sigma": 0.3, "drop": 0.99, "rise": 0.63, "slide": -1.9, "one": -0.97}
+OUTLIER_LOGIT = {
+    "ambiguity": 1.2,
+    "residual": 1.1,
+    "sigma": 0.3,
+    "drop": 0.99,
+    "rise": 0.63,
+    "slide": -1.9,
+    "one": -0.97,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +65,9 @@ class Pooled:
 
 
 def pooled(fit: Fit, cell: float) -> Pooled:
-    """Look at a fit at half resolution: what is nearby needs no more, and costs a quarter."""
+    """Reduce a fit to half resolution: enough for means over neighbours, at a quarter of the cost."""
     height, mean, noise, precision, per_px = (
-        _even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
+        _padded_even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
     )
     out = np.empty((8, height.shape[0] // 2, height.shape[1] // 2), np.float32)
     kernels.pool(height, mean, noise, precision, per_px, median_height(height), out)
@@ -75,19 +83,19 @@ def pooled(fit: Fit, cell: float) -> Pooled:
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32) -> F32:
-    """Variance of what the windows flatten, metres^2: it goes with the relief that is left and with the noise."""
-    fine, broad = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
-    rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(broad * broad, (0, 0), 1.5)
+    """Variance of the relief that the windows flatten, metres^2, from the visible relief and the noise (eq. 14)."""
+    fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
+    rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
     out = square * np.float32(HIDDEN**2)
-    for variance, power in ((rough, FINE), (wide, BROAD)):
+    for variance, power in ((rough, POWER_FINE), (wide, POWER_TREND)):
         out *= cv2.pow(np.maximum(variance / square, np.float32(LEAST_RELIEF)), 2 * power)
-    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * NOISE)
-    return np.asarray(out + np.float32(ROUGH) * rough, dtype=np.float32)
+    out *= cv2.pow(np.maximum(noise, np.float32(LEAST_NOISE)), 2 * POWER_NOISE)
+    return np.asarray(out + np.float32(RELIEF_SHARE) * rough, dtype=np.float32)
 
 
-def _even(values: NDArray[Any]) -> NDArray[Any]:
-    """With even numbers of rows and columns, the last ones doubled."""
+def _padded_even(values: NDArray[Any]) -> NDArray[Any]:
+    """The raster with even numbers of rows and columns, the last ones doubled."""
     odd = [(0, n % 2) for n in values.shape]
     return np.pad(values, odd, mode="edge") if any(n for _, n in odd) else values
 
@@ -103,7 +111,7 @@ def half_resolution(values: F32) -> F32:
 
 
 def match_evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
-    """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
+    """Evidence for a wrong match, dimensionless, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost `ratio` nearby; residual: share of the variance that the views do not share,
     nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
@@ -121,7 +129,9 @@ def match_evidence(seen: Pooled, ratio: F32, slide: F32) -> dict[str, F32]:
 
 def outlier_probability(terms: dict[str, F32]) -> F32:
     """Probability that a height is off by more than a hundredth of the height above it (eq. 15)."""
-    score = sum((np.float32(DOUBT[k]) * np.log(terms[k]) for k in terms), start=np.float32(DOUBT["one"]))
+    score = sum(
+        (np.float32(OUTLIER_LOGIT[k]) * np.log(terms[k]) for k in terms), start=np.float32(OUTLIER_LOGIT["one"])
+    )
     return np.asarray(1.0 / (1.0 + np.exp(-score)), dtype=np.float32)
 
 
@@ -140,11 +150,11 @@ def brightness(prepared: list[Prepared], grid: Grid, height: F32) -> F32:
 def sigma_and_flags(
     fit: Fit, grid: Grid, ratio: F32, lit: list[Prepared], searched: tuple[float, float]
 ) -> tuple[F32, U16, F32]:
-    """Put sigma, flags and residual share to a fit, all (R, C).
+    """Sigma, flags and residual share of a fit, all (R, C).
 
     Args:
         ratio: best over second-best cost of the sweep, (R / 2, C / 2).
-        lit: the views asked for the brightness.
+        lit: views whose grey level shows saturation.
         searched: lowest and highest height, metres.
     """
     seen = pooled(fit, grid.cell)
@@ -155,7 +165,7 @@ def sigma_and_flags(
     near |= _bit((grey < 3) | (grey > 252), Flag.SATURATED)
     near |= _bit(np.maximum(terms["drop"], terms["rise"]) > STEP_PX, Flag.STEP)
     near |= _bit(seen.texture + seen.noise < (MIN_CONTRAST / NORM_FLOOR) ** 2, Flag.TEXTURE)
-    near |= _bit(outlier_probability(terms) > MAX_DOUBT, Flag.UNSURE)
+    near |= _bit(outlier_probability(terms) > MAX_OUTLIER_PROBABILITY, Flag.UNSURE)
     edge = 0.01 * (searched[1] - searched[0])
     sigma, residual, flags = (np.empty(grid.shape, t) for t in (np.float32, np.float32, np.uint16))
     kernels.height_sigma(fit.height, fit.noise, fit.precision, seen.hidden2, FIT, sigma)

@@ -46,7 +46,7 @@ class Judge:
 
     def says(self, elevation: ElevationMap) -> str:
         """In words, what the classes of a map are made of."""
-        return terrain.says(elevation, self._settings.terrain, self._appearance)
+        return terrain.describe(elevation, self._settings.terrain, self._appearance)
 
     def judge(
         self, elevation: ElevationMap, views: Sequence[View], vehicle: F64, above: float, start: float

@@ -221,7 +221,7 @@ class TerrainLane:
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         found = self._ring.step(grid, known, *self._range(grid, up, known))
         if self._ring.plane.any():
-            self.elevation.lean(self._ring.plane, self._ring.about)
+            self.elevation.add_plane(self._ring.plane, self._ring.about)
             known = replace(known, height=known.height + self._ring.plane_on(grid))
         if found is None:
             return False

@@ -1,4 +1,4 @@
-"""What a cell looks like: ratios that survive a change of exposure (docs/method-ground.md, section 4)."""
+"""Colour and texture of each cell: ratios that a change of exposure leaves alone (docs/method-ground.md, section 4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From evidence to classes: everything is weighed together, and appearance may only take (docs/method-ground.md, 3)."""
+"""Land cover: log odds of all evidence together; the model of appearance may only refuse (docs/method-ground.md, 3)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from alight.raster import close_gaps, fill_pits, grow, without_specks
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
-from alight.terrain.evidence import cover_terms
+from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
@@ -20,44 +20,44 @@ from alight.terrain.water import ponds, wetness
 Bool = NDArray[np.bool_]
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
-SURE = np.float32(4.0)  # log odds given to what the shape alone settles: standing water
+CERTAIN_WATER = np.float32(4.0)  # log odds of standing water over the next class
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 LEAFY = 0.09  # excess green of plants
 TALL = 1.5  # metres above the ground: a tree
-UNDER = np.float32(0.27)  # P(landable) at most, within reach of a crown
+MAX_BESIDE_CROWN = np.float32(0.27)  # largest P(landable) within reach of a crown or of something raised
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Bool:
-    """Ground within reach of a crown (G18): seen from the side, what lies under it passes for open ground.
+    """Ground within reach of a tree crown (G18): oblique views show the ground under it as open.
 
     Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
     """
     cell = elevation.grid.cell
     usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-    above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
-    out = np.zeros(above.shape, dtype=np.bool_)
+    height_above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
+    out = np.zeros(height_above.shape, dtype=np.bool_)
     for tall in (1.5, 3.0, 4.5, 6.0):
         n = round(settings.overhang * tall / cell)
         if n < 1:
             continue
-        standing = without_specks(np.nan_to_num(above) > tall, cell, 0.5)
+        standing = without_specks(np.nan_to_num(height_above) > tall, cell, 0.5)
         out |= grow(standing, n)
     return out
 
 
-def appearance_odds(model: Model | None, elevation: ElevationMap, look: Appearance) -> F32 | None:
-    """What the model of appearance adds to the log odds, (R, C, 8); None when it can say nothing here.
+def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
+    """Log odds (R, C, 8) that the model of appearance adds; None for grey pictures or cells too coarse for it.
 
-    0 is no evidence: for classes that the model does not know, and wherever nothing known looks like that.
+    They are 0 for classes that the model does not know, and where the ground is unlike every patch it was trained on.
     """
-    if model is None or not look.coloured:
+    if model is None or not colours.coloured:
         return None
-    said = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
-    if said is None:
+    log_p = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
+    if log_p is None:
         return None
-    lift = np.nan_to_num(said + np.float32(np.log(len(model.classes)))).astype(np.float32)
+    lift = np.nan_to_num(log_p + np.float32(np.log(len(model.classes)))).astype(np.float32)
     out = np.zeros((*elevation.grid.shape, len(KINDS)), np.float32)
     size = elevation.grid.shape[::-1]
     for i, code in enumerate(model.classes):
@@ -70,19 +70,19 @@ def landable_of(odds: F32) -> F32:
     return np.asarray(np.exp(log_softmax(odds))[..., OPEN].sum(axis=-1), np.float32)
 
 
-def _open_kind(look: Appearance) -> U8:
-    """Which open ground it is, by its colour, cautiously."""
-    green = np.nan_to_num(look.green) > LEAFY
-    grey = (np.abs(look.cool) < 0.05) & (np.abs(look.green) < 0.04) & (look.texture < 0.05)
+def _open_kind(colours: Appearance) -> U8:
+    """Class of open ground by its colour: short grass, paved or bare."""
+    green = np.nan_to_num(colours.green) > LEAFY
+    grey = (np.abs(colours.cool) < 0.05) & (np.abs(colours.green) < 0.04) & (colours.texture < 0.05)
     return np.where(green, Terrain.SHORT_GRASS, np.where(grey, Terrain.PAVED, Terrain.BARE)).astype(np.uint8)
 
 
-def _settled(odds: F32, water: Bool, cell: float) -> F32:
-    """Log odds with standing water made sure, and gaps between tufts given to the tufts."""
+def _with_water_and_tufts(odds: F32, water: Bool, cell: float) -> F32:
+    """Log odds with standing water made certain, and gaps between tufts given to the tufts."""
     out = odds.copy()
     best = odds.max(axis=-1)
     wet = Terrain.WATER - 1
-    out[..., wet] = np.where(water, best + SURE, odds[..., wet])
+    out[..., wet] = np.where(water, best + CERTAIN_WATER, odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
     tufts = close_gaps(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
@@ -91,38 +91,40 @@ def _settled(odds: F32, water: Bool, cell: float) -> F32:
     return out
 
 
-def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """The likeliest class; its colour says which open ground it is, and whether what stands on it is a tree."""
+def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
+    """The likeliest class; colour decides between open grounds, height between tall vegetation and tree."""
     hazards = odds.copy()
     hazards[..., OPEN] = -np.inf
     kind = (np.argmax(hazards, axis=-1) + 1).astype(np.uint8)
-    above, leafy = np.nan_to_num(shape.above), np.nan_to_num(look.green) > LEAFY
-    raised = (above > settings.raised) & (kind != Terrain.WATER)
+    height_above, leafy = np.nan_to_num(shape.height_above), np.nan_to_num(colours.green) > LEAFY
+    raised = (height_above > settings.raised) & (kind != Terrain.WATER)
     plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
-    kind = np.where(plants, np.where(above > TALL, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
-    return np.where(landable >= 0.5, _open_kind(look), kind).astype(np.uint8)
+    kind = np.where(plants, np.where(height_above > TALL, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
+    return np.where(landable >= 0.5, _open_kind(colours), kind).astype(np.uint8)
 
 
-def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net) -> tuple[U8, F32, F32]:
+def _classified(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net
+) -> tuple[U8, F32, F32]:
     """Labels, P(landable) and log probabilities of one map."""
     cell = elevation.grid.cell
-    look = appearance(elevation)
-    wet = wetness(elevation, look)
+    colours = appearance(elevation)
+    wet = wetness(elevation, colours)
     shape = relief(elevation, wet, settings)
-    water = ponds(elevation, look, shape, wet, settings)
-    plain = _settled(relu_net(net, cover_terms(elevation, look, shape)), water, cell)
-    seen_as = appearance_odds(model, elevation, look)
-    odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
+    water = ponds(elevation, colours, shape, wet, settings)
+    plain = _with_water_and_tufts(relu_net(net, land_cover_terms(elevation, colours, shape)), water, cell)
+    added = appearance_odds(model, elevation, colours)
+    odds = plain if added is None else plain + np.float32(settings.appearance) * added
     landable = fill_pits(
         np.minimum(landable_of(plain), landable_of(odds)), round(PIT / cell)
-    )  # appearance never gives (T5)
-    standing = (np.nan_to_num(shape.above) > settings.raised) | beside_tall(elevation, shape, settings)
-    landable = np.where(standing, np.minimum(landable, UNDER), landable)
-    return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
+    )  # appearance never permits (T5)
+    standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
+    landable = np.where(standing, np.minimum(landable, MAX_BESIDE_CROWN), landable)
+    return _labels(odds, landable, colours, shape, settings), landable, log_softmax(odds)
 
 
-def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
-    """In words, what the classes of a map are made of."""
+def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
+    """The evidence that the classes of a map rest on, in words."""
     if not settings.enabled:
         return "not judged (terrain.enabled)"
     alone = "shape, matching and texture of the map alone: "
@@ -139,7 +141,7 @@ def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None
 def classify(
     elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, net: Net | None = None
 ) -> TerrainMap:
-    """Say what covers each cell, and how likely it may be landed on.
+    """Land cover of each cell, and the probability that it may be landed on.
 
     Args:
         elevation: heights, flags and colours.
@@ -154,11 +156,11 @@ def classify(
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p = _verdict(elevation, settings, model, net or read_net("land_cover"))
-    looked = seen(elevation)
+    label, landable, log_p = _classified(elevation, settings, model, net or read_net("land_cover"))
+    known = seen(elevation)
     return TerrainMap(
         elevation.grid,
-        np.where(looked, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        np.where(looked, landable, nothing),
-        np.where(looked[..., None], np.exp(log_p), nothing).astype(np.float16),
+        np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
+        np.where(known, landable, nothing),
+        np.where(known[..., None], np.exp(log_p), nothing).astype(np.float16),
     )

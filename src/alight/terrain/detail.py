@@ -1,7 +1,7 @@
-"""What is small and near: bands of light, tint and height at several widths (docs/method-ground.md, T1b).
+"""Local detail: bands of brightness, tint and height at several widths (docs/method-ground.md, T1b).
 
-On pixels finer than the heights' cells, where the map has them. Stones, tufts and the texture of a sward are told apart
-by what stands out at which width, how strong all detail of a width is, and whether the heights stand out with it.
+On pixels finer than the heights' cells, where the map has them. Stones, tufts and the texture of a sward
+differ in the width of their detail, its strength, and whether the heights show it too.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ Found = Iterator[tuple[str, F32]]
 WIDTHS = (0.7, 1.4, 2.8, 5.6, 11.2)  # fine pixels, 1-sigma: bands lie between each and the next
 HEIGHT_WIDTHS = (0.8, 1.6, 3.2, 6.4)  # cells
 NEAR, WIDE = 0.3, 1.0  # metres over which the strength of a band is gathered
-REACH = 0.5  # metres to the darkest and brightest, the highest and lowest place near
-FLOOR = np.float32(0.003)
-BUMP = np.float32(0.03)  # metres of height above which its logarithm counts
+REACH = 0.5  # metres, radius of local maxima and minima
+FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
+BUMP = np.float32(0.03)  # metres, scale of the arsinh of heights
 FLAGS = {
     DetailTerm.AMBIGUOUS: Flag.AMBIGUOUS,
     DetailTerm.MOVING: Flag.INCONSISTENT | Flag.MOVING,
@@ -44,7 +44,7 @@ def _local_max(values: F32, cell: float) -> F32:
 
 
 def channels(rgb: U8) -> dict[str, F32]:
-    """Log brightness and the log ratios of red and blue to green of a picture; what was not seen is like its rim."""
+    """Log brightness and log ratios of red and blue to green; unseen pixels take the nearest seen value."""
     picture = nearest_known(rgb, rgb.max(axis=2) > 0).astype(np.float32) + 2
     green = np.log(picture[..., 1])
     red, blue = np.log(picture[..., 0]) - green, np.log(picture[..., 2]) - green
@@ -52,7 +52,7 @@ def channels(rgb: U8) -> dict[str, F32]:
 
 
 def bands(name: str, values: F32, factor: int, cell: float) -> Found:
-    """What stands out of one channel at each width, and how strong each width is about a cell."""
+    """Differences of Gaussians of one channel at each width, and the strength of each width near a cell."""
     narrow = gaussian_mean(values, WIDTHS[0])
     for k, sigma in enumerate(WIDTHS[1:]):
         wide = gaussian_mean(values, sigma)
@@ -68,13 +68,13 @@ def bands(name: str, values: F32, factor: int, cell: float) -> Found:
             yield band(name, k, "wide"), _strength(power, WIDE / cell)
         narrow = wide
     coarse = block_mean(values, factor)
-    small, usual, broad = (gaussian_mean(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
-    yield f"{name}_local", small - usual
-    yield f"{name}_broad", usual - broad
+    fine, local, trend = (gaussian_mean(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
+    yield f"{name}_local", fine - local
+    yield f"{name}_broad", local - trend
 
 
 def bumps(height: F32, cell: float) -> Found:
-    """What stands out of the heights at each width, and the highest and the lowest place near."""
+    """Differences of Gaussians of the heights at each width, local maximum and minimum, slope."""
     means = [height, *(gaussian_mean(height, s) for s in HEIGHT_WIDTHS)]
     for k, (narrow, wide) in enumerate(pairwise(means)):
         yield band("height", k), _squashed(narrow - wide)
@@ -88,14 +88,14 @@ def bumps(height: F32, cell: float) -> Found:
 
 
 def spot_bands(light: F32, factor: int, cell: float) -> Found:
-    """The darkest and the brightest place near: a stone and its shadow."""
+    """Darkest and brightest spot within `REACH`: a stone and its shadow."""
     spot = gaussian_mean(light, WIDTHS[0]) - gaussian_mean(light, 0.8 * factor / cell)
     yield DetailTerm.DARKEST_NEAR, _local_max(block_max(-spot, factor), cell)
     yield DetailTerm.BRIGHTEST_NEAR, _local_max(block_max(spot, factor), cell)
 
 
-def doubts(elevation: ElevationMap) -> Found:
-    """The residual against what is usual near, and the share of the cells near that carry each flag."""
+def match_terms(elevation: ElevationMap) -> Found:
+    """Residual less its local mean, and the share of nearby cells with each flag."""
     cell, residual = elevation.grid.cell, np.nan_to_num(elevation.residual)
     yield DetailTerm.RESIDUAL_SPOT, gaussian_mean(residual, 0.7) - gaussian_mean(residual, 1.0 / cell)
     for name, flags in FLAGS.items():
@@ -103,7 +103,7 @@ def doubts(elevation: ElevationMap) -> Found:
 
 
 def detail_terms(elevation: ElevationMap) -> Found:
-    """All of it, (R, C) each, one after the other: together they would be several times the map."""
+    """All terms of this module, (R, C) each, one after the other: together they would be several times the map."""
     rgb, factor = elevation.finest
     cell = elevation.grid.cell
     for name, values in channels(rgb).items():
@@ -112,4 +112,4 @@ def detail_terms(elevation: ElevationMap) -> Found:
             yield from spot_bands(values, factor, cell)
     height = nearest_known(elevation.height, np.isfinite(elevation.height))
     yield from bumps(np.nan_to_num(height - np.float32(np.median(height))), cell)
-    yield from doubts(elevation)
+    yield from match_terms(elevation)

@@ -1,4 +1,4 @@
-"""What a cell's height says: how far it stands above the ground, how rough it is, whether water would stand there."""
+"""Relief: height above the ground, roughness, depth of standing water."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Bool = NDArray[np.bool_]
 class Relief:
     """Shape of the ground about every cell, (R, C) float32 metres, NaN where no height is near."""
 
-    above: F32  # height above the surrounding ground, less what a hill of that width may have (G12)
+    height_above: F32  # above the surrounding ground, less the height that a hill of that width may have (G12)
     rough: F32  # root mean square height about its 0.5 m mean
     depth: F32  # of water that would stand there before it ran off (G13)
     level: F32  # height of that water's surface
@@ -28,7 +28,7 @@ class Relief:
 
 
 def ground_under(low: F32, window_cells: float) -> F32:
-    """Ground below what is narrower than the window: a morphological opening that leaves planes as they are."""
+    """Ground without objects narrower than the window: a morphological opening that keeps planes."""
     reach = max(1, round(window_cells / 2))
     disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
@@ -37,23 +37,21 @@ def ground_under(low: F32, window_cells: float) -> F32:
     return out
 
 
-def above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
-    """Height above what lies around, over widening windows (G12).
+def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
+    """Height above the ground around, over widening windows (G12).
 
     Each window allows `settings.bulge` of height per metre of its width: hilltops are broad, objects are not.
     """
-    above = np.full(height.shape, -np.inf, dtype=np.float32)
+    out = np.full(height.shape, -np.inf, dtype=np.float32)
     for window in (settings.ground_window / 4, settings.ground_window / 2, settings.ground_window):
         ground = ground_under(low, window / (size * cell))
         flat = masked_gaussian(np.nan_to_num(ground), np.isfinite(ground).astype(np.float32), 1.0)
         under = cv2.resize(flat, (flat.shape[1] * size, flat.shape[0] * size), interpolation=cv2.INTER_LINEAR)
-        above = np.fmax(
-            above, height - under[: height.shape[0], : height.shape[1]] - np.float32(settings.bulge * window)
-        )
-    return np.where(np.isfinite(above), above, np.float32(np.nan))
+        out = np.fmax(out, height - under[: height.shape[0], : height.shape[1]] - np.float32(settings.bulge * window))
+    return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def outside(unknown: Bool) -> Bool:
+def open_to_rim(unknown: Bool) -> Bool:
     """Unknown cells that reach the rim of the map; holes within are walls to water, not ways out."""
     framed = np.pad(unknown, 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(framed, connectivity=4)[1]
@@ -67,7 +65,7 @@ def standing_water(ground: F32, wet: Bool) -> tuple[F32, F32]:
     Only where the rim itself looks `wet` it does not: there a pond goes on beyond the map.
     """
     unknown = np.isnan(ground)
-    off = np.pad(outside(unknown), 1, constant_values=True).astype(np.uint8)
+    off = np.pad(open_to_rim(unknown), 1, constant_values=True).astype(np.uint8)
     beside = cv2.dilate(off, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
     surface = np.where(unknown, np.float32(np.inf), ground)
     level = np.empty_like(surface)
@@ -95,7 +93,7 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     detail = np.nan_to_num(height) - np.nan_to_num(masked_gaussian(np.nan_to_num(height), weight, 0.5 / cell))
     power = masked_gaussian(detail**2, weight, 0.35 / cell)
     return Relief(
-        above=above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
+        height_above=height_above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
         depth=upsample(depth, size, shape),
         level=upsample(level, size, shape),
