@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.learned import CLIP, Layer, Net, monotone_costs, net_bytes, net_of, read_net, relu_net, table_path
+from alight.learned import CLIP, AffineLayer, Net, monotone_costs, net_bytes, net_of, read_net, relu_net, table_path
 from alight.learned.terms import HAZARD_TERMS, LAND_COVER_TERMS
 
 NAMES = ("a", "b", "c")
@@ -22,7 +22,12 @@ def net() -> Net:
     layers = [rng.normal(size=s).astype(np.float16).astype(np.float32) for s in ((3, 5), (5,), (8, 1), (1,))]
     calibration = np.array([[-2.0, 0.0, 3.0], [-1.0, 0.5, 2.0]])
     return Net(
-        NAMES, usual.astype(np.float32), spread.astype(np.float32), Layer(*layers[:2]), Layer(*layers[2:]), calibration
+        NAMES,
+        usual.astype(np.float32),
+        spread.astype(np.float32),
+        AffineLayer(*layers[:2]),
+        AffineLayer(*layers[2:]),
+        calibration,
     )
 
 
@@ -52,7 +57,7 @@ def test_a_term_far_outside_of_the_training_data_counts_no_further(net: Net) -> 
 
 
 def test_the_rectified_net_is_its_formula_whatever_the_order_of_the_terms(net: Net) -> None:
-    plain = replace(net, output=Layer(net.output.weights[:5], net.output.bias))
+    plain = replace(net, output=AffineLayer(net.output.weights[:5], net.output.bias))
     x = standardised(net, given())
     want = np.maximum(x @ net.hidden.weights + net.hidden.bias, 0) @ plain.output.weights + plain.output.bias
     assert_allclose(relu_net(plain, given().items())[..., 0].ravel(), want[:, 0], rtol=1e-4, atol=1e-5)

@@ -108,7 +108,7 @@ def test_morphology_is_scipys_with_the_same_element() -> None:
     padded = np.pad(mask, 4)
     closed = ndimage.binary_erosion(ndimage.binary_dilation(padded, element), element)[4:-4, 4:-4]
     inside = (slice(4, -4), slice(4, -4))
-    assert_array_equal(raster.close_gaps(mask, 2)[inside], closed[inside])
+    assert_array_equal(raster.close_mask(mask, 2)[inside], closed[inside])
     values = noise(seed=4)
     assert_array_equal(raster.local_max(values, 2), ndimage.grey_dilation(values, footprint=element, mode="reflect"))
     closing = ndimage.grey_closing(values, footprint=element)
@@ -147,7 +147,7 @@ def test_a_disc_crosses_the_edge_nearer_than_its_radius() -> None:
 
 def test_ramp_and_logarithms() -> None:
     values = np.array([np.nan, -1.0, 0.0, 1.0, 2.0, 9.0], np.float32)
-    assert_allclose(raster.ramp(values, 0.0, 2.0), [0, 0, 0, 0.5, 1, 1])
+    assert_allclose(raster.linear_ramp(values, 0.0, 2.0), [0, 0, 0, 0.5, 1, 1])
     assert_allclose(raster.log_at_least(values, 0.5), np.log([1, 0.5, 0.5, 1, 2, 9]), rtol=1e-6)
     assert_allclose(raster.log_offset(values[2:], 0.5), np.log([0.5, 1.5, 2.5, 9.5]), rtol=1e-6)
 

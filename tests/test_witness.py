@@ -78,8 +78,8 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     if together:
         change[1::2] = change[::2]
     share = witness.shared(mean + change, np.arange(8).reshape(-1, 2), mean, np.full(mean.shape, 8, np.uint8))
-    assert (share > witness.MOST_SHARED).all() == together
-    assert (share > 0.5 * witness.MOST_SHARED).any() == together
+    assert (share > witness.MAX_SHARED).all() == together
+    assert (share > 0.5 * witness.MAX_SHARED).any() == together
 
 
 def rig(moving: bool, count: int = 7) -> list[list[View]]:

@@ -23,7 +23,7 @@ from scipy.ndimage import distance_transform_edt
 from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8
-from alight.learned import CLIP, Layer, Net
+from alight.learned import CLIP, AffineLayer, Net
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight.terrain import evidence
@@ -124,7 +124,7 @@ def fit_net(r: Rows, seed: int = 0) -> Net:
         x = (z[cells] + shift[r.flight[cells]]).clip(-CLIP, CLIP)
         net.partial_fit(np.asarray(x, np.float32), r.kind[cells], classes=np.arange(CLASSES))
     layers = [
-        Layer(np.asarray(w, np.float32), np.asarray(b, np.float32))
+        AffineLayer(np.asarray(w, np.float32), np.asarray(b, np.float32))
         for w, b in zip(net.coefs_, net.intercepts_, strict=True)
     ]
     layers[1].bias[Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)

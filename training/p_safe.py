@@ -27,7 +27,7 @@ from sklearn.isotonic import IsotonicRegression
 from alight.arrays import F32, F64, Mask
 from alight.hazards import assess
 from alight.hazards.evidence_probability import prior_penalties
-from alight.learned import CLIP, Layer, Net, monotone_costs
+from alight.learned import CLIP, AffineLayer, Net, monotone_costs
 from alight.settings import Settings
 
 SOME = 5000  # cells of a map
@@ -132,7 +132,7 @@ def fit(samples: list[Sample]) -> Net:
         for i in cells.reshape(-1, BATCH):
             rate = RATE * 0.5 * (1 + np.cos(np.pi * adam.taken / steps))
             adam.step(_slopes(layers, (x[i] + shift[flight[i]]).clip(-CLIP, CLIP), least[i], unsafe[i]), rate)
-    found = [Layer(w[:-1], w[-1]) for w in layers]
+    found = [AffineLayer(w[:-1], w[-1]) for w in layers]
     return Net(names, usual, spread + np.float32(1e-3), found[0], found[1])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.raster import close_gaps, weighted_gaussian
+from alight.raster import close_mask, weighted_gaussian
 from alight.raster.smoothing import LEAST_SHARE
 from alight.records import F32, ElevationMap, Flag
 from alight.settings import HazardsSettings, Lander
@@ -23,7 +23,7 @@ def _with_gaps(known: Bool, reach_cells: float) -> Bool:
     n = int(reach_cells + 1e-6)
     if n < 1:
         return known
-    return close_gaps(known, n)
+    return close_mask(known, n)
 
 
 def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:

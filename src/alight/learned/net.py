@@ -16,7 +16,7 @@ TERMS_AT_A_TIME = 8  # all 88 of the land cover together would be several times 
 CELLS_AT_A_TIME = 1 << 16
 
 
-class Layer(NamedTuple):
+class AffineLayer(NamedTuple):
     """One affine layer."""
 
     weights: F32  # (inputs, outputs)
@@ -30,8 +30,8 @@ class Net:
     terms: tuple[str, ...]  # identifiers (`terms`), in the order of the first layer's rows
     usual: F32  # (T,) mean of each term
     spread: F32  # (T,) standard deviation of each term
-    hidden: Layer
-    output: Layer
+    hidden: AffineLayer
+    output: AffineLayer
     calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
 
     def standardised(self, names: Iterable[str], values: Iterable[F32]) -> F32:

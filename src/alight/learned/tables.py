@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32
-from alight.learned.net import Layer, Net
+from alight.learned.net import AffineLayer, Net
 from alight.learned.terms import HAZARD_TERMS, LAND_COVER_TERMS
 
 TERMS_OF = {"p_safe": HAZARD_TERMS, "land_cover": LAND_COVER_TERMS}
@@ -43,7 +43,7 @@ def net_of(content: bytes, terms: tuple[str, ...]) -> Net:
     if tuple(map(str, arrays["terms"])) != terms:
         raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
     layers = [
-        Layer(arrays[f"{k}_weights"].astype(np.float32), arrays[f"{k}_bias"].astype(np.float32))
+        AffineLayer(arrays[f"{k}_weights"].astype(np.float32), arrays[f"{k}_bias"].astype(np.float32))
         for k in ("hidden", "output")
     ]
     calibration = arrays["calibration"].astype(np.float64) if "calibration" in arrays else None
@@ -74,7 +74,7 @@ def net_bytes(net: Net) -> bytes:
         "usual": _rounded(net.usual),
         "spread": _rounded(net.spread),
         **{f"{k}_{f}": np.asarray(getattr(layer, f), np.float16)
-           for k, layer in (("hidden", net.hidden), ("output", net.output)) for f in Layer._fields},
+           for k, layer in (("hidden", net.hidden), ("output", net.output)) for f in AffineLayer._fields},
     }  # fmt: skip
     if net.calibration is not None:
         arrays["calibration"] = net.calibration

@@ -14,8 +14,8 @@ from alight.raster.disc import (
 )
 from alight.raster.distance import distance_to
 from alight.raster.fill import nearest_known
-from alight.raster.morphology import close_gaps, ellipse, fill_pits, grow, local_max, without_specks
-from alight.raster.scalars import log_at_least, log_offset, ramp
+from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
+from alight.raster.scalars import linear_ramp, log_at_least, log_offset
 from alight.raster.smoothing import WeightedMean, gaussian_mean, masked_gaussian, weighted_gaussian
 
 __all__ = [
@@ -25,7 +25,7 @@ __all__ = [
     "block_mean",
     "block_quantile",
     "cells_as_blocks",
-    "close_gaps",
+    "close_mask",
     "disc_any",
     "disc_crosses_edge",
     "disc_mask",
@@ -39,12 +39,12 @@ __all__ = [
     "fill_pits",
     "gaussian_mean",
     "grow",
+    "linear_ramp",
     "local_max",
     "log_at_least",
     "log_offset",
     "masked_gaussian",
     "nearest_known",
-    "ramp",
     "upsample",
     "weighted_gaussian",
     "without_specks",

@@ -16,7 +16,7 @@ def ellipse(reach: int) -> U8:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1)), np.uint8)
 
 
-def close_gaps(mask: Mask, reach: int) -> Mask:
+def close_mask(mask: Mask, reach: int) -> Mask:
     """Binary closing: the mask with its gaps filled that are narrower than twice the reach, cells."""
     closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, ellipse(reach), borderValue=0)
     return np.asarray(closed > 0)

@@ -7,7 +7,7 @@ import numpy as np
 from alight.arrays import F32
 
 
-def ramp(values: F32, low: float, high: float) -> F32:
+def linear_ramp(values: F32, low: float, high: float) -> F32:
     """0 below `low`, 1 above `high`, linear between; NaN gives 0."""
     scaled = np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)
     return np.asarray(np.nan_to_num(scaled), np.float32)

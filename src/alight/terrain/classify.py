@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.learned import Net, read_net, relu_net
-from alight.raster import close_gaps, fill_pits, grow, without_specks
+from alight.raster import close_mask, fill_pits, grow, without_specks
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
@@ -84,7 +84,7 @@ def _with_water_and_tufts(odds: F32, water: Bool, cell: float) -> F32:
     wet = Terrain.WATER - 1
     out[..., wet] = np.where(water, best + CERTAIN_WATER, odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
-    tufts = close_gaps(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
+    tufts = close_mask(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
         tufts, np.maximum(best, best + 1), out[..., Terrain.TALL_VEGETATION - 1]
     )

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from alight.learned.terms import RELATIVE, SurfaceTerm
-from alight.raster import log_offset, masked_gaussian, ramp
+from alight.raster import linear_ramp, log_offset, masked_gaussian
 from alight.records import F32, REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.detail import detail_terms
@@ -26,9 +26,9 @@ def _relative(values: F32, weight: F32) -> F32:
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
     """Joint score of tall plants (G16): textured, rough or raised in height, green, moving."""
-    texture = ramp(colours.texture, 0.055, 0.09)
-    high = np.maximum(ramp(shape.height_above, 0.15, 0.5), ramp(shape.rough, 0.04, 0.10))
-    tone = ramp(colours.green, 0.06, 0.14) * np.float32(colours.coloured)
+    texture = linear_ramp(colours.texture, 0.055, 0.09)
+    high = np.maximum(linear_ramp(shape.height_above, 0.15, 0.5), linear_ramp(shape.rough, 0.04, 0.10))
+    tone = linear_ramp(colours.green, 0.06, 0.14) * np.float32(colours.coloured)
     return np.asarray(3.5 * texture + 3.0 * high + 2.0 * tone + 2.0 * moving - 5.0, np.float32)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median
 
-from alight.raster import masked_gaussian, ramp, without_specks
+from alight.raster import linear_ramp, masked_gaussian, without_specks
 from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
@@ -28,8 +28,8 @@ def _moving(elevation: ElevationMap) -> F32:
 
 def water_likeness(colours: Appearance) -> F32:
     """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
-    plain = 1 - ramp(colours.texture, 0.03, 0.06)
-    tone = ramp(colours.cool, -0.075, -0.04) * (1 - ramp(colours.green, 0.11, 0.16))
+    plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
+    tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
     out: F32 = plain * tone * np.float32(colours.coloured)
     return out
 
@@ -44,8 +44,8 @@ def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
 def water_odds(colours: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
     """Log odds of water (G14): a closed basin, likeness to water, motion; any two strong ones suffice."""
     d = settings.basin_depth
-    basin = ramp(shape.depth, d / 2, 1.5 * d)
-    plain = 1 - ramp(colours.texture, 0.03, 0.06)
+    basin = linear_ramp(shape.depth, d / 2, 1.5 * d)
+    plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving).astype(np.float32)
     return odds
 
