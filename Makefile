@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench bench-heights bench-ground bench-motion bench-simulator pictures clean
+.PHONY: help demo test check format bench bench-heights bench-ground bench-motion bench-simulator train pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -30,6 +30,10 @@ bench-heights: $(MADE)  ## heights: everything asked of them beside what they mu
 
 bench-ground: $(MADE)  ## hazards and cover: the contest's terrains, P(safe) on test flights, the terrain library, speed
 	$(BIN)/python bench/bench_ground.py && $(BIN)/python bench/ground_flights.py && $(BIN)/python bench/bench_terrain.py library && $(BIN)/python bench/bench_terrain.py measure
+
+train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hours of CPU, maps kept between runs
+	$(BIN)/python -m pip install --quiet --editable '.[train]'
+	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py
 
 bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py

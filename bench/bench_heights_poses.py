@@ -19,10 +19,10 @@ from functools import lru_cache
 import cv2
 import numpy as np
 from bench_steps import texture, view
-from doubt import exposures
 from heights_points import Points, points_of
 from heights_step import REPEATS, SPACING, Flight, cpu, lone_step, one_thread
 from heights_table import Row, head, kept
+from true_views import exposures
 
 from alight.evaluation.report import nmad
 from alight.geometry import Pose, so3_exp
@@ -168,7 +168,7 @@ class Refined(Flight):
         joint = np.kron(np.ones((n, n)), np.diag(SIGMA**2)) + np.kron(np.eye(n), own) if n > 1 else np.diag(SIGMA**2)
         self._ring.push([view], KeyframePosterior(tuple(self._told), joint))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
-        self._map.lean(self._ring.plane, self._ring.about)
+        self._map.add_plane(self._ring.plane, self._ring.about)
         if found is not None:
             self._map.add(found, replace_all=True)
 

@@ -1,6 +1,5 @@
-"""What covers the ground: weights of the evidence, and how well the classes do on flights.
+"""What covers the ground: how well the classes do on flights and on the library.
 
-    python bench/bench_terrain.py fit                # the table of alight/terrain/weights.py, from tuning flights
     python bench/bench_terrain.py measure FLIGHT ... # refused and kept by true class; rungs, or folders with truth
     python bench/bench_terrain.py library            # the library with each site left out, and other scenes
 
@@ -14,8 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from cover_fit import joined, module, rows, train
-from ground_flights import FRESH, TUNING
+from ground_flights import FRESH
 from ground_maps import judgeable
 
 from alight import terrain
@@ -37,12 +35,6 @@ def maps(names: Sequence[str], scratch: Path) -> Iterator[tuple[str, ElevationMa
         found = judgeable(name, "batch", scratch)
         if found is not None:
             yield name, found.elevation, found.label
-
-
-def fit(scratch: Path) -> None:
-    """Print the module of weights."""
-    parts = rows(TUNING, scratch)
-    print(module(train(joined(parts)), len(parts)))
 
 
 def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
@@ -84,15 +76,13 @@ def library(data: Path) -> None:
 def main() -> None:
     """One part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", nargs="?", default="measure", choices=["fit", "measure", "library"])
+    parser.add_argument("part", nargs="?", default="measure", choices=["measure", "library"])
     parser.add_argument("flights", nargs="*", default=[])
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     parser.add_argument("--model", type=Path, default=None, help="another model; 'none': without")
     arguments = parser.parse_args()
-    if arguments.part == "fit":
-        fit(arguments.scratch)
-    elif arguments.part == "library":
+    if arguments.part == "library":
         library(arguments.data)
     else:
         sample = [str(arguments.data / "sample")] if (arguments.data / "sample").is_dir() else []

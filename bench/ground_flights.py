@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from alight import hazards, terrain
 from alight.landing import sites
+from alight.learned import Net
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
 from alight.sources.library import read_model
@@ -98,9 +99,9 @@ def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
     return Judged(name, parts[0], parts[1], parts[2])
 
 
-def cover_of(j: Judgeable) -> TerrainMap:
-    """The classes as the product finds them."""
-    return terrain.classify(j.elevation, Settings().stages().terrain, read_model())
+def cover_of(j: Judgeable, net: Net | None = None) -> TerrainMap:
+    """The classes as the product finds them, or with another net."""
+    return terrain.classify(j.elevation, Settings().stages().terrain, read_model(), net)
 
 
 def verdict(j: Judgeable) -> HazardMap:

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from doubt import exposures
 from heights_matchers import MATCHERS
 from heights_points import compare, points_of
 from heights_table import Row, kept
+from true_views import exposures
 
 from alight_sim.ladder import rung
 

@@ -42,7 +42,7 @@ PARTS = {  # what is timed apart, outer before inner
     "... its samples": (refine, "stack"),
     "... its normal equations": (refine.kernels, "normal_equations"),
     "... its solution": (refine.kernels, "solve"),
-    "... its plane prior": (refine.surface, "plane_prior"),
+    "... its plane prior": (refine.visibility_kernels, "plane_prior"),
     "sweep of new cells, all of it": (sweep, "sweep"),
     "... its cost": (sweep.kernels, "sweep_cost"),
     "... its aggregation": (sweep.kernels, "aggregate"),

@@ -15,11 +15,11 @@ ROOT = Path(__file__).parents[1]
 KEPT = ROOT / "out" / "bench-heights"
 # what a measured number hangs on: another source is another number
 SOURCES = (
-    "src/alight/geometry", "src/alight/kernels", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
+    "src/alight/geometry", "src/alight/raster", "src/alight/parallax", "src/alight/pipeline", "src/alight_sim",
     "src/alight/elevation", "src/alight/settings", "bench/scenes", "bench/matchers.py", "bench/subjects.py",
-    "bench/doubt.py", "bench/heights_points.py", "bench/heights_matchers.py", "bench/heights_ladder.py",
+    "bench/heights_points.py", "bench/heights_matchers.py", "bench/heights_ladder.py",
     "bench/heights_unflagged.py", "bench/heights_recordings.py", "bench/bench_heights_poses.py",
-    "bench/bench_heights_memory.py",
+    "bench/bench_heights_memory.py", "training/outlier_probability.py",
 )  # fmt: skip
 WIDTH = 78
 MARK = "<!-- below: made by `python bench/bench_heights.py --page` -->"

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from doubt import exposures
 from heights_matchers import mapped
 from heights_points import OPEN, Mask
 from heights_table import Row, kept
 from numpy.typing import NDArray
+from true_views import exposures
 
 import alight_sim as simulate
 from alight.geometry import Grid

@@ -17,8 +17,9 @@ from scipy.special import logit
 from alight.hazards import assess
 from alight.hazards.assessment import clearance_of
 from alight.hazards.blob_contrast import blob_contrast
-from alight.hazards.monotone_net import LEAST, least_costs, safe_belief
-from alight.hazards.weights import TERMS
+from alight.hazards.evidence_probability import PRIOR_PENALTIES, evidence_probability, prior_penalties
+from alight.learned import read_net
+from alight.learned.terms import HAZARD_TERMS, HazardTerm
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap
 from alight.settings import HazardsSettings, Lander
 
@@ -313,23 +314,26 @@ def test_a_brighter_exposure_and_another_white_balance_have_the_same_spots() -> 
 
 
 def test_no_term_makes_a_touchdown_likelier_where_it_is_worse() -> None:
-    rng = np.random.default_rng(1)
-    assert set(LEAST) < set(TERMS)
-    for name, (usual, spread) in TERMS.items():
+    rng, net = np.random.default_rng(1), read_net("p_safe")
+    scales = dict(zip(net.terms, zip(net.usual, net.spread, strict=True), strict=True))
+    assert set(PRIOR_PENALTIES) < set(scales)
+    for name, (usual, spread) in scales.items():
         for _ in range(20):
-            some = {k: np.full(50, u + s * rng.uniform(-3, 3), np.float32) for k, (u, s) in TERMS.items()}
+            some = {k: np.full(50, u + s * rng.uniform(-3, 3), np.float32) for k, (u, s) in scales.items()}
             some[name] = np.linspace(usual - 5 * spread, usual + 5 * spread, 50, dtype=np.float32)
-            assert (np.diff(safe_belief(some)) <= 1e-6).all(), name
+            assert (np.diff(evidence_probability(some)) <= 1e-6).all(), name
 
 
-@pytest.mark.parametrize(("name", "least"), [("dark", 5.0), ("bright", 3.0), ("unknown", 8.0), ("broad", 3.0)])
+@pytest.mark.parametrize(
+    ("name", "least"), [("blob_dark", 5.0), ("blob_bright", 3.0), ("unknown", 8.0), ("roughness_trend", 3.0)]
+)
 def test_what_no_flight_teaches_costs_at_least_what_was_set(name: str, least: float) -> None:
-    low, high, _ = LEAST[name]
-    none = {k: np.full(2, LEAST[k][0] if k in LEAST else u, np.float32) for k, (u, _) in TERMS.items()}
+    low, high, _ = PRIOR_PENALTIES[HazardTerm(name)]
+    none = {k: np.full(2, PRIOR_PENALTIES[k].low if k in PRIOR_PENALTIES else 0.0, np.float32) for k in HAZARD_TERMS}
     some = none | {name: np.array([low, high], np.float32)}
-    odds = -least_costs(some)
+    odds = -prior_penalties(some)
     assert_allclose(odds[0] - odds[1], least * (high - low), rtol=1e-5)
-    assert_allclose(least_costs(none), 0.0)
+    assert_allclose(prior_penalties(none), 0.0)
 
 
 def test_cells_too_coarse_for_the_limits_are_less_sure() -> None:

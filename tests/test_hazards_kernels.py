@@ -11,9 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import linprog
 
-from alight.hazards.contact import any_near, footprint_of, gear_contact, rotor_rise, step_of
+from alight.hazards.contact import footprint_of, gear_contact, rotor_rise, step_of
 from alight.hazards.contact_kernels import resting_pitches
-from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, skids_of, unlike_directions
+from alight.hazards.footprint import block_starts, feet_of, skids_of, unlike_directions
+from alight.raster import disc_any, disc_mask, disc_spans
 from alight.settings import Lander
 from alight.terrain.basin_kernels import fill_basins
 
@@ -306,4 +307,4 @@ def test_a_mask_spreads_by_the_disc() -> None:
     mask = np.zeros(SHAPE, bool)
     mask[10, 10] = True
     r, c = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    assert (any_near(mask, 0.5, CELL) == (np.hypot(r - 10, c - 10) <= 5)).all()
+    assert (disc_any(mask, 0.5, CELL) == (np.hypot(r - 10, c - 10) <= 5)).all()

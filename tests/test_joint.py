@@ -147,7 +147,7 @@ def covariance(size: int, seed: int) -> F64:
 def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
     """Against the joint Gaussian written out: the others keep what they are given those told of (eq. 23)."""
     ms = motions(4)
-    first = PoseGaussian.none(np.array([0.3, 0.02, 0.01])).told(KeyframePosterior(ms[:3], covariance(18, 1)))
+    first = PoseGaussian.none(np.array([0.3, 0.02, 0.01])).with_posterior(KeyframePosterior(ms[:3], covariance(18, 1)))
     P = covariance(PLANE + 18, 2)  # pictures have tied the plane and the poses
     first = first.corrected(np.zeros(len(P)), P)
     error = np.random.default_rng(3).normal(0, 0.01, 12)
@@ -155,7 +155,7 @@ def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
         replace(m, world_from_body=moved(m.world_from_body, error[6 * k : 6 * k + 6])) for k, m in enumerate(ms[1:3])
     )
     Q = covariance(18, 4)
-    then = first.told(KeyframePosterior((*again, ms[3]), Q))
+    then = first.with_posterior(KeyframePosterior((*again, ms[3]), Q))
     shared, rest = np.arange(9, 21), np.arange(9)  # exposures 1 and 2; the plane and exposure 0
     gain = P[np.ix_(rest, shared)] @ np.linalg.inv(P[np.ix_(shared, shared)])
     left = P[np.ix_(rest, rest)] - gain @ P[np.ix_(shared, rest)]
@@ -181,7 +181,7 @@ def test_poses_told_of_one_by_one_are_independent() -> None:
     ms = motions(2)
     belief = PoseGaussian.none(np.ones(3))
     for m in ms:
-        belief = belief.told(KeyframePosterior((m,), m.covariance))
+        belief = belief.with_posterior(KeyframePosterior((m,), m.covariance))
     assert_array_equal(belief.covariance, np.eye(15))
 
 
@@ -246,7 +246,7 @@ def flown(
         poses = told(seen) if told else KeyframePosterior((motion,), motion.covariance)
         ring.push([view], poses if refine else None)
         found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
-        elevation.lean(ring.plane, ring.about)
+        elevation.add_plane(ring.plane, ring.about)
         if found is not None:
             elevation.add(found, replace_all=True)
             gauge = found.gauge
@@ -367,7 +367,7 @@ def test_the_map_leans_where_it_is_held() -> None:
     elevation.add(Heights(GRID, **fields), replace_all=True)
     before = elevation.read(GRID).height
     by, about = np.array([0.2, 0.01, -0.02]), np.array([1.0, 2.0])
-    elevation.lean(by, about)
+    elevation.add_plane(by, about)
     after = elevation.read(GRID)
     known = np.isfinite(before)
     assert_allclose(after.height[known], (before + plane_on(*GRID.xy(), by, about))[known], atol=1e-5)

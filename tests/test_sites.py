@@ -12,6 +12,8 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.landing import sites
+from alight.landing.next_view import next_view
+from alight.landing.reserve import Reserve
 from alight.records import ElevationMap, Hazard, HazardMap, Sites, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, SitesSettings
 
@@ -120,12 +122,12 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
     e = ground(np.full((101, 101), 3.0))
     r, c = np.mgrid[:101, :101]
     p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
-    look = sites.next_view(doubtful(e, p), e, SitesSettings(), LANDER, above=40.0)
+    look = next_view(doubtful(e, p), e, SitesSettings(), LANDER, height_above_ground=40.0)
     assert look is not None
     assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
     assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
     assert look.p_safe == pytest.approx(0.9, abs=0.01)
-    low = sites.next_view(doubtful(e, p), e, SitesSettings(), LANDER, above=10.0)
+    low = next_view(doubtful(e, p), e, SitesSettings(), LANDER, height_above_ground=10.0)
     assert low is not None
     assert low.height == 8.0
 
@@ -133,19 +135,19 @@ def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> No
 def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
     e = ground(np.zeros((101, 101)))
     refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
-    assert sites.next_view(doubtful(e, np.zeros((101, 101)), refused), e, SitesSettings(), LANDER, 40.0) is None
+    assert next_view(doubtful(e, np.zeros((101, 101)), refused), e, SitesSettings(), LANDER, 40.0) is None
     refused[50, 50] = 0
-    assert sites.next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, SitesSettings(), LANDER, 40.0) is None
+    assert next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, SitesSettings(), LANDER, 40.0) is None
 
 
 def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:
     e = ground(np.zeros((101, 151)))
     first = choose(e)
-    reserve = sites.Reserve().updated(first, assess(e, None, LANDER, EXACT), apart=1.0)
+    reserve = Reserve().updated(first, assess(e, None, LANDER, EXACT), apart=1.0)
     assert reserve.sites == first.sites
     assert reserve.lost == ()
     steep = ground(plane(101, 151, 0.4, 0.0))
-    none = sites.Reserve(first.sites).updated(choose(steep), assess(steep, None, LANDER, EXACT), apart=1.0)
+    none = Reserve(first.sites).updated(choose(steep), assess(steep, None, LANDER, EXACT), apart=1.0)
     assert none.sites == ()
     assert [why for _, why in none.lost] == ["is too steep"] * len(first.sites)
 
@@ -154,7 +156,7 @@ def test_reserve_sites_that_the_newer_map_does_not_see_are_kept_behind_those_tha
     e = ground(np.zeros((101, 151)))
     here = choose(e, settings=SitesSettings(count=2))
     far = tuple(replace(s, east=s.east + 500.0) for s in here.sites)
-    both = sites.Reserve(far).updated(here, assess(e, None, LANDER, EXACT), apart=1.0)
+    both = Reserve(far).updated(here, assess(e, None, LANDER, EXACT), apart=1.0)
     assert both.sites[:2] == here.sites
     assert [s.east for s in both.sites[2:]] == [s.east for s in far]
     assert [s.rank for s in both.sites] == [1, 2, 3, 4]

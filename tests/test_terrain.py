@@ -13,7 +13,7 @@ from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain import classify, open_water
-from alight.terrain.relief import ground_under, outside, standing_water
+from alight.terrain.relief import ground_under, open_to_rim, standing_water
 
 SHAPE = (240, 240)
 SETTINGS = TerrainSettings()
@@ -189,4 +189,4 @@ def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -
 def test_only_unknown_ground_that_reaches_the_rim_is_outside() -> None:
     unknown = np.zeros((9, 9), bool)
     unknown[4, 4] = unknown[0:3, 7] = True
-    assert (outside(unknown) == (unknown & (C[:9, :9] == 7))).all()
+    assert (open_to_rim(unknown) == (unknown & (C[:9, :9] == 7))).all()

@@ -17,7 +17,7 @@ from alight.cli import call
 from alight.records import LANDABLE, InputError, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import DEFAULT_MODEL, kind_of, model_bytes, read_labelled, read_library, read_model
-from alight.terrain import classify, says
+from alight.terrain import classify, describe
 from alight.terrain.features import against, appearance_features, frame_of, level_of, names
 from alight.terrain.model import Model, distance, log_probability, standardised
 from alight.training.confusion import Confusion
@@ -147,7 +147,7 @@ def test_a_model_comes_back_from_its_file_as_it_was(model: Model, tmp_path: Path
 def test_the_default_model_is_small_and_credited() -> None:
     assert DEFAULT_MODEL.stat().st_size < 100_000
     assert "boruszyn" in read_model().provenance
-    credits = (DEFAULT_MODEL.parent / "CREDITS.md").read_text(encoding="utf-8")
+    credits = DEFAULT_MODEL.with_suffix(".md").read_text(encoding="utf-8")
     assert "Andrew Zaborowski" in credits
     assert "CC BY 3.0" in credits
 
@@ -255,10 +255,10 @@ def test_appearance_takes_and_never_gives() -> None:
     assert (judged.landable < plain.landable - 0.02).any()
     assert plain.probability is not None
     assert_allclose(plain.probability.sum(axis=-1, dtype=np.float32), 1, atol=0.01)
-    assert "alone" in says(e, TerrainSettings(), None)
-    assert "appearance" in says(e, TerrainSettings(), read_model())
+    assert "alone" in describe(e, TerrainSettings(), None)
+    assert "appearance" in describe(e, TerrainSettings(), read_model())
     grey = replace(e, rgb=np.repeat(e.rgb[..., :1], 3, axis=2))
-    assert "grey" in says(grey, TerrainSettings(), read_model())
+    assert "grey" in describe(grey, TerrainSettings(), read_model())
 
 
 def test_the_library_is_judged_as_well_as_claimed(shared_data: Path) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 import yaml
@@ -24,13 +23,6 @@ from alight.cli.app import (
     tell_site,
 )
 from alight.records import RunResult, SettingsError
-from alight.settings import Settings
-
-if TYPE_CHECKING:
-    from alight.sources.raster import GroundRaster
-
-# heights made elsewhere show what there is, and lie level, unless --set says otherwise
-SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
 
 
 def _lander(file: Path | None) -> list[str]:
@@ -53,41 +45,6 @@ def _lander(file: Path | None) -> list[str]:
     return [f"lander.{key}={json.dumps(value, default=str)}" for key, value in tree.items()]
 
 
-def _judge(ground: GroundRaster, name: str, settings: Settings) -> tuple[RunResult, bool]:
-    """Sharpen, judge and choose; and whether the image made the heights finer."""
-    from alight import hazards
-    from alight.geometry import LocalFrame
-    from alight.hazards.sharpen import sharpen
-    from alight.landing import sites
-
-    warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
-    if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
-        finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
-        if finer is None:
-            warnings.append(
-                "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
-            )
-        elevation = finer or elevation
-    clock.append(time.perf_counter())
-    stages = settings.stages()
-    verdict = hazards.assess(elevation, None, stages.lander, stages.hazards)
-    clock.append(time.perf_counter())
-    chosen = sites.choose_sites(verdict, None, elevation, stages.sites, stages.lander)
-    result = RunResult(
-        source_name=name,
-        source_kind="heights",
-        local=LocalFrame(0.0, 0.0, 0.0),
-        georeferenced=False,  # the page shows the raster's own coordinates
-        settings=settings,
-        sites=chosen,
-        elevation=elevation,
-        hazards=verdict,
-        warnings=warnings,
-        timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
-    )
-    return result, elevation is not ground.elevation
-
-
 def _answer(result: RunResult) -> None:
     for w in result.warnings:
         complain(f"warning: {w}", "yellow")
@@ -102,7 +59,7 @@ def _answer(result: RunResult) -> None:
 
 
 @app.command("hazards")
-def judge(
+def judge_raster(
     dem: Annotated[Path, typer.Argument(metavar="DEM.tif", help="Heights in metres, square cells, north up.")],
     out: OutOption,
     sigma: Annotated[
@@ -121,17 +78,17 @@ def judge(
     verbose: VerboseOption = False,
 ) -> None:
     """Judge any height raster: where this lander may touch down, how surely, and why not elsewhere."""
-    chosen = read_settings(settings, [*SURVEYED, *_lander(lander), *(assign or ())])
     from alight.outputs.folder import prepare_folder
-    from alight.outputs.verdict import write_verdict
+    from alight.runner import judge
     from alight.sources.raster import read_ground
 
+    chosen = read_settings(settings, [*judge.SURVEYED, *_lander(lander), *(assign or ())])
     ground = read_ground(dem, sigma, image, chosen.hazards.usual_sigma)
     prepare_folder(out, force)
     with progress_bar() as tell:
         tell("judging", 0.0)
-        result, sharpened = _judge(ground, dem.name, chosen)
+        judgement = judge.judge(ground, chosen, dem.name)
         tell("judging", 1.0)
-    _answer(result)
-    write_verdict(result, ground.crs, sharpened, out, force)
+    _answer(judgement.result)
+    judgement.save(out, force)
     say(f"report: {out / 'report.html'}")

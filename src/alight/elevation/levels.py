@@ -1,4 +1,4 @@
-"""From one cell size to the next: what a cell says of the four in it, they of it (docs/method/elevation.md, 16b-c)."""
+"""Resample the map between levels: 2 x 2 means downwards (eq. 16b), bilinear upwards (eq. 16c)."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import numpy as np
 
 from alight.elevation.level_kernels import halve
 from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
+from alight.raster import upsample
 from alight.records import REFUSED, Flag, is_trusted
 
-WHOLE = 3  # of four cells seen: the coarse one is
-ENOUGH = 2  # of four cells trusted: the coarse one is
+MIN_SEEN = 3  # of four cells that make the coarse cell seen
+MIN_TRUSTED = 2  # of four cells that make the coarse cell trusted
 
 
 def halve_fields(fine: Fields) -> Fields:
@@ -21,20 +22,20 @@ def halve_fields(fine: Fields) -> Fields:
     rows, cols = fine["flags"].shape
     out = nothing((rows // 2, cols // 2))
     whole = (np.ascontiguousarray(fine[k]) for k in FIELDS)
-    halve(*whole, int(Flag.UNSEEN), int(REFUSED), WHOLE, ENOUGH, *(out[k] for k in FIELDS))
+    halve(*whole, int(Flag.UNSEEN), int(REFUSED), MIN_SEEN, MIN_TRUSTED, *(out[k] for k in FIELDS))
     return out
 
 
-def double_fields(coarse: Fields, less_sure: np.float32) -> Fields:
-    """The same at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
+def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
+    """Fields at half the cell size (eq. 16c): bilinear between trusted cells, each cell's own value beside others.
 
     Sigma grows by a factor.
     """
-    near = {k: np.repeat(np.repeat(v, 2, axis=0), 2, axis=1) for k, v in coarse.items()}
+    near = {k: upsample(v, 2) for k, v in coarse.items()}
     shape = near["flags"].shape[::-1]
     bad = ~is_trusted(coarse["flags"])
-    near["sigma"] *= less_sure
-    for k, scale in (("height", np.float32(1)), ("sigma", less_sure)):
+    near["sigma"] *= inflation
+    for k, scale in (("height", np.float32(1)), ("sigma", inflation)):
         linear = cv2.resize(np.where(bad, np.float32(np.nan), coarse[k] * scale), shape, interpolation=cv2.INTER_LINEAR)
         np.copyto(near[k], linear, where=np.isfinite(linear))
     mixed = cv2.resize(coarse["rgb"], shape, interpolation=cv2.INTER_LINEAR)

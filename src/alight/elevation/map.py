@@ -20,7 +20,7 @@ from alight.settings.tuning import ElevationTuning
 
 
 def better(new: Fields, old: Fields) -> NDArray[np.bool_]:
-    """Where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
+    """True where a new height replaces an old one: trusted before refused, then the smaller sigma; unseen never."""
     new_ok, old_ok = is_trusted(new["flags"]), is_trusted(old["flags"])
     smaller = ~(np.nan_to_num(new["sigma"], nan=np.inf) >= np.nan_to_num(old["sigma"], nan=np.inf))
     fresh = ~is_seen(old["flags"])
@@ -106,7 +106,7 @@ class TiledElevation:
         coarser.write(above, means, is_seen(means["flags"]))
         return above
 
-    def _known(self, layer: TileLayer, grid: Grid, less_sure: float = 1.0) -> Fields:
+    def _known(self, layer: TileLayer, grid: Grid, inflation: float = 1.0) -> Fields:
         """A layer's own cells, and where it has none the next coarser one's, interpolated."""
         out = layer.read(grid)
         seen = is_seen(out["flags"])
@@ -115,11 +115,11 @@ class TiledElevation:
             return out
         south, north, west, east = layer.numbers(grid)
         around = south // 2 - 1, north // 2 + 1, west // 2 - 1, east // 2 + 1
-        coarse = self._known(coarser, coarser.cells(*around), less_sure)
+        coarse = self._known(coarser, coarser.cells(*around), inflation)
         if not is_seen(coarse["flags"]).any():
             return out
         from_coarse, r, c = (
-            double_fields(coarse, np.float32(less_sure)),
+            double_fields(coarse, np.float32(inflation)),
             2 * around[1] + 1 - north,
             west - 2 * around[2],
         )
@@ -127,17 +127,17 @@ class TiledElevation:
             out[k][~seen] = v[r : r + grid.rows, c : c + grid.cols][~seen]
         return out
 
-    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
-        """Add a plane (3,), `plane[0]` metres up at `about` (2,) and rising east and north, to what is near."""
+    def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+        """Add a plane (3,), `plane[0]` metres up at `about` (2,), rising east and north, to the near tiles."""
         for layer in self._layers.values():
-            layer.lean(plane, about)
+            layer.add_plane(plane, about)
 
     def read(self, grid: Grid) -> ElevationMap:
-        """The best that is known on a grid of whole cells of any level, copied."""
+        """The best heights on a grid of whole cells of any level, copied."""
         return ElevationMap(grid, **self._known(self._layer_of(grid.cell), grid))  # type: ignore[arg-type]
 
     def start(self, grid: Grid) -> ElevationMap:
-        """The same as a step at these cells may start from: less sure of what was only seen with coarser ones."""
+        """`read`, as the start of a step: sigma is inflated where only coarser levels have seen a cell."""
         known = self._known(self._layer_of(grid.cell), grid, self._tuning.less_sure)
         return ElevationMap(grid, **known)  # type: ignore[arg-type]
 

@@ -44,7 +44,7 @@ def pack_tile(tile: Fields) -> bytes:
 
 
 def unpack_tile(packed: bytes, side: int) -> Fields:
-    """The way back."""
+    """Inverse of `pack_tile`."""
     raw, at, out = zlib.decompress(packed), 0, {}
     for k, (t, _) in FIELDS.items():
         shape = _shape(k, (side, side))
@@ -55,7 +55,7 @@ def unpack_tile(packed: bytes, side: int) -> Fields:
 
 
 def is_seen(flags: NDArray[np.uint16]) -> NDArray[np.bool_]:
-    """Where there is something."""
+    """True for cells that were seen."""
     return np.asarray((flags & np.uint16(Flag.UNSEEN)) == 0)
 
 
@@ -66,7 +66,7 @@ def _extent(tile: Fields) -> tuple[Part, int]:
 
 
 class NullStore(dict[Name, bytes]):
-    """Where packed tiles go that nobody wants back: the map ends where the vehicle cannot see."""
+    """A tile store that keeps nothing: the map ends where the vehicle cannot see."""
 
     def __setitem__(self, name: Name, packed: bytes) -> None:
         """Keep nothing."""
@@ -152,7 +152,7 @@ class TileLayer:
                     out[k][here] = tile[k][at]
         return out
 
-    def lean(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
+    def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:
         """Add a plane to the tiles that are near."""
         for key, tile in self._near.items():
             tile["height"] += plane_on(*self.tile_grid(key).xy(), plane, about)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, LocalFrame
 from alight.outputs import Run, world_up
+from alight.raster import ellipse
 from alight.records import F64, Flag, InputError
 from alight.sources import read_tum
 
@@ -50,10 +51,8 @@ def slab_of(points: F64, inlier: NDArray[np.bool_], grid: Grid) -> NDArray[np.bo
     inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
     mask = np.zeros(grid.shape, np.uint8)
     mask[r[inside], c[inside]] = 1
-    k = round(0.5 / grid.cell) * 2 + 1
-    wide = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (k, k))
-    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, wide)
-    return np.asarray(cv2.erode(closed, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))) > 0)
+    closed = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ellipse(round(0.5 / grid.cell)))
+    return np.asarray(cv2.erode(closed, ellipse(2)) > 0)
 
 
 def high_pass(height: F64, cell: float) -> F64:

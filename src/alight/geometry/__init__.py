@@ -2,7 +2,7 @@
 
 from alight.geometry.cameras import EQUIDISTANT, NONE, RADTAN, Camera
 from alight.geometry.geodesy import LocalFrame
-from alight.geometry.grid import Grid, box_of, cells_as_blocks, ground_projection, nearest_known, plane_on
+from alight.geometry.grid import Grid, box_of, ground_projection, plane_on
 from alight.geometry.poses import Pose
 from alight.geometry.rotations import (
     enu_from_flu,
@@ -23,11 +23,9 @@ __all__ = [
     "LocalFrame",
     "Pose",
     "box_of",
-    "cells_as_blocks",
     "enu_from_flu",
     "ground_projection",
     "matrix_from_quaternion",
-    "nearest_known",
     "plane_on",
     "quaternion_from_matrix",
     "skew",

@@ -7,18 +7,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from alight.geometry.cameras import Camera
 from alight.geometry.poses import Pose
 
 Array = NDArray[np.float64]
-
-T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,12 @@ class Grid:
         rows, cols = -(-self.rows // factor), -(-self.cols // factor)
         return Grid(self.east + shift, self.north - shift, self.cell * factor, rows, cols)
 
+    def finer(self, factor: int) -> Grid:
+        """The grid of `factor` x `factor` pixels in each cell, of the same extent."""
+        pixel = self.cell / factor
+        shift = 0.5 * (self.cell - pixel)
+        return Grid(self.east - shift, self.north + shift, pixel, self.rows * factor, self.cols * factor)
+
     @property
     def transform(self) -> tuple[float, float, float, float, float, float]:
         """Affine coefficients (a, b, c, d, e, f) from (column, row) corners to world, as rasters store it."""
@@ -72,20 +74,6 @@ def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     if not len(rows):
         return slice(0, 0), slice(0, 0)
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
-
-
-def nearest_known(values: NDArray[T], known: NDArray[np.bool_]) -> NDArray[T]:
-    """Give unknown cells of (R, C, ...) the value of the nearest known one; as they are where none is known."""
-    if known.all() or not known.any():
-        return values
-    at = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return np.asarray(values[tuple(at)])
-
-
-def cells_as_blocks(fine: NDArray[T], factor: int) -> NDArray[T]:
-    """Pixels by the cell that they lie in, (R, factor, C, factor)."""
-    rows, cols = fine.shape[0] // factor, fine.shape[1] // factor
-    return fine.reshape(rows, factor, cols, factor)
 
 
 def plane_on(xs: Array, ys: Array, plane: Array, about: Array) -> NDArray[np.float32]:

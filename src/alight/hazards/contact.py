@@ -1,4 +1,4 @@
-"""What the footprint, the feet or skids, the belly and the rotor meet at every cell."""
+"""Contact geometry of a touchdown at every cell: footprint plane, feet or skids, belly, rotor (G1 to G6)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from alight.hazards import contact_kernels as gear
 from alight.hazards import footprint_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
-from alight.hazards.footprint import block_starts, disc_mask, disc_spans, feet_of, padded_spans, skids_of
+from alight.hazards.footprint import block_starts, feet_of, padded_spans, skids_of
+from alight.raster import disc_mask, disc_spans
 from alight.records import F32
 from alight.settings import Lander
 
@@ -29,7 +30,7 @@ class Footprint:
     grad_r: F32  # metres a row
     slope: F32  # rad
     roughness: F32  # metres, largest deviation (G2)
-    above: F32  # metres, the highest ground over the plane
+    rise: F32  # metres, the highest ground over the plane
     scatter: F32  # metres, 1-sigma of the deviations
     count: F32  # known cells
 
@@ -40,17 +41,17 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     reach = spans.size // 2
     sums = np.empty((height.shape[0], 6, height.shape[1] + 1 + 2 * reach))
     kernels.row_sums(height, reach, sums)
-    count, level, grad_c, grad_r, above, below, squares = (np.empty_like(height) for _ in range(7))
+    count, level, grad_c, grad_r, rise, dip, squares = (np.empty_like(height) for _ in range(7))
     kernels.fit_planes(sums, spans, count, level, grad_c, grad_r, squares)
     padded = np.pad(height, ((0, 0), (reach, reach)), constant_values=np.nan)
-    kernels.deviations(padded, level, grad_c, grad_r, spans, above, below)
+    kernels.deviations(padded, level, grad_c, grad_r, spans, rise, dip)
     judged = np.isfinite(level)
     slope = np.arctan(np.hypot(grad_c, grad_r) / np.float32(cell))
     scatter = np.sqrt(squares / np.maximum(count - 3, 1))
     unknown = 1 - count / np.float32(disc_mask(spans).sum())
     nan = np.float32(np.nan)
-    rough, above, scatter = (np.where(judged, a, nan) for a in (np.maximum(above, -below), above, scatter))
-    return Footprint(unknown, level, grad_c, grad_r, slope, rough, above, scatter, count)
+    rough, rise, scatter = (np.where(judged, a, nan) for a in (np.maximum(rise, -dip), rise, scatter))
+    return Footprint(unknown, level, grad_c, grad_r, slope, rough, rise, scatter, count)
 
 
 def step_of(height: F32, radius: float, cell: float) -> F32:
@@ -76,7 +77,7 @@ def rotor_rise(height: F32, footprint: Footprint, lander: Lander, cell: float) -
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """What the contact kernels read, heights in cells."""
+    """Input of the contact kernels, heights in cells."""
 
     ground: F32  # (R, C), +inf where unknown
     body: F32  # (R + 2 pad, C + 2 pad), -inf where unknown and off the map
@@ -95,7 +96,7 @@ def _ground_of(height: F32, footprint: Footprint, lander: Lander, cell: float) -
     block = np.ones((BLOCK, BLOCK), np.uint8)
     tops = cv2.dilate(body, block, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT, borderValue=-np.inf)
     own = np.stack(
-        [footprint.level * scale, footprint.grad_c * scale, footprint.grad_r * scale, footprint.above * scale]
+        [footprint.level * scale, footprint.grad_c * scale, footprint.grad_r * scale, footprint.rise * scale]
     )
     ground = np.where(known, height * scale, np.float32(np.inf))
     return _Ground(ground, body, np.asarray(tops), own, spans, block_starts(spans, BLOCK))
@@ -133,25 +134,3 @@ def gear_contact(
         skids = (s.axes, s.offsets, s.along, s.gauge, g.spans, g.blocks, limits)
         gear.skid_contact(g.ground, g.body, g.tops, skip, g.own, *skids, tilt, rise)
     return np.arctan(tilt), rise * np.float32(cell)
-
-
-def share_near(mask: Bool, radius: float, cell: float) -> F32:
-    """Share of the disc about every cell where the mask holds; cells off the map do not count as holding it."""
-    disc = disc_mask(disc_spans(radius / cell)).astype(np.float32)
-    share: F32 = cv2.filter2D(mask.astype(np.float32), cv2.CV_32F, disc / disc.sum(), borderType=cv2.BORDER_CONSTANT)
-    return share
-
-
-def any_near(mask: Bool, radius: float, cell: float) -> Bool:
-    """Whether the mask holds anywhere in the disc about every cell."""
-    disc = disc_mask(disc_spans(radius / cell))
-    near: Bool = cv2.dilate(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
-    return near
-
-
-def near_edge(shape: tuple[int, int], radius: float, cell: float) -> Bool:
-    """Cells whose disc leaves the map."""
-    reach = disc_spans(radius / cell).size // 2
-    out = np.ones(shape, dtype=np.bool_)
-    out[reach : shape[0] - reach, reach : shape[1] - reach] = False
-    return out

@@ -1,4 +1,4 @@
-"""What a lander covers and touches, in whole cells of one grid (docs/method/hazards.md)."""
+"""The cells that a lander covers and touches (docs/method/hazards.md)."""
 
 from __future__ import annotations
 
@@ -9,36 +9,15 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster.disc import RIM
 from alight.settings import Lander
 
 I64 = NDArray[np.int64]
 F64 = NDArray[np.float64]
 
-_HAIR = 1e-6  # cells; a centre exactly on the rim belongs to the disc whatever the last digit of the radius says
-
-
-def disc_spans(radius_cells: float) -> I64:
-    """Half width of each row of the disc of cells whose *centres* lie within the radius.
-
-    Args:
-        radius_cells: radius over cell size.
-
-    Returns:
-        (2 n + 1,) half widths in cells, from the northernmost row to the southernmost.
-    """
-    reach = math.floor(radius_cells + _HAIR)
-    rows = np.arange(-reach, reach + 1, dtype=np.float64)
-    return np.floor(np.sqrt(np.maximum((radius_cells + _HAIR) ** 2 - rows**2, 0.0)) + _HAIR).astype(np.int64)
-
-
-def disc_mask(spans: I64) -> NDArray[np.uint8]:
-    """The disc as a (2 n + 1, 2 n + 1) array of ones and zeros: what OpenCV's filters take."""
-    reach = spans.size // 2
-    return (np.abs(np.arange(-reach, reach + 1)) <= spans[:, None]).astype(np.uint8)
-
 
 def padded_spans(spans: I64, reach: int) -> I64:
-    """The same disc with -1 in the rows that it does not reach, for a larger disc's loops."""
+    """Spans of a disc padded with -1 to the rows of a larger one, so that both fit the same loops."""
     extra = reach - spans.size // 2
     return np.pad(spans, extra, constant_values=-1)
 
@@ -50,7 +29,7 @@ def directions(headings: int) -> F64:
 
 
 def unlike_directions(headings: int, points: F64) -> F64:
-    """Those of `directions` at which the points (n, 2) (forward, left), metres, lie elsewhere than at an earlier one.
+    """`directions`, without those that only exchange the points (n, 2) (forward, left), metres, of an earlier one.
 
     A lander that looks the same after a turn, as a square one does after a quarter, need not be judged twice.
     """
@@ -97,12 +76,12 @@ def _cells_within(centre: F64, radius_cells: float) -> I64:
     near = np.round(centre)
     reach = math.ceil(radius_cells) + 1
     grid = np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), axis=-1).reshape(-1, 2) + near
-    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + _HAIR]
+    inside = grid[np.hypot(*(grid - centre).T) <= radius_cells + RIM]
     return (inside if len(inside) else near[None])[:, ::-1].astype(np.int64)
 
 
 def _holds_centre(corners: F64) -> bool:
-    """Whether the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
+    """True if the origin lies in the triangle (3, 2) or on its edge: else the lander tips over."""
     weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [0.0, 0.0, 1.0])
     return bool((weights >= -1e-6).all())
 
@@ -118,7 +97,7 @@ def _triples(feet: F64, any_three: bool) -> I64:
 
 
 def _solves(xy: F64, triples: I64) -> F64:
-    """(headings, t, 3, 3): what takes three heights to the plane through them."""
+    """(headings, t, 3, 3): matrices from three heights to the plane through them."""
     corners = xy[:, triples]  # (headings, t, 3, 2)
     return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 

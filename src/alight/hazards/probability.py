@@ -1,38 +1,24 @@
-"""How likely a touchdown meets every limit: normal errors (docs/method/hazards.md)."""
+"""Probability that a touchdown keeps every limit, for normal errors (docs/method/hazards.md)."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.special import ndtr
 
 from alight.hazards.contact import Footprint
-from alight.hazards.footprint import disc_mask, disc_spans, feet_of
+from alight.hazards.footprint import feet_of
 from alight.records import F32
 from alight.settings import HazardsSettings, Lander
 
-SURELY = 40.0  # sigmas
-
-
-def mean_near(values: F32, radius: float, cell: float) -> F32:
-    """Mean of the known values in the disc about every cell; NaN where none is known."""
-    disc = disc_mask(disc_spans(radius / cell)).astype(np.float32)
-    known = np.isfinite(values)
-    total, weight = (
-        cv2.filter2D(a.astype(np.float32), cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT)
-        for a in (np.where(known, values, 0), known)
-    )
-    out = np.full(values.shape, np.nan, dtype=np.float32)
-    np.divide(total, weight, out=out, where=weight > 0.5)
-    return out
+CERTAIN = 40.0  # sigmas; the limit is kept, or broken, for sure
 
 
 def _over(margin: F32, sigma: F32) -> F32:
-    """The margin in sigmas; without noise it is kept or broken for sure."""
-    sure = np.where(margin >= 0, np.float32(SURELY), np.float32(-SURELY))
+    """The margin in sigmas; +-`CERTAIN` without noise."""
+    sure = np.where(margin >= 0, np.float32(CERTAIN), np.float32(-CERTAIN))
     out = np.where(sigma > 1e-9, margin / np.maximum(sigma, np.float32(1e-9)), sure)
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
@@ -48,7 +34,7 @@ def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: Hazards
 
 
 def gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
-    """What 1 m of noise at each contact tilts a lander on feet or skids at its worst heading, 1/m (G8b).
+    """Tilt of a lander on feet or skids from 1 m of noise at each contact, worst heading, 1/m (G8b).
 
     The noise of a foot that stands on the mean of its cells is shared by those that are independent.
     """
@@ -56,10 +42,10 @@ def gear_lever(lander: Lander, cell: float, settings: HazardsSettings) -> float:
         return math.sqrt(2.0) / min(lander.skids)
     gradients = feet_of(lander, cell).solve[:, :, 1:] / cell  # (headings, t, 2, 3)
     worst = np.linalg.eigvalsh(gradients @ gradients.swapaxes(-1, -2)).max()
-    return math.sqrt(worst / _alone(lander, cell, settings))
+    return math.sqrt(worst / _independent_heights(lander, cell, settings))
 
 
-def _alone(lander: Lander, cell: float, settings: HazardsSettings) -> float:
+def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings) -> float:
     """Independent heights that one contact is the mean of."""
     if lander.foot_contact == "highest":
         return 1.0
@@ -74,8 +60,8 @@ def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: HazardsSetting
 
 
 @dataclass(frozen=True, eq=False)
-class Margins:
-    """What a touchdown meets, (R, C) each."""
+class TouchdownGeometry:
+    """Slope, rise and their uncertainty at every cell, (R, C) each."""
 
     footprint: Footprint
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
@@ -83,8 +69,8 @@ class Margins:
     sigma: F32  # metres, root mean square height sigma in the footprint
 
 
-def margins_over_sigma(m: Margins, lander: Lander, settings: HazardsSettings, cell: float) -> tuple[F32, F32]:
-    """How far tilt, and rise or deviation, stay below their limits, in sigmas (G7 to G9)."""
+def margins_over_sigma(m: TouchdownGeometry, lander: Lander, settings: HazardsSettings, cell: float) -> tuple[F32, F32]:
+    """Margins to the limits of tilt, and of rise or deviation, in sigmas (G7 to G9)."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
         tilt_sigma = gear_sigma(local, lander, cell, settings)
@@ -92,12 +78,12 @@ def margins_over_sigma(m: Margins, lander: Lander, settings: HazardsSettings, ce
         tilt_sigma = slope_sigma(m.footprint, m.sigma, cell, settings)
     tilt = _over(lander.max_slope - m.slope, tilt_sigma)
     if m.rise is not None and lander.belly_clearance is not None:
-        rise_sigma = np.float32(math.sqrt(1 + 1 / _alone(lander, cell, settings))) * local
+        rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
         return tilt, _over(lander.belly_clearance - m.rise, rise_sigma)
     return tilt, _over(lander.max_roughness - m.footprint.roughness, local)
 
 
 def safe_probability(tilt: F32, rise: F32, unknown: F32, settings: HazardsSettings) -> F32:
-    """P(a touchdown keeps every limit) of heights that show all there is: tilt, ground below, what was not seen."""
+    """P(a touchdown keeps every limit) for heights that show every obstacle: tilt, ground below, unseen share."""
     p: F32 = ndtr(tilt) * ndtr(rise) * (1 - np.float32(settings.hidden_hazard) * unknown)
     return np.asarray(p, np.float32)

@@ -9,14 +9,13 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import Grid
 from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
+from alight.raster import upsample
 from alight.records import F32, U8, ElevationMap
 from alight.settings.tuning.hazards import SharpenTuning
 
@@ -30,7 +29,6 @@ UNALTERNATED = np.array([-1, 4, 10, 4, -1], np.float32) / 16  # keeps cubics, re
 _LAPLACE = np.array([[0, 1, 0], [1, -4, 1], [0, 1, 0]], np.float32)
 
 Operator = Callable[[F32], F32]
-T = TypeVar("T", bound=np.generic)
 
 
 def cell_weights(factor: int) -> F32:
@@ -163,16 +161,12 @@ def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
     return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
 
 
-def _larger(values: NDArray[T], factor: int) -> NDArray[T]:
-    return np.repeat(np.repeat(values, factor, axis=0), factor, axis=1)
-
-
 def _sigma(z: F32, lit: Bool, elevation: ElevationMap, factor: int) -> F32:
     """1-sigma of the fine heights (S4): the cell's own, and in shadow a share of the detail that is not seen there."""
     detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
     unseen = np.where(lit, np.float32(0.07), np.float32(0.5)) * near
-    own = np.maximum(_larger(elevation.sigma, factor), np.float32(HEIGHT_FLOOR))
+    own = np.maximum(upsample(elevation.sigma, factor), np.float32(HEIGHT_FLOOR))
     out: F32 = np.hypot(own, unseen).astype(np.float32)
     return out
 
@@ -207,19 +201,15 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
 
 
 def _refined(elevation: ElevationMap, z: F32, lit: Bool, image: U8, factor: int) -> ElevationMap:
-    g = elevation.grid
-    pixel = g.cell / factor
-    shift = 0.5 * (g.cell - pixel)
-    grid = Grid(g.east - shift, g.north + shift, pixel, *z.shape)
-    height = np.where(_larger(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
+    height = np.where(upsample(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
     rgb = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     return replace(
         elevation,
-        grid=grid,
+        grid=elevation.grid.finer(factor),
         height=height,
         sigma=_sigma(z, lit, elevation, factor),
-        flags=_larger(elevation.flags, factor),
-        views=_larger(elevation.views, factor),
+        flags=upsample(elevation.flags, factor),
+        views=upsample(elevation.views, factor),
         rgb=rgb,
-        residual=_larger(elevation.residual, factor),
+        residual=upsample(elevation.residual, factor),
     )

@@ -1,4 +1,4 @@
-"""How the sun lights the ground: direction, brightness and shadows, estimated from heights and one image."""
+"""Sunlight on the ground: direction, brightness and shadows, estimated from heights and one image."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alight.records import F32, F64
 Bool = NDArray[np.bool_]
 
 DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
-LEAST_SHADOW = 50  # pixels that must lie in a predicted shadow before its brightness is believed
+LEAST_SHADOW = 50  # pixels that must lie in a predicted shadow before its brightness is used
 LONGEST = 400  # cells that a shadow is followed
 
 
@@ -44,7 +44,7 @@ class Sunlight:
 
     @property
     def elevation(self) -> float:
-        """Of the sun above the horizon, rad."""
+        """Height of the sun above the horizon, rad."""
         return math.atan2(self.sun[2], math.hypot(self.sun[0], self.sun[1]))
 
     def brightness(self, along: F32, across: F32) -> tuple[F32, F32, F32]:

@@ -1,43 +1,30 @@
-"""Which heights a touchdown may be judged by."""
+"""Select the heights that count as known, bridging small gaps of doubtful ones (G0)."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster import close_mask, weighted_gaussian
+from alight.raster.smoothing import LEAST_SHARE
 from alight.records import F32, ElevationMap, Flag
 from alight.settings import HazardsSettings, Lander
 
 Bool = NDArray[np.bool_]
 
-_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or none that could be right
-_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # nothing to see: what stood there would be seen against it
+_NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or one that cannot be right
+_PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # no texture: an obstacle would stand out against it
 
 
-def _within_reach(known: Bool, reach_cells: float) -> Bool:
+def _with_gaps(known: Bool, reach_cells: float) -> Bool:
     """Known cells, and gaps between them that are narrower than twice the reach."""
     n = int(reach_cells + 1e-6)
     if n < 1:
         return known
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-    return np.asarray(cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, disc, borderValue=0) > 0)
+    return close_mask(known, n)
 
 
-def _neighbours_level(height: F32, known: Bool, reach_cells: float) -> F32:
-    """Mean height of the known cells about each cell, weighed by nearness; NaN where none is near."""
-    mean, share = _gathered(height, known, reach_cells)
-    return np.where(share > 1e-3, mean, np.float32(np.nan))
-
-
-def _gathered(height: F32, known: Bool, sigma_cells: float) -> tuple[F32, F32]:
-    """Gaussian mean of the known cells about each, and their share of its weight."""
-    total = cv2.GaussianBlur(np.where(known, height, np.float32(0)), (0, 0), sigma_cells)
-    share = np.asarray(cv2.GaussianBlur(known.astype(np.float32), (0, 0), sigma_cells), np.float32)
-    return np.asarray(total / np.maximum(share, np.float32(1e-3)), np.float32), share
-
-
-def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
+def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
     """Heights that count as known, about their own median (float32 keeps its digits there), NaN elsewhere (G0).
 
     These are the trusted heights, and doubtful ones in gaps narrower than twice `settings.bridge` that agree with the
@@ -57,17 +44,16 @@ def judged_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
     ):
         cells = reach / elevation.grid.cell
         if cells >= 1:
-            gap = _within_reach(known, cells) & ~known & where
-            agrees = np.abs(height - _neighbours_level(height, known, cells)) <= 0.5 * lander.max_roughness
+            gap = _with_gaps(known, cells) & ~known & where
+            near = weighted_gaussian(height, known.astype(np.float32), cells)
+            neighbours = np.where(near.share > LEAST_SHARE, near.mean, np.float32(np.nan))
+            agrees = np.abs(height - neighbours) <= 0.5 * lander.max_roughness
             known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
 
 
-def evened(height: F32, cell: float, sigma: float) -> F32:
-    """Heights averaged over what their noise shares: the largest of hundreds of noisy cells is not the ground's.
-
-    `sigma`: metres, of the window.
-    """
+def smoothed_height(height: F32, cell: float, sigma: float) -> F32:
+    """Heights (R, C) smoothed by `sigma` metres, NaN where unknown: their largest deviation is less noise."""
     known = np.isfinite(height)
-    mean, _ = _gathered(height, known, max(sigma / cell, 0.3))
+    mean = weighted_gaussian(height, known.astype(np.float32), max(sigma / cell, 0.3)).mean
     return np.where(known, mean, np.float32(np.nan))

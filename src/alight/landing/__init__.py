@@ -1,1 +1,1 @@
-"""From hazards to a landing: sites, next view, reserve and route."""
+"""Landing: sites and the reasons against them, next view, reserve, route."""

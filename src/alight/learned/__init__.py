@@ -1,1 +1,17 @@
-"""Fitted tables and the nets that read them."""
+"""Fitted tables, each an `.npz` with a card beside it, and the evaluators of the nets in them."""
+
+from alight.learned.net import CLIP, AffineLayer, Net, monotone_costs, monotone_net, relu_net
+from alight.learned.tables import net_bytes, net_of, read_net, table_path
+
+__all__ = [
+    "CLIP",
+    "AffineLayer",
+    "Net",
+    "monotone_costs",
+    "monotone_net",
+    "net_bytes",
+    "net_of",
+    "read_net",
+    "relu_net",
+    "table_path",
+]

@@ -33,6 +33,7 @@ FILES = (
     "trajectory.csv",
     "report.html",
 )
+JUDGEMENT_FILES = ("reasons.tif", "hazards.tif", "heights.tif")  # besides, of `alight hazards`
 NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
 
 # a file's name -> how to make it, or why it cannot be made
@@ -144,7 +145,7 @@ def is_run(folder: Path) -> bool:
 
 def _is_ours(folder: Path) -> bool:
     """A finished run, or what an interrupted one left: nothing but files of these names."""
-    known = {RUN_JSON, *FILES, "recording.rrd"}
+    known = {RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known}
     return is_run(folder) or all(p.name in known and p.is_file() for p in folder.iterdir())
 
@@ -213,26 +214,43 @@ class _Writer:
             raise self.bugs[0]
 
 
-def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
-    """Write the folder of one run, each file whole or not at all, run.json last; return the files written.
+def write_folder(
+    files: Contents, info: Callable[[Mapping[str, str]], dict[str, Any]], out: Path, overwrite: bool = False
+) -> list[Path]:
+    """Write a folder, each file whole or not at all, run.json last; return the files written.
 
     An earlier run's run.json goes first and its other files as their turn comes, so that a folder with a run.json is
-    always of one piece, and no old route survives beside a new answer. A file that cannot be written takes no other
+    always of one piece, and no old file survives beside a new answer. A file that cannot be written takes no other
     with it: the rest is written, run.json says what is missing, and then the error is raised.
 
+    Args:
+        files: every file but run.json, in the order of writing, or why it is not written.
+        info: makes run.json, of the files that are missing and why.
+        out: the folder.
+        overwrite: even where it holds other files.
+
     Raises:
-        OutputError: see `prepare`; or the disk is full, with the names of the files that are missing.
+        OutputError: see `prepare_folder`; or the disk is full, with the names of the files that are missing.
     """
     prepare_folder(out, overwrite)
     _remove(out / RUN_JSON)
     writer, missing = _Writer(out), dict[str, str]()
-    for name, made in contents(result).items():
+    for name, made in files.items():
         if isinstance(made, str):
             _remove(out / name)
             missing[name] = made
             log.info("%s is not written: %s", name, made)
         elif (why := writer.write(name, made)) is not None:
             missing[name] = why
-    writer.write(RUN_JSON, lambda: vectors.json_bytes(run_json(result, missing)))
+    writer.write(RUN_JSON, lambda: vectors.json_bytes(info(missing)))
     writer.complain()
     return writer.written
+
+
+def write_run(result: RunResult, out: Path, overwrite: bool = False) -> list[Path]:
+    """Write the folder of one run; return the files written.
+
+    Raises:
+        OutputError: see `write_folder`.
+    """
+    return write_folder(contents(result), partial(run_json, result), out, overwrite)

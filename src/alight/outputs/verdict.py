@@ -1,9 +1,9 @@
-"""What `alight hazards` leaves behind: the verdict on a height raster, on that raster's own grid and coordinates."""
+"""The folder of `alight hazards`: the judgement of a height raster, on that raster's own grid and coordinates."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,7 @@ from rasterio.warp import transform
 
 from alight import __version__, report
 from alight.outputs import rasters, vectors
-from alight.outputs.atomic_write import write_whole
-from alight.outputs.folder import RUN_JSON, prepare_folder
+from alight.outputs.folder import NO_PLACE, Contents, write_folder
 from alight.records import ElevationMap, Hazard, HazardMap, RunResult, Sites
 
 log = logging.getLogger(__name__)
@@ -68,7 +67,7 @@ def verdict_geojson(sites: Sites, crs: CRS | None) -> dict[str, Any] | None:
     return {"type": "FeatureCollection", "features": features, **none}
 
 
-def _summary(result: RunResult, crs: CRS | None) -> dict[str, Any]:
+def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> dict[str, Any]:
     hazards = result.hazards
     assert hazards is not None
     judged = np.isfinite(hazards.p_safe)
@@ -84,37 +83,38 @@ def _summary(result: RunResult, crs: CRS | None) -> dict[str, Any]:
         "share_refused": shares,
         "notes": vectors.plain(result.notes),
         "warnings": list(result.warnings),
+        "not_written": dict(missing),
         "settings": result.settings.model_dump(mode="json"),
     }
 
 
-def write_verdict(result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool) -> list[Path]:
+def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
+    """Every file but run.json, in the order of writing, or why it is not written."""
+    hazards, elevation = result.hazards, result.elevation
+    assert hazards is not None
+    assert elevation is not None
+    place, grid, sites = crs or CRS.from_wkt(rasters.LOCAL_WKT), hazards.grid, verdict_geojson(result.sites, crs)
+    heights: Contents = {"heights.tif": "no image made the heights finer"}
+    if sharpened:
+        heights = {"heights.tif": lambda: rasters.encode(_heights(elevation), grid, place)}
+    return {
+        "safe.tif": lambda: rasters.encode(rasters.safe_raster(hazards), grid, place),
+        "reasons.tif": lambda: rasters.encode(_reasons(hazards), grid, place),
+        "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
+        **heights,
+        "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
+        "report.html": lambda: report.render(result).encode(),
+    }
+
+
+def write_judgement(result: RunResult, crs: CRS | None, sharpened: bool, out: Path, overwrite: bool) -> list[Path]:
     """Write safe.tif, hazards.tif, reasons.tif, sites.geojson, report.html and run.json, each whole or not at all.
 
     `heights.tif` is added where an image made the heights finer.
 
     Raises:
-        OutputError: the folder holds other things, or cannot be written.
+        OutputError: see `folder.write_folder`.
     """
-    hazards, elevation = result.hazards, result.elevation
-    assert hazards is not None
-    assert elevation is not None
-    place = crs or CRS.from_wkt(rasters.LOCAL_WKT)
-    grid = hazards.grid
-    files: dict[str, Callable[[], bytes]] = {
-        "safe.tif": lambda: rasters.encode(rasters.safe_raster(hazards), grid, place),
-        "reasons.tif": lambda: rasters.encode(_reasons(hazards), grid, place),
-        "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
-    }
-    if sharpened:
-        files["heights.tif"] = lambda: rasters.encode(_heights(elevation), grid, place)
-    if (sites := verdict_geojson(result.sites, crs)) is not None:
-        files["sites.geojson"] = lambda: vectors.json_bytes(sites)
-    files["report.html"] = lambda: report.render(result).encode()
-    files[RUN_JSON] = lambda: vectors.json_bytes(_summary(result, crs))
-    prepare_folder(out, overwrite)
-    for stale in (RUN_JSON, "heights.tif", "sites.geojson"):
-        (out / stale).unlink(missing_ok=True)
-    for name, made in files.items():
-        write_whole(out / name, made())
-    return [out / name for name in files]
+    return write_folder(
+        _contents(result, crs, sharpened), lambda missing: _summary(result, crs, missing), out, overwrite
+    )

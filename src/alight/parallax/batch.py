@@ -24,13 +24,13 @@ from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
 
-def fuse_sweeps(looks: Sequence[Swept]) -> Swept:
-    """Of what several views saw in a cell the median, the lower of two, with its ratio."""
-    heights = np.stack([h for h, _ in looks])
+def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
+    """Median height over the sweeps of several reference views (the lower of two), with that sweep's cost ratio."""
+    heights = np.stack([h for h, _ in sweeps])
     order = np.argsort(heights, axis=0)  # NaN last
     middle = np.maximum(np.isfinite(heights).sum(axis=0) - 1, 0) // 2
     which = np.take_along_axis(order, middle[None], axis=0)
-    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*looks, strict=True))
+    height, ratio = (np.take_along_axis(np.stack(v), which, axis=0)[0] for v in zip(*sweeps, strict=True))
     return height, ratio
 
 
@@ -91,7 +91,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, tuning: ConsistencyTuning) -> U16:
-    """What moves, seen by some of the chosen views and the views of the same instants."""
+    """MOVING flags (R, C) from pairs of synchronous views, some of the chosen ones among them."""
     pairs = witness.instants(images.views)
     asked = pairs[np.isin(pairs, chosen).any(axis=1)]
     asked = asked[np.unique(np.linspace(0, len(asked) - 1, min(tuning.pairs, len(asked))).astype(int))]
@@ -111,7 +111,7 @@ def judged(
     rgb: U8,
     tuning: UncertaintyTuning,
 ) -> Heights:
-    """Put sigma and flags to a fit; the views `fine` are asked for the brightness."""
+    """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
     sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
 
@@ -123,7 +123,7 @@ def colour(
     height: F32,
     visible: U8,
 ) -> U8:
-    """What the steepest view that sees each known cell saw, (R, C, 3)."""
+    """Colour of each cell with a height from the steepest view that sees it, (R, C, 3)."""
     out = np.zeros((*grid.shape, 3), np.uint8)
     xs, ys = grid.xy()
     left = np.isfinite(height)

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from alight.geometry import Grid
 from alight.parallax import gauss_newton_kernels as kernels
-from alight.parallax import uncertainty_kernels as trust
-from alight.parallax import view_kernels as looks
-from alight.parallax import visibility_kernels as surface
+from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
 from alight.records import F32, F64
@@ -30,7 +28,7 @@ LOWEST = np.float32(-1e4)  # metres: stands for an unknown height
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Heights and what the last step knew about them; all (R, C)."""
+    """Heights, and the statistics of the last step; all (R, C)."""
 
     height: F32
     precision: F32  # Lambda of the window, normalised grey^2 / m^2
@@ -53,7 +51,7 @@ def median_height(height: F32) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """How the views see each block of `SEEN_BLOCK` x `SEEN_BLOCK` cells."""
+    """Geometry of the views at each block of `SEEN_BLOCK` x `SEEN_BLOCK` cells."""
 
     baseline: F32  # metres between the outermost views that see it
     count: NDArray[np.uint8]  # of these views
@@ -61,7 +59,7 @@ class ViewGeometry:
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
-    """Look at the ground about `height` (R, C) from all views, block by block; the middle where it is unknown."""
+    """Geometry of all views at the ground `height` (R, C), block by block; the median height where it is unknown."""
     wide = grid.coarser(SEEN_BLOCK)
     k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
     known = height[k::SEEN_BLOCK, k::SEEN_BLOCK]
@@ -72,7 +70,7 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
     seen[seen < 0] = np.nan
     centres = centres_of(prepared)
     baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
-    looks.baseline(seen, centres, baseline, count)
+    view_kernels.baseline(seen, centres, baseline, count)
     drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
     return ViewGeometry(baseline, count, np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop))
 
@@ -95,14 +93,14 @@ def visible_from(
     tops = _tops(solid, wide, centres)
     solid[solid <= LOWEST] = np.nan
     margin = np.float32(rise_px) * metres_per_px[::2, ::2]
-    surface.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
+    visibility_kernels.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
     return out
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
     """For each block of cells the highest height within reach of its rays to the cameras."""
     tops = np.empty(tuple(-(-n // BLOCK) for n in grid.shape), np.float32)
-    surface.block_tops(solid, BLOCK, LOWEST, tops)
+    visibility_kernels.block_tops(solid, BLOCK, LOWEST, tops)
     high = float(tops.max())
     if high <= LOWEST:
         return tops
@@ -140,11 +138,11 @@ def gauss_newton(
     for _ in range(iterations):
         samples = stack(prepared, grid, h, held)
         if visible is not None:
-            trust.veil(visible, samples)
+            uncertainty_kernels.veil(visible, samples)
         kernels.normal_equations(
             samples, network(len(samples)), scale, centres, *xs_ys, h, grid.cell, mean, used, seen, lam, eta, s2
         )  # fmt: skip
         kernels.solve_window(lam, eta, s2, h, metres_per_px, tuning.step_px, step, precision, noise)
         moved = np.add(h, step, out=step)
-        surface.plane_prior(moved, precision, noise, metres_per_px, tuning.plane_prior, h)
+        visibility_kernels.plane_prior(moved, precision, noise, metres_per_px, tuning.plane_prior, h)
     return Fit(h, precision, noise, mean, used, seen, metres_per_px)

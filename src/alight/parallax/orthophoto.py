@@ -1,4 +1,4 @@
-"""What the ground looks like on finer pixels than its heights have: the mean of the nearest views of each place.
+"""Orthophoto on finer pixels than the heights have: the mean of the nearest views of each place.
 
 Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
 shows them in its noise, the mean of five does not have it (docs/method/hazards.md, G9b).
@@ -11,8 +11,9 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
-from alight.geometry import Grid, ground_projection, nearest_known
+from alight.geometry import Grid, ground_projection
 from alight.parallax.views import project_cells, radius2_limit, rgb_of
+from alight.raster import nearest_known, upsample
 from alight.records import F32, U8, ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
@@ -27,15 +28,8 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
             yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
 
 
-def finer(grid: Grid, factor: int) -> Grid:
-    """The grid whose pixels are a share of the cell, of the same extent."""
-    pixel = grid.cell / factor
-    shift = 0.5 * (grid.cell - pixel)
-    return Grid(grid.east - shift, grid.north + shift, pixel, grid.rows * factor, grid.cols * factor)
-
-
 def _seen_by(view: View, grid: Grid, height: F32) -> F32:
-    """What a view shows of the grid's pixels, (R, C, 3); NaN outside of the picture."""
+    """Picture of one view at the grid's pixels, (R, C, 3); NaN outside of it."""
     camera, (mapx, mapy) = view.camera, (np.empty_like(height), np.empty_like(height))
     H, b = ground_projection(camera, view.world_from_cam)
     project_cells(camera, radius2_limit(camera), H, b, *grid.xy(), height, (mapx, mapy))
@@ -80,13 +74,13 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
     grid, factor = elevation.grid, FACTOR
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
-    out = np.repeat(np.repeat(elevation.rgb, factor, axis=0), factor, axis=1)
+    out = upsample(elevation.rgb, factor)
     for rows, cols, part in _blocks(grid):
         if not unseen[rows, cols].all():
-            fine = finer(part, factor)
+            fine = part.finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
             mean, number = _block(views, fine, up, count)
-            seen = (number > 0) & ~np.repeat(np.repeat(unseen[rows, cols], factor, axis=0), factor, axis=1)
+            seen = (number > 0) & ~upsample(unseen[rows, cols], factor)
             out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
     return out

@@ -2,8 +2,8 @@
 
 The open problem of the 2004 paper. What is carried is the height itself with its sigma, never a sum of old gradients: a
 sample slides by (X - C) / (Z - h) a metre in every view, so stored sums go stale as soon as a height moves. A cell
-enters the map by a sweep of its own, as soon as the views that see it span `first_baseline` of the height; from then
-on it starts from the map.
+enters the map by a sweep, as soon as the views that see it span `first_baseline` of the height; from then on it
+starts from the map.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ class RecursiveParallax:
 
     @property
     def plane(self) -> F64:
-        """By how much the last step found the map to be off: (3,) up, and rise a metre towards east and north."""
+        """Error of the map that the last step found: (3,) up, and rise a metre towards east and north."""
         return self._alignment.plane
 
     @property
     def about(self) -> F64:
-        """The place (2,) east and north where `plane` is what it says upwards."""
+        """The place (2,) east and north to which the offset of `plane` refers."""
         return self._alignment.about
 
     def plane_on(self, grid: Grid) -> F32:
-        """The same for the cells of a grid, (R, C) metres."""
-        return self._alignment.on(grid)
+        """`plane` at the cells of a grid, (R, C) metres."""
+        return self._alignment.plane_on(grid)
 
     def work_at(self, cell: float, ground: float) -> None:
         """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
@@ -71,7 +71,7 @@ class RecursiveParallax:
             self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
 
     def look_anew(self) -> None:
-        """Believe nothing of the map until it was swept again."""
+        """Sweep every cell again before its height is used."""
         self._ratio, self._unknown = None, np.float32(np.nan)
 
     def _ready(self, view: View) -> Kept:
@@ -79,21 +79,21 @@ class RecursiveParallax:
         return view, fine, coarser(fine)
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
-        """Take the images of one exposure, late or not; the one that is missed least leaves.
+        """Take the images of one exposure, late or not; the keyframe that leaves the smallest gap is dropped.
 
-        `poses`: what is known of the keyframes' poses by now, this one's among them; None: they are taken as they are.
+        `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
         if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
             return  # a repeated time: the same picture twice would agree with itself
         self._kept.append([self._ready(v) for v in views])
         self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
         centres = np.array([exposure[0][0].centre for exposure in self._kept])
-        above = max(centres[-1][2] - self._ground, 1e-2)
-        away = np.linalg.norm(centres - centres[-1], axis=1) / above
+        drop = max(centres[-1][2] - self._ground, 1e-2)
+        away = np.linalg.norm(centres - centres[-1], axis=1) / drop
         self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span)]
         if poses is not None:
             times = {exposure[0][0].t_ns for exposure in self._kept}
-            self._alignment.tell(poses, times, above)
+            self._alignment.update_posterior(poses, times, drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
         """Improve the heights of a window with the ring as it is now (docs/method/recursive.md).
@@ -114,7 +114,7 @@ class RecursiveParallax:
         fine = [f for _, f, _ in views]
         seen = refine.view_geometry(fine, grid, known.height)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-        start, wrong = self._first_look(fine, grid, known.height, ratio, seen, per_px, (low, high))
+        start, wrong = self._sweep_new(fine, grid, known.height, ratio, seen, per_px, (low, high))
         self._ratio = (grid, ratio)
         if not np.isfinite(start).any():
             return None
@@ -143,7 +143,7 @@ class RecursiveParallax:
                 out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
-    def _first_look(
+    def _sweep_new(
         self,
         fine: list[Prepared],
         grid: Grid,
@@ -153,26 +153,26 @@ class RecursiveParallax:
         per_px: F32,
         searched: tuple[float, float],
     ) -> tuple[F32, NDArray[np.bool_]]:
-        """Sweep the cells that are seen well for the first time; `ratio` gets their ambiguity.
+        """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
-        First: since the restart. The map then goes with the sweep as a whole and keeps its shape, except where they
-        differ by more than `same_px`; what was not looked at yet is left out of the step.
+        The map is shifted to the sweep as a whole and keeps its shape, except where they differ by more than
+        `same_px`. Cells not swept yet are left out of the step.
 
         Returns:
-            Where to start from, (R, C) metres, and where what the map has is wrong.
+            Initial heights (R, C) metres, and the mask of cells whose height in the map is wrong.
         """
-        above, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
-        wide = seen.baseline / np.float32(self._tuning.first_baseline * above)
+        drop, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
+        wide = seen.baseline / np.float32(self._tuning.first_baseline * drop)
         base = np.where(seen.count >= self._tuning.first_views, wide, np.float32(0))
-        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a look in vain, twice the baseline
+        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a sweep in vain, twice the baseline
         fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
         start = np.where(anew, np.float32(np.nan), before)
         if not fresh.any():
             return start, fresh
         ground = float(np.clip(self._ground, *searched))
         new, found = sweep_unseen(fine, grid, searched, ground, fresh, self._settings.sweep)
-        told = before + shift_of((new - before)[fresh], per_px[fresh], self._tuning.shift_px)
-        new = np.where(np.abs(new - told) < self._tuning.same_px * per_px, told, new)
+        shifted = before + shift_of((new - before)[fresh], per_px[fresh], self._tuning.shift_px)
+        new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
         wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)
         np.copyto(start, new, where=fresh)
         np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
@@ -184,10 +184,10 @@ class RecursiveParallax:
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
         k = self._tuning.renew_below * (view.centre[2] - self._ground) / grid.cell
-        below = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
+        under = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
         self._sharper = False
-        for where, only in ((box_of(fresh), fresh), (below, None)):
+        for where, only in ((box_of(fresh), fresh), (under, None)):
             r, c = where
             part = grid.window(r.start, c.start, *height[where].shape)
             if not part.rows * part.cols:
@@ -201,14 +201,14 @@ class RecursiveParallax:
 
 
 def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Which of `size` rows (or columns) those of another grid are, (K,), and which of that other grid have one."""
+    """Rows (or columns) that two grids share: indices (K,) in the grid of `size` rows, and in the other grid."""
     nearest = np.rint(index).astype(np.intp)
     has = np.flatnonzero((nearest >= 0) & (nearest < size))
     return nearest[has], has
 
 
 def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:
-    """What a sweep and a map differ by as a whole, metres; 0 where that is little, or nothing in common."""
+    """Median difference of a sweep and the map, metres; 0 where it is below `least_px` or they share no cell."""
     both = np.isfinite(apart)
     if not both.any():
         return np.float32(0)
@@ -234,8 +234,8 @@ def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list
 def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
     """Weigh a step against the map (eq. 16).
 
-    Heights that disagree by more than three sigma are not averaged: the new one stands. Where the ring sees a cell much
-    worse than it once did, at the edge of its pictures, the map stays as it is.
+    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Where the new sigma
+    is much larger than the old, at the edge of the pictures, the map stays as it is.
     """
     out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
     kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), worse)

@@ -1,4 +1,4 @@
-"""Where the ground is, before anything is known of it: points triangulated from pairs of posed views.
+"""Height of the ground before there is a map: points triangulated from pairs of posed views.
 
 They give the height range that the sweep searches and the ground sampling distance. Descriptors, not tracks: it works
 the same for video and for photos far apart, from any source of poses.

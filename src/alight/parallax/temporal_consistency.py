@@ -1,9 +1,9 @@
-"""What moves: the cameras of a rig, asked at one instant, agree with each other and not with what all views share.
+"""Motion detection by temporal consistency: synchronous cameras of a rig agree with each other, not with the template.
 
 Light on waves, the edge of a drifting shadow, a car or a swaying blade looks alike to two cameras at the same time and
-different a moment later. What stands still looks alike to all, and noise to none. So the part of the deviations that
-views of one instant have in common tells time from baseline, where the residual alone cannot. A rig of one camera has
-no such witness.
+different a moment later. Still ground looks alike at all times; noise agrees with nothing. So the deviations that
+synchronous views share separate time from baseline, which the residual alone cannot. A rig of one camera has no such
+pairs.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ def shared(samples: F32, pairs: NDArray[np.int64], mean: F32, seen: U8, least: i
         pairs: (K, 2) of them.
         mean: (R, C) the template of all views.
         seen: (R, C) how many these are.
-        least: where these are fewer, the pairs are not asked.
+        least: views that a cell needs.
 
     Returns:
-        (R / BLOCK, C / BLOCK), rounded up; 0 where the pairs say nothing, negative where they differ more than others.
+        (R / BLOCK, C / BLOCK), rounded up; 0 where views are too few, negative where pairs differ more than others.
     """
     sums = np.empty((5, *(-(-n // BLOCK) for n in mean.shape)), np.float32)
     kernels.common(samples, pairs, mean, BLOCK, tuning.cut, sums)
     both, own, count, square, known = (cv2.blur(s, (tuning.near_blocks, tuning.near_blocks)) for s in sums)
     views = cv2.resize(seen, count.shape[::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
-    heard = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
-    number, cells = np.where(heard, count, np.float32(1)), np.maximum(known, 1)
+    enough = (count >= tuning.least_seen * BLOCK * BLOCK) & (views >= least)
+    number, cells = np.where(enough, count, np.float32(1)), np.maximum(known, 1)
     both /= (1 - 2 / np.maximum(views, least)) * number  # a pair pulls the template towards itself
-    return np.where(heard, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
+    return np.where(enough, both / np.maximum(own / number + square / cells, np.float32(1e-3)), np.float32(0))
 
 
 def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: int, tuning: ConsistencyTuning) -> U16:
-    """MOVING where the witnesses agree on something else than the template, (R, C)."""
+    """MOVING flags (R, C) where synchronous views share a deviation from the template."""
     if not len(pairs):
         return np.zeros(grid.shape, np.uint16)
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)

@@ -1,7 +1,7 @@
-"""How far a height can be trusted: sigma, and the flags that override it (docs/method/uncertainty.md).
+"""Uncertainty of heights: sigma, and the flags that override it (docs/method/uncertainty.md).
 
-Sigma says how well a surface fits; whether it is the right surface needs its own evidence: texture, the second-best
-cost, what the views do not share, neighbours, steps.
+Sigma measures how well a surface fits. Whether it is the right surface needs other evidence: texture, the second-best
+cost, the residual, neighbours, steps.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Pooled:
 
 
 def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
-    """Look at a fit at half resolution: what is nearby needs no more, and costs a quarter."""
+    """Reduce a fit to half resolution: enough for means over neighbours, at a quarter of the cost."""
     height, mean, noise, precision, per_px = (
-        _even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
+        _padded_even(a) for a in (fit.height, fit.mean, fit.noise, fit.precision, fit.metres_per_px)
     )
     out = np.empty((8, height.shape[0] // 2, height.shape[1] // 2), np.float32)
     kernels.pool(height, mean, noise, precision, per_px, median_height(height), out)
@@ -58,9 +58,9 @@ def pooled(fit: Fit, cell: float, tuning: UncertaintyTuning) -> Pooled:
 
 
 def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyTuning) -> F32:
-    """Variance of what the windows flatten, metres^2: it goes with the relief that is left and with the noise."""
-    fine, broad = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
-    rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(broad * broad, (0, 0), 1.5)
+    """Variance of the relief that the windows flatten, metres^2, from the visible relief and the noise (eq. 14)."""
+    fine, trend = (mid - cv2.GaussianBlur(mid, (0, 0), s) for s in (0.75, 1.5))
+    rough, wide = uneven + _box(fine * fine, 3), cv2.GaussianBlur(trend * trend, (0, 0), 1.5)
     square = per_px * per_px
     out = square * np.float32(tuning.hidden_px**2)
     for variance, power in ((rough, tuning.fine_power), (wide, tuning.broad_power)):
@@ -69,8 +69,8 @@ def _hidden(mid: F32, uneven: F32, noise: F32, per_px: F32, tuning: UncertaintyT
     return np.asarray(out + np.float32(tuning.relief) * rough, dtype=np.float32)
 
 
-def _even(values: NDArray[Any]) -> NDArray[Any]:
-    """With even numbers of rows and columns, the last ones doubled."""
+def _padded_even(values: NDArray[Any]) -> NDArray[Any]:
+    """The raster with even numbers of rows and columns, the last ones doubled."""
     odd = [(0, n % 2) for n in values.shape]
     return np.pad(values, odd, mode="edge") if any(n for _, n in odd) else values
 
@@ -86,7 +86,7 @@ def half_resolution(values: F32) -> F32:
 
 
 def match_evidence(seen: Pooled, ratio: F32, slide: F32, near: int) -> dict[str, F32]:
-    """What speaks for a wrong match, without unit, at half resolution: the terms of eq. 15 before the logarithm.
+    """Evidence for a wrong match, dimensionless, at half resolution: the terms of eq. 15 before the logarithm.
 
     ambiguity: best over second-best cost `ratio` nearby; residual: share of the variance that the views do not share,
     nearby; sigma: claimed sigma nearby, parallax pixels; drop and rise: to the lowest and highest neighbour, parallax
@@ -133,11 +133,11 @@ def sigma_and_flags(
     searched: tuple[float, float],
     tuning: UncertaintyTuning,
 ) -> tuple[F32, U16, F32]:
-    """Put sigma, flags and residual share to a fit, all (R, C).
+    """Sigma, flags and residual share of a fit, all (R, C).
 
     Args:
         ratio: best over second-best cost of the sweep, (R / 2, C / 2).
-        lit: the views asked for the brightness.
+        lit: views whose grey level shows saturation.
         searched: lowest and highest height, metres.
     """
     seen = pooled(fit, grid.cell, tuning)

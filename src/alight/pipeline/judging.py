@@ -8,6 +8,8 @@ import numpy as np
 
 from alight import hazards, terrain
 from alight.landing import sites
+from alight.landing.next_view import next_view
+from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
@@ -40,13 +42,13 @@ class JudgingLane:
 
     def __init__(self, settings: StageSettings, appearance: terrain.Model | None, timings: Timings) -> None:
         self._settings, self._appearance, self._timings = settings, appearance, timings
-        self._reserve = sites.Reserve()  # in the map's frame
+        self._reserve = Reserve()  # in the map's frame
         self._frame: MapFrame | None = None  # of the newest map
         self._lost: list[str] = []  # in words, the newest last
         self._warnings: list[str] = []
 
     @property
-    def reserve(self) -> sites.Reserve:
+    def reserve(self) -> Reserve:
         """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
         r, frame = self._reserve, self._frame
         if frame is None:
@@ -75,7 +77,7 @@ class JudgingLane:
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, seen.vehicle.position)
             above = seen.vehicle.height_above_ground
-            look = None if chosen.sites else sites.next_view(danger, elevation, s.sites, s.lander, above)
+            look = None if chosen.sites else next_view(danger, elevation, s.sites, s.lander, above)
             self._keep(chosen, danger)
         return Verdict(
             frame.elevation(without_water(elevation, cover)),
@@ -112,7 +114,9 @@ class JudgingLane:
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """What a run's notes say of it: the next look, sites of earlier maps, and why others were given up."""
-        out: dict[str, object] = {"terrain": terrain.says(found.elevation, self._settings.terrain, self._appearance)}
+        out: dict[str, object] = {
+            "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
+        }
         if found.look is not None:
             out["look next"] = in_words(found.look)
         earlier = self.reserve.sites[len(found.sites.sites) :]

@@ -8,7 +8,8 @@ from typing import Literal
 
 from alight import terrain
 from alight.elevation import TileStore
-from alight.landing import route, sites
+from alight.landing import route
+from alight.landing.reserve import Reserve
 from alight.pipeline.decision import Decision
 from alight.pipeline.judging import JudgingLane, Verdict
 from alight.pipeline.mapping import MapSnapshot, mapping_lane
@@ -88,7 +89,7 @@ class Pipeline:
         return None if seen is None else self.judge(seen)
 
     @property
-    def reserve(self) -> sites.Reserve:
+    def reserve(self) -> Reserve:
         """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
         return self._judging.reserve
 

@@ -7,18 +7,20 @@ import io
 import zipfile
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from alight.learned import table_path
 from alight.records import U8, InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.terrain.features import LEVELS, names
 from alight.terrain.model import Head, Model
 from alight.training.patches import LabelledPatch
 
-DEFAULT_MODEL = Path(__file__).parents[1] / "terrain" / "models" / "default.npz"
+DEFAULT_MODEL = table_path("appearance")
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres a pixel, where nothing says otherwise
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
@@ -181,7 +183,15 @@ def read_model(path: Path | None = None) -> Model:
     Raises:
         InputError: it is missing, is no model, or was trained for other features.
     """
-    path = path or DEFAULT_MODEL
+    return _default_model() if path is None else _model_of(path)
+
+
+@cache
+def _default_model() -> Model:
+    return _model_of(DEFAULT_MODEL)
+
+
+def _model_of(path: Path) -> Model:
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as z:
             heads = tuple(_head(z, level) for level in range(LEVELS))
@@ -202,4 +212,18 @@ def _head(z: np.lib.npyio.NpzFile, level: int) -> Head | None:
         raise ValueError("other features")
     values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"] for f in fields(Head)}
     numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
-    return Head(**numbers)
+    head = Head(**numbers)
+    _check(head, len(z["classes"]), len(names(level)))
+    return head
+
+
+def _check(head: Head, classes: int, features: int) -> None:
+    """Refuse a head of other shapes, or with numbers that are not finite, as a ValueError."""
+    wanted = {
+        "mean": (features,), "spread": (features,), "weights": (classes, features), "bias": (classes,),
+        "centres": (classes, features), "metric": (features, features), "reach": (), "temperature": (),
+    }  # fmt: skip
+    for name, shape in wanted.items():
+        value = np.asarray(getattr(head, name))
+        if value.shape != shape or not np.isfinite(value).all():
+            raise ValueError(f"{name} is not {shape} finite numbers")

@@ -1,7 +1,7 @@
-"""What covers the ground, from evidence that is weighed; it may refuse ground and never permits it alone."""
+"""Land cover: a reason to refuse ground, never alone one to permit it."""
 
-from alight.terrain.classify import classify, says
+from alight.terrain.classify import classify, describe
 from alight.terrain.model import Model
 from alight.terrain.water import open_water
 
-__all__ = ["Model", "classify", "open_water", "says"]
+__all__ = ["Model", "classify", "describe", "open_water"]

@@ -1,17 +1,16 @@
-"""What a cell looks like: ratios that survive a change of exposure (docs/method/land-cover.md)."""
+"""Colour and texture of each cell: ratios that a change of exposure leaves alone (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.raster import masked_gaussian
 from alight.records import F32, ElevationMap
 
 Bool = NDArray[np.bool_]
-COARSE = 4.0  # cells, 1-sigma that a Gaussian needs
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,29 +21,6 @@ class Appearance:
     green: F32  # (2 G - R - B) / (R + G + B), the excess green index
     texture: F32  # root mean square of log brightness about its 0.5 m mean
     coloured: bool  # False: grey images, colour says nothing
-
-
-def masked_gaussian(values: F32, weight: F32, sigma_cells: float) -> F32:
-    """Gaussian mean of the cells with weight; NaN where there is none near. Wide ones are taken on fewer cells."""
-    if sigma_cells > 2 * COARSE:
-        n = int(sigma_cells / COARSE)
-        size = (max(1, round(values.shape[1] / n)), max(1, round(values.shape[0] / n)))
-        total = cv2.resize(
-            np.where(weight > 0, values * weight, 0).astype(np.float32), size, interpolation=cv2.INTER_AREA
-        )
-        share = cv2.resize(weight, size, interpolation=cv2.INTER_AREA)
-        mean = _ratio(
-            cv2.GaussianBlur(total, (0, 0), sigma_cells / n), cv2.GaussianBlur(share, (0, 0), sigma_cells / n)
-        )
-        return np.asarray(cv2.resize(mean, values.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-    total = cv2.GaussianBlur(np.where(weight > 0, values * weight, 0).astype(np.float32), (0, 0), sigma_cells)
-    share = cv2.GaussianBlur(weight, (0, 0), sigma_cells)
-    return _ratio(total, share)
-
-
-def _ratio(total: F32, share: F32) -> F32:
-    out: F32 = np.where(share > 1e-3, total / np.maximum(share, 1e-3), np.nan).astype(np.float32)
-    return out
 
 
 def seen(elevation: ElevationMap) -> Bool:

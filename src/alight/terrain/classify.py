@@ -1,7 +1,4 @@
-"""From evidence to classes: everything is weighed together, and appearance may only take.
-
-docs/method/land-cover.md
-"""
+"""Land cover: log odds of all evidence; the model of appearance may only refuse (docs/method/land-cover.md)."""
 
 from __future__ import annotations
 
@@ -9,51 +6,54 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.learned import Net, read_net, relu_net
+from alight.raster import close_mask, fill_pits, grow, without_specks
 from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
-from alight.terrain.evidence import cover_terms, weighed
+from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
-from alight.terrain.masks import close_mask, without_pits, without_specks
 from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
 Bool = NDArray[np.bool_]
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
+SPECK = 0.1  # square metres: a smaller patch is left to the geometry
+TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
+PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Bool:
-    """Ground within reach of a crown (G18): seen from the side, what lies under it passes for open ground.
+    """Ground within reach of a tree crown (G18): oblique views show the ground under it as open.
 
     Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
     """
     cell = elevation.grid.cell
     usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-    above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
-    out = np.zeros(above.shape, dtype=np.bool_)
+    height_above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
+    out = np.zeros(height_above.shape, dtype=np.bool_)
     for tall in (1.5, 3.0, 4.5, 6.0):
         n = round(settings.overhang * tall / cell)
         if n < 1:
             continue
-        standing = without_specks(np.nan_to_num(above) > tall, cell, 0.5)
-        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-        out |= cv2.dilate(standing.astype(np.uint8), disc) > 0
+        standing = without_specks(np.nan_to_num(height_above) > tall, cell, 0.5)
+        out |= grow(standing, n)
     return out
 
 
-def appearance_odds(model: Model | None, elevation: ElevationMap, look: Appearance) -> F32 | None:
-    """What the model of appearance adds to the log odds, (R, C, 8); None when it can say nothing here.
+def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
+    """Log odds (R, C, 8) that the model of appearance adds; None for grey pictures or cells too coarse for it.
 
-    0 is no evidence: for classes that the model does not know, and wherever nothing known looks like that.
+    They are 0 for classes that the model does not know, and where the ground is unlike every patch it was trained on.
     """
-    if model is None or not look.coloured:
+    if model is None or not colours.coloured:
         return None
-    said = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
-    if said is None:
+    log_p = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
+    if log_p is None:
         return None
-    lift = np.nan_to_num(said + np.float32(np.log(len(model.classes)))).astype(np.float32)
+    lift = np.nan_to_num(log_p + np.float32(np.log(len(model.classes)))).astype(np.float32)
     out = np.zeros((*elevation.grid.shape, len(KINDS)), np.float32)
     size = elevation.grid.shape[::-1]
     for i, code in enumerate(model.classes):
@@ -66,57 +66,61 @@ def landable_of(odds: F32) -> F32:
     return np.asarray(np.exp(log_softmax(odds))[..., OPEN].sum(axis=-1), np.float32)
 
 
-def _open_kind(look: Appearance, leafy: float) -> U8:
-    """Which open ground it is, by its colour, cautiously."""
-    green = np.nan_to_num(look.green) > leafy
-    grey = (np.abs(look.cool) < 0.05) & (np.abs(look.green) < 0.04) & (look.texture < 0.05)
+def _open_kind(colours: Appearance, leafy: float) -> U8:
+    """Class of open ground by its colour: short grass, paved or bare."""
+    green = np.nan_to_num(colours.green) > leafy
+    grey = (np.abs(colours.cool) < 0.05) & (np.abs(colours.green) < 0.04) & (colours.texture < 0.05)
     return np.where(green, Terrain.SHORT_GRASS, np.where(grey, Terrain.PAVED, Terrain.BARE)).astype(np.uint8)
 
 
-def _settled(odds: F32, water: Bool, cell: float, settings: TerrainSettings) -> F32:
-    """Log odds with standing water made sure, and gaps between tufts given to the tufts."""
+def _with_water_and_tufts(odds: F32, water: Bool, cell: float, settings: TerrainSettings) -> F32:
+    """Log odds with standing water made certain, and gaps between tufts given to the tufts."""
     out = odds.copy()
     best = odds.max(axis=-1)
     wet = Terrain.WATER - 1
     out[..., wet] = np.where(water, best + np.float32(settings.basin_odds), odds[..., wet])
     plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
-    tufts = close_mask(without_specks(plants, cell), cell) & ~water
+    tufts = close_mask(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
     out[..., Terrain.TALL_VEGETATION - 1] = np.where(
         tufts, np.maximum(best, best + 1), out[..., Terrain.TALL_VEGETATION - 1]
     )
     return out
 
 
-def _labels(odds: F32, landable: F32, look: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """The likeliest class; its colour says which open ground it is, and whether what stands on it is a tree."""
+def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
+    """The likeliest class; colour decides between open grounds, height between tall vegetation and tree."""
     hazards = odds.copy()
     hazards[..., OPEN] = -np.inf
     kind = (np.argmax(hazards, axis=-1) + 1).astype(np.uint8)
-    above, leafy = np.nan_to_num(shape.above), np.nan_to_num(look.green) > settings.leafy
-    raised = (above > settings.raised) & (kind != Terrain.WATER)
+    height_above, leafy = np.nan_to_num(shape.height_above), np.nan_to_num(colours.green) > settings.leafy
+    raised = (height_above > settings.raised) & (kind != Terrain.WATER)
     plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
-    kind = np.where(plants, np.where(above > settings.tall, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
-    return np.where(landable >= 0.5, _open_kind(look, settings.leafy), kind).astype(np.uint8)
+    kind = np.where(plants, np.where(height_above > settings.tall, Terrain.TREE, Terrain.TALL_VEGETATION), kind)
+    return np.where(landable >= 0.5, _open_kind(colours, settings.leafy), kind).astype(np.uint8)
 
 
-def _verdict(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> tuple[U8, F32, F32]:
+def _classified(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net
+) -> tuple[U8, F32, F32]:
     """Labels, P(landable) and log probabilities of one map."""
     cell = elevation.grid.cell
-    look = appearance(elevation)
-    wet = wetness(elevation, look)
+    colours = appearance(elevation)
+    wet = wetness(elevation, colours)
     shape = relief(elevation, wet, settings)
-    water = ponds(elevation, look, shape, wet, settings)
-    plain = _settled(weighed(cover_terms(elevation, look, shape)), water, cell, settings)
-    seen_as = appearance_odds(model, elevation, look)
-    odds = plain if seen_as is None else plain + np.float32(settings.appearance) * seen_as
-    landable = without_pits(np.minimum(landable_of(plain), landable_of(odds)), cell)  # appearance never gives (T5)
-    standing = (np.nan_to_num(shape.above) > settings.raised) | beside_tall(elevation, shape, settings)
+    water = ponds(elevation, colours, shape, wet, settings)
+    plain = _with_water_and_tufts(relu_net(net, land_cover_terms(elevation, colours, shape)), water, cell, settings)
+    added = appearance_odds(model, elevation, colours)
+    odds = plain if added is None else plain + np.float32(settings.appearance) * added
+    landable = fill_pits(
+        np.minimum(landable_of(plain), landable_of(odds)), round(PIT / cell)
+    )  # appearance never permits (T5)
+    standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
     landable = np.where(standing, np.minimum(landable, np.float32(settings.beside_tall)), landable)
-    return _labels(odds, landable, look, shape, settings), landable, log_softmax(odds)
+    return _labels(odds, landable, colours, shape, settings), landable, log_softmax(odds)
 
 
-def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
-    """In words, what the classes of a map are made of."""
+def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
+    """The evidence that the classes of a map rest on, in words."""
     if not settings.enabled:
         return "not judged (terrain.enabled)"
     alone = "shape, matching and texture of the map alone: "
@@ -130,13 +134,16 @@ def says(elevation: ElevationMap, settings: TerrainSettings, model: Model | None
     return "shape, matching and texture of the map, and a model of appearance, which may only refuse"
 
 
-def classify(elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None) -> TerrainMap:
-    """Say what covers each cell, and how likely it may be landed on.
+def classify(
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, net: Net | None = None
+) -> TerrainMap:
+    """Land cover of each cell, and the probability that it may be landed on.
 
     Args:
         elevation: heights, flags and colours.
         settings: scales and weights; `enabled` False gives UNKNOWN everywhere, which refuses nothing.
         model: of appearance; None: the map's own evidence alone.
+        net: over the map's own evidence; None: the package's (`learned/land_cover.md`).
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
@@ -145,11 +152,11 @@ def classify(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p = _verdict(elevation, settings, model)
-    looked = seen(elevation)
+    label, landable, log_p = _classified(elevation, settings, model, net or read_net("land_cover"))
+    known = seen(elevation)
     return TerrainMap(
         elevation.grid,
-        np.where(looked, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        np.where(looked, landable, nothing),
-        np.where(looked[..., None], np.exp(log_p), nothing).astype(np.float16),
+        np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
+        np.where(known, landable, nothing),
+        np.where(known[..., None], np.exp(log_p), nothing).astype(np.float16),
     )

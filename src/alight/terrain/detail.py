@@ -1,7 +1,7 @@
-"""What is small and near: bands of light, tint and height at several widths (docs/method/land-cover.md, T1b).
+"""Local detail: bands of brightness, tint and height at several widths (docs/method/land-cover.md, T1b).
 
-On pixels finer than the heights' cells, where the map has them. Stones, tufts and the texture of a sward are told apart
-by what stands out at which width, how strong all detail of a width is, and whether the heights stand out with it.
+On pixels finer than the heights' cells, where the map has them. Stones, tufts and the texture of a sward
+differ in the width of their detail, its strength, and whether the heights show it too.
 """
 
 from __future__ import annotations
@@ -9,60 +9,42 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
-import cv2
 import numpy as np
 
-from alight.geometry import cells_as_blocks, nearest_known
+from alight.learned.terms import POWER_BANDS, DetailTerm, band
+from alight.raster import block_max, block_mean, gaussian_mean, local_max, nearest_known
 from alight.records import F32, U8, ElevationMap, Flag
 
 Found = Iterator[tuple[str, F32]]
 WIDTHS = (0.7, 1.4, 2.8, 5.6, 11.2)  # fine pixels, 1-sigma: bands lie between each and the next
 HEIGHT_WIDTHS = (0.8, 1.6, 3.2, 6.4)  # cells
 NEAR, WIDE = 0.3, 1.0  # metres over which the strength of a band is gathered
-REACH = 0.5  # metres to the darkest and brightest, the highest and lowest place near
-FLOOR = np.float32(0.003)
-BUMP = np.float32(0.03)  # metres of height above which its logarithm counts
-COARSE = 6.0  # cells, 1-sigma beyond which a mean is taken on fewer cells
+REACH = 0.5  # metres, radius of local maxima and minima
+FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
+BUMP = np.float32(0.03)  # metres, scale of the arsinh of heights
 FLAGS = {
-    "ambiguous": Flag.AMBIGUOUS, "restless": Flag.INCONSISTENT | Flag.MOVING, "step": Flag.STEP,
-    "saturated": Flag.SATURATED, "textureless": Flag.TEXTURE,
-}  # fmt: skip
-
-
-def mean_about(values: F32, sigma: float) -> F32:
-    """Gaussian mean; wide ones on fewer cells."""
-    if sigma <= COARSE:
-        return np.asarray(cv2.GaussianBlur(values, (0, 0), max(sigma, 0.3)), np.float32)
-    n = int(2 * sigma / COARSE)
-    size = (max(1, values.shape[1] // n), max(1, values.shape[0] // n))
-    small = cv2.GaussianBlur(cv2.resize(values, size, interpolation=cv2.INTER_AREA), (0, 0), sigma / n)
-    return np.asarray(cv2.resize(small, values.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-def _mean(fine: F32, factor: int) -> F32:
-    return np.asarray(cells_as_blocks(fine, factor).mean(axis=(1, 3)), np.float32)
-
-
-def _most(fine: F32, factor: int) -> F32:
-    return np.asarray(cells_as_blocks(fine, factor).max(axis=(1, 3)), np.float32)
+    DetailTerm.AMBIGUOUS: Flag.AMBIGUOUS,
+    DetailTerm.MOVING: Flag.INCONSISTENT | Flag.MOVING,
+    DetailTerm.STEP: Flag.STEP,
+    DetailTerm.SATURATED: Flag.SATURATED,
+    DetailTerm.TEXTURELESS: Flag.TEXTURE,
+}
 
 
 def _strength(power: F32, sigma: float) -> F32:
-    return np.asarray(np.log(np.sqrt(np.maximum(mean_about(power, sigma), 0)) + FLOOR), np.float32)
+    return np.asarray(np.log(np.sqrt(np.maximum(gaussian_mean(power, sigma), 0)) + FLOOR), np.float32)
 
 
 def _squashed(metres: F32) -> F32:
     return np.asarray(np.arcsinh(metres / BUMP), np.float32)
 
 
-def _most_near(values: F32, cell: float) -> F32:
-    n = max(1, round(REACH / cell))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * n + 1, 2 * n + 1))
-    return np.asarray(cv2.dilate(values, disc), np.float32)
+def _local_max(values: F32, cell: float) -> F32:
+    return local_max(values, max(1, round(REACH / cell)))
 
 
 def channels(rgb: U8) -> dict[str, F32]:
-    """Log brightness and the log ratios of red and blue to green of a picture; what was not seen is like its rim."""
+    """Log brightness and log ratios of red and blue to green; unseen pixels take the nearest seen value."""
     picture = nearest_known(rgb, rgb.max(axis=2) > 0).astype(np.float32) + 2
     green = np.log(picture[..., 1])
     red, blue = np.log(picture[..., 0]) - green, np.log(picture[..., 2]) - green
@@ -70,58 +52,58 @@ def channels(rgb: U8) -> dict[str, F32]:
 
 
 def bands(name: str, values: F32, factor: int, cell: float) -> Found:
-    """What stands out of one channel at each width, and how strong each width is about a cell."""
-    narrow = mean_about(values, WIDTHS[0])
+    """Differences of Gaussians of one channel at each width, and the strength of each width near a cell."""
+    narrow = gaussian_mean(values, WIDTHS[0])
     for k, sigma in enumerate(WIDTHS[1:]):
-        wide = mean_about(values, sigma)
-        band = narrow - wide
+        wide = gaussian_mean(values, sigma)
+        difference = narrow - wide
         if k == 0:
-            yield f"{name} 0 most", _most(band, factor)
-            yield f"{name} 0 least", -_most(-band, factor)
+            yield band(name, 0, "max"), block_max(difference, factor)
+            yield band(name, 0, "min"), -block_max(-difference, factor)
         else:
-            yield f"{name} {k}", _mean(band, factor)
-        if name == "light" or k in (0, 2):
-            power = _mean(band * band, factor)
-            yield f"{name} {k} near", _strength(power, NEAR / cell)
-            yield f"{name} {k} wide", _strength(power, WIDE / cell)
+            yield band(name, k), block_mean(difference, factor)
+        if k in POWER_BANDS[name]:
+            power = block_mean(difference * difference, factor)
+            yield band(name, k, "near"), _strength(power, NEAR / cell)
+            yield band(name, k, "wide"), _strength(power, WIDE / cell)
         narrow = wide
-    coarse = _mean(values, factor)
-    small, usual, broad = (mean_about(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
-    yield f"{name} local", small - usual
-    yield f"{name} broad", usual - broad
+    coarse = block_mean(values, factor)
+    fine, local, trend = (gaussian_mean(coarse, metres / cell) for metres in (0.15, 0.8, 3.0))
+    yield f"{name}_local", fine - local
+    yield f"{name}_broad", local - trend
 
 
 def bumps(height: F32, cell: float) -> Found:
-    """What stands out of the heights at each width, and the highest and the lowest place near."""
-    means = [height, *(mean_about(height, s) for s in HEIGHT_WIDTHS)]
+    """Differences of Gaussians of the heights at each width, local maximum and minimum, slope."""
+    means = [height, *(gaussian_mean(height, s) for s in HEIGHT_WIDTHS)]
     for k, (narrow, wide) in enumerate(pairwise(means)):
-        yield f"height {k}", _squashed(narrow - wide)
-    usual = mean_about(height, 1.0 / cell)
-    yield "height local", _squashed(mean_about(height, 0.2 / cell) - usual)
-    yield "height broad", _squashed(usual - mean_about(height, 4.0 / cell))
-    yield "highest near", _squashed(_most_near(means[1] - usual, cell))
-    yield "lowest near", _squashed(_most_near(usual - means[1], cell))
-    north, east = np.gradient(mean_about(height, 0.3 / cell) / np.float32(cell))
-    yield "steep", np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
+        yield band("height", k), _squashed(narrow - wide)
+    usual = gaussian_mean(height, 1.0 / cell)
+    yield DetailTerm.HEIGHT_LOCAL, _squashed(gaussian_mean(height, 0.2 / cell) - usual)
+    yield DetailTerm.HEIGHT_BROAD, _squashed(usual - gaussian_mean(height, 4.0 / cell))
+    yield DetailTerm.HIGHEST_NEAR, _squashed(_local_max(means[1] - usual, cell))
+    yield DetailTerm.LOWEST_NEAR, _squashed(_local_max(usual - means[1], cell))
+    north, east = np.gradient(gaussian_mean(height, 0.3 / cell) / np.float32(cell))
+    yield DetailTerm.STEEP, np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32)
 
 
 def spot_bands(light: F32, factor: int, cell: float) -> Found:
-    """The darkest and the brightest place near: a stone and its shadow."""
-    spot = mean_about(light, WIDTHS[0]) - mean_about(light, 0.8 * factor / cell)
-    yield "darkest near", _most_near(_most(-spot, factor), cell)
-    yield "brightest near", _most_near(_most(spot, factor), cell)
+    """Darkest and brightest spot within `REACH`: a stone and its shadow."""
+    spot = gaussian_mean(light, WIDTHS[0]) - gaussian_mean(light, 0.8 * factor / cell)
+    yield DetailTerm.DARKEST_NEAR, _local_max(block_max(-spot, factor), cell)
+    yield DetailTerm.BRIGHTEST_NEAR, _local_max(block_max(spot, factor), cell)
 
 
-def doubts(elevation: ElevationMap) -> Found:
-    """The residual against what is usual near, and the share of the cells near that carry each flag."""
+def match_terms(elevation: ElevationMap) -> Found:
+    """Residual less its local mean, and the share of nearby cells with each flag."""
     cell, residual = elevation.grid.cell, np.nan_to_num(elevation.residual)
-    yield "residual spot", mean_about(residual, 0.7) - mean_about(residual, 1.0 / cell)
+    yield DetailTerm.RESIDUAL_SPOT, gaussian_mean(residual, 0.7) - gaussian_mean(residual, 1.0 / cell)
     for name, flags in FLAGS.items():
-        yield name, mean_about(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
+        yield name, gaussian_mean(np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32), NEAR / cell)
 
 
 def detail_terms(elevation: ElevationMap) -> Found:
-    """All of it, (R, C) each, one after the other: together they would be several times the map."""
+    """All terms of this module, (R, C) each, one after the other: together they would be several times the map."""
     rgb, factor = elevation.finest
     cell = elevation.grid.cell
     for name, values in channels(rgb).items():
@@ -130,4 +112,4 @@ def detail_terms(elevation: ElevationMap) -> Found:
             yield from spot_bands(values, factor, cell)
     height = nearest_known(elevation.height, np.isfinite(elevation.height))
     yield from bumps(np.nan_to_num(height - np.float32(np.median(height))), cell)
-    yield from doubts(elevation)
+    yield from match_terms(elevation)

@@ -1,4 +1,4 @@
-"""What ground looks like, in numbers that another camera, season and light leave alone (docs/method/land-cover.md, T3).
+"""Appearance features that another camera, season and light leave alone (docs/method/land-cover.md, T3).
 
 Every number is a ratio: of brightness at two scales in metres, of a picture and the frame that it belongs to, or a
 correlation. None is a colour, because a colour is the camera's and the season's as much as the ground's.
@@ -41,7 +41,7 @@ class AppearanceFeatures:
 
 
 def names(level: int) -> tuple[str, ...]:
-    """What the features of a level are called."""
+    """Names of the features of a level."""
     octaves = range(level, BANDS)
     detail = [f"detail {n}" for n in octaves]
     return (
@@ -119,7 +119,7 @@ def _octaves(colour: F32, level: int, mean: _Means) -> dict[str, F32]:
 
 
 def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None = None) -> AppearanceFeatures | None:
-    """Measure a picture.
+    """Features of a picture.
 
     Args:
         rgb: (H, W, 3).

@@ -1,4 +1,4 @@
-"""From what ground looks like to how likely each class looks so; far from everything learned it says nothing.
+"""Model of appearance: likelihood of the classes given features; far from the training data it gives no evidence.
 
 A linear classifier on few numbers (docs/method/land-cover.md, T4): 1,400 labelled patches of four places carry no more.
 """

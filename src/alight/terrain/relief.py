@@ -1,4 +1,4 @@
-"""What a cell's height says: how far it stands above the ground, how rough it is, whether water would stand there."""
+"""Relief: height above the ground, roughness, depth of standing water."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.geometry import nearest_known
+from alight.raster import block_quantile, ellipse, masked_gaussian, nearest_known, upsample
 from alight.records import F32, ElevationMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import masked_gaussian
 from alight.terrain.basin_kernels import fill_basins
 
 Bool = NDArray[np.bool_]
@@ -21,56 +20,38 @@ Bool = NDArray[np.bool_]
 class Relief:
     """Shape of the ground about every cell, (R, C) float32 metres, NaN where no height is near."""
 
-    above: F32  # height above the surrounding ground, less what a hill of that width may have (G12)
+    height_above: F32  # above the surrounding ground, less the height that a hill of that width may have (G12)
     rough: F32  # root mean square height about its 0.5 m mean
     depth: F32  # of water that would stand there before it ran off (G13)
     level: F32  # height of that water's surface
     ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
 
-def block_quantile(values: F32, size: int, share: float) -> F32:
-    """Shrink by an odd or even factor: the quantile `share` of the known cells of each block, NaN where none is."""
-    rows, cols = (-(-n // size) for n in values.shape)
-    padded = np.full((rows * size, cols * size), np.nan, dtype=np.float32)
-    padded[: values.shape[0], : values.shape[1]] = values
-    cells = np.sort(padded.reshape(rows, size, cols, size).transpose(0, 2, 1, 3).reshape(rows, cols, -1), axis=2)
-    known = np.isfinite(cells).sum(axis=2)
-    pick = np.clip(np.floor(share * known), 0, np.maximum(known - 1, 0)).astype(np.int64)
-    return np.take_along_axis(cells, pick[..., None], axis=2)[..., 0]
-
-
-def upsample_blocks(coarse: F32, size: int, shape: tuple[int, int]) -> F32:
-    """Undo `blocks`: every cell of a block gets its value."""
-    return np.repeat(np.repeat(coarse, size, axis=0), size, axis=1)[: shape[0], : shape[1]]
-
-
 def ground_under(low: F32, window_cells: float) -> F32:
-    """Ground below what is narrower than the window: a morphological opening that leaves planes as they are."""
+    """Ground without objects narrower than the window: a morphological opening that keeps planes."""
     reach = max(1, round(window_cells / 2))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
+    disc = ellipse(reach)
     eroded = cv2.erode(np.where(np.isfinite(low), low, np.float32(1e6)), disc, borderValue=1e6)
     opened = cv2.dilate(np.where(eroded < 1e5, eroded, np.float32(-1e6)), disc, borderValue=-1e6)
     out: F32 = np.where(np.isfinite(low), np.minimum(opened, low), np.float32(np.nan))
     return out
 
 
-def above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
-    """Height above what lies around, over widening windows (G12).
+def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSettings, cell: float) -> F32:
+    """Height above the ground around, over widening windows (G12).
 
     Each window allows `settings.bulge` of height per metre of its width: hilltops are broad, objects are not.
     """
-    above = np.full(height.shape, -np.inf, dtype=np.float32)
+    out = np.full(height.shape, -np.inf, dtype=np.float32)
     for window in (settings.ground_window / 4, settings.ground_window / 2, settings.ground_window):
         ground = ground_under(low, window / (size * cell))
         flat = masked_gaussian(np.nan_to_num(ground), np.isfinite(ground).astype(np.float32), 1.0)
         under = cv2.resize(flat, (flat.shape[1] * size, flat.shape[0] * size), interpolation=cv2.INTER_LINEAR)
-        above = np.fmax(
-            above, height - under[: height.shape[0], : height.shape[1]] - np.float32(settings.bulge * window)
-        )
-    return np.where(np.isfinite(above), above, np.float32(np.nan))
+        out = np.fmax(out, height - under[: height.shape[0], : height.shape[1]] - np.float32(settings.bulge * window))
+    return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def outside(unknown: Bool) -> Bool:
+def open_to_rim(unknown: Bool) -> Bool:
     """Unknown cells that reach the rim of the map; holes within are walls to water, not ways out."""
     framed = np.pad(unknown, 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(framed, connectivity=4)[1]
@@ -84,7 +65,7 @@ def standing_water(ground: F32, wet: Bool) -> tuple[F32, F32]:
     Only where the rim itself looks `wet` it does not: there a pond goes on beyond the map.
     """
     unknown = np.isnan(ground)
-    off = np.pad(outside(unknown), 1, constant_values=True).astype(np.uint8)
+    off = np.pad(open_to_rim(unknown), 1, constant_values=True).astype(np.uint8)
     beside = cv2.dilate(off, np.ones((3, 3), np.uint8))[1:-1, 1:-1] > 0
     surface = np.where(unknown, np.float32(np.inf), ground)
     level = np.empty_like(surface)
@@ -112,9 +93,9 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     detail = np.nan_to_num(height) - np.nan_to_num(masked_gaussian(np.nan_to_num(height), weight, 0.5 / cell))
     power = masked_gaussian(detail**2, weight, 0.35 / cell)
     return Relief(
-        above=above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
+        height_above=height_above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
-        depth=upsample_blocks(depth, size, shape),
-        level=upsample_blocks(level, size, shape),
-        ground=upsample_blocks(nearest_known(bed, ~np.isnan(bed)), size, shape),
+        depth=upsample(depth, size, shape),
+        level=upsample(level, size, shape),
+        ground=upsample(nearest_known(bed, ~np.isnan(bed)), size, shape),
     )

@@ -1,4 +1,4 @@
-"""Water by its shape and look: what the bed of a clear pond betrays (docs/method/land-cover.md, G13 to G15)."""
+"""Standing water from the shape of its bed and its colour and texture (docs/method/land-cover.md, G13 to G15)."""
 
 from __future__ import annotations
 
@@ -7,51 +7,45 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median
 
+from alight.raster import linear_ramp, masked_gaussian, without_specks
 from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import Appearance, masked_gaussian, seen
-from alight.terrain.masks import without_specks
+from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
 Bool = NDArray[np.bool_]
-LIKELY = 0.5  # median P(water) of a patch whose heights are those of a bed: of the sample's pond 0.98
-
-
-def _ramp(values: F32, low: float, high: float) -> F32:
-    """0 below `low`, 1 above `high`, straight between; no evidence (NaN) is 0."""
-    out: F32 = np.nan_to_num(np.clip((values - np.float32(low)) / np.float32(high - low), 0, 1)).astype(np.float32)
-    return out
+MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
 
 
 def _moving(elevation: ElevationMap) -> F32:
-    """Share of the cells about each that do not hold still: the parallax flags of water and swaying plants."""
-    looked = seen(elevation).astype(np.float32)
-    restless = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
-    share: F32 = np.nan_to_num(masked_gaussian(restless.astype(np.float32), looked, 0.5 / elevation.grid.cell))
+    """Share of nearby cells flagged as moving or inconsistent: water and swaying plants."""
+    weight = seen(elevation).astype(np.float32)
+    moving = (elevation.flags & np.uint16(Flag.MOVING | Flag.INCONSISTENT)) != 0
+    share: F32 = np.nan_to_num(masked_gaussian(moving.astype(np.float32), weight, 0.5 / elevation.grid.cell))
     return share
 
 
-def wet_look(look: Appearance) -> F32:
-    """How much a cell looks like water, 0 to 1: smooth, and neither brown nor green. A car park does too."""
-    plain = 1 - _ramp(look.texture, 0.03, 0.06)
-    tone = _ramp(look.cool, -0.075, -0.04) * (1 - _ramp(look.green, 0.11, 0.16))
-    out: F32 = plain * tone * np.float32(look.coloured)
+def water_likeness(colours: Appearance) -> F32:
+    """Likeness to water by colour and texture, 0 to 1: smooth, neither brown nor green. A car park has it too."""
+    plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
+    tone = linear_ramp(colours.cool, -0.075, -0.04) * (1 - linear_ramp(colours.green, 0.11, 0.16))
+    out: F32 = plain * tone * np.float32(colours.coloured)
     return out
 
 
-def wetness(elevation: ElevationMap, look: Appearance) -> F32:
-    """How much the surroundings of a cell look like water, 0 to 1."""
+def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
+    """Mean likeness to water of the surroundings of a cell, 0 to 1."""
     weight = seen(elevation).astype(np.float32)
-    out: F32 = np.nan_to_num(masked_gaussian(np.nan_to_num(wet_look(look)), weight, 0.5 / elevation.grid.cell))
+    out: F32 = np.nan_to_num(masked_gaussian(np.nan_to_num(water_likeness(colours)), weight, 0.5 / elevation.grid.cell))
     return out
 
 
-def water_odds(look: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
-    """Log odds of water (G14): a closed basin, the look of water, restless; any two strong ones do."""
+def water_odds(colours: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
+    """Log odds of water (G14): a closed basin, likeness to water, motion; any two strong ones suffice."""
     d = settings.basin_depth
-    basin = _ramp(shape.depth, d / 2, 1.5 * d)
-    plain = 1 - _ramp(look.texture, 0.03, 0.06)
-    odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * wet_look(look) + 3.0 * moving).astype(np.float32)
+    basin = linear_ramp(shape.depth, d / 2, 1.5 * d)
+    plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
+    odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving).astype(np.float32)
     return odds
 
 
@@ -62,15 +56,15 @@ def _grown(seed: Bool, into: Bool) -> Bool:
 
 
 def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> Bool:
-    """Spread water over what must be wet too (G15).
+    """Grow water over the ground that must be wet too (G15).
 
-    First to what looks alike and hangs together with it; then to all that hangs together with it and lies lower,
-    because the surface of a pond is level: this closes the gaps where the bed looks like the shore. Water that would
-    run over far more ground than it covers cannot stand there: then the second step is left out.
+    First over connected cells that look like water; then over connected cells that lie lower, because the surface of a
+    pond is level: this closes the gaps where the bed looks like the shore. Where the second step would more than double
+    the water, it is left out.
 
     Args:
         odds: (R, C) log odds of water.
-        wet: (R, C) how much a cell looks like water.
+        wet: (R, C) likeness to water, 0 to 1.
         bed: (R, C) metres, smoothed heights, NaN = unknown.
         cell: metres.
         least_share: of a patch that looks like water, that is water by itself: a slab looks like water, too.
@@ -81,9 +75,7 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> B
     count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     for i in range(1, count):
         pond = labels == i
-        if (
-            seed[pond].mean() < least_share
-        ):  # a slab looks like water too, and a wet corner of it does not make it a pond
+        if seed[pond].mean() < least_share:  # a slab with a wet corner is no pond
             out |= pond & seed
             continue
         known = pond & np.isfinite(bed)
@@ -95,24 +87,24 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> B
     return out
 
 
-def ponds(elevation: ElevationMap, look: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Bool:
-    """(R, C): what is water by its basin, its look and its restlessness, and what hangs together with it."""
+def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Bool:
+    """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
     cell = elevation.grid.cell
-    odds = water_odds(look, shape, _moving(elevation), settings)
+    odds = water_odds(colours, shape, _moving(elevation), settings)
     near = masked_gaussian(odds, seen(elevation).astype(np.float32), 0.2 / cell)
     return flooded(near, wet, shape.level - shape.depth, cell, settings.pond_share)
 
 
-def open_water(cover: TerrainMap) -> Bool:
-    """(R, C): the patches of water that are more likely water than not, all of each.
+def open_water(land_cover: TerrainMap) -> Bool:
+    """(R, C): the patches labelled water that are water with P >= `MIN_MEDIAN`, whole.
 
-    A cell that must not be landed on is called water where that is the likeliest hazard, however unlikely: a shadow
-    beside a bush is. For a refusal the name is no matter; a height is taken back only where the patch is water.
+    A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a
+    bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
     """
-    wet = np.asarray(cover.label == Terrain.WATER)
-    if cover.probability is None or not wet.any():
+    wet = np.asarray(land_cover.label == Terrain.WATER)
+    if land_cover.probability is None or not wet.any():
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
-    likely = cover.probability[wet, Terrain.WATER - 1].astype(np.float32)
+    likely = land_cover.probability[wet, Terrain.WATER - 1].astype(np.float32)
     middle = median(likely, patches[wet], np.arange(1, count))
-    return np.asarray(np.concatenate([[False], middle >= LIKELY])[patches])
+    return np.asarray(np.concatenate([[False], middle >= MIN_MEDIAN])[patches])

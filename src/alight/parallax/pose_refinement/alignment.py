@@ -1,4 +1,4 @@
-"""The ring's poses and the map held together from keyframe to keyframe (docs/method/recursive.md)."""
+"""Pose refinement against the map, carried from keyframe to keyframe (docs/method/recursive.md)."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sw
 
 @dataclass(eq=False)
 class Alignment:
-    """Belief about the exposures of a ring and the map below it."""
+    """Joint Gaussian over the exposures of a keyframe window and the plane of the map below them."""
 
     ring: int  # exposures
     tuning: PoseRefinementTuning
     about: F64 = field(default_factory=lambda: np.zeros(2))  # metres east and north, where the plane's offset is meant
-    belief: PoseGaussian | None = None
-    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # by which the map was off at the last step
+    state: PoseGaussian | None = None
+    plane: F64 = field(default_factory=lambda: np.zeros(PLANE))  # error of the map found at the last step
     _mounts: dict[tuple[int, int], Pose] = field(default_factory=dict)  # body_from_cam by time and camera
     _mapped: bool = False
-    _offset2: float = 0.0  # m^2, of the map's place in the world, which no picture tells
+    _offset2: float = 0.0  # m^2, variance of the height of the map in the world, not observable in pictures
 
-    def tell(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
-        """Take over what the navigation lane says of its keyframes; what is neither theirs nor `held` is forgotten."""
-        if self.belief is None:
-            self.belief, self.about = (
+    def update_posterior(self, poses: KeyframePosterior, held: set[int], drop: float) -> None:
+        """Take over the posterior of the keyframes; exposures that are neither in it nor `held` are dropped."""
+        if self.state is None:
+            self.state, self.about = (
                 PoseGaussian.none(np.array(self.tuning.plane_sigma) * [drop, 1, 1]),
                 poses.motions[-1].world_from_body.translation[:2],
             )
         times = held | {m.t_ns for m in poses.motions}
-        self.belief = self.belief.told(poses).kept(times)
+        self.state = self.state.with_posterior(poses).kept(times)
         self._mounts = {k: v for k, v in self._mounts.items() if k[0] in times}
         for m in poses.motions:
             self._mounts |= {(m.t_ns, k): m.world_from_body.inverse @ c for k, c in enumerate(m.world_from_cams)}
@@ -56,56 +56,56 @@ class Alignment:
     def align(
         self, exposures: list[list[Kept]], grid: Grid, known: ElevationMap, old: Mask, ground: float
     ) -> list[list[Kept]]:
-        """Refine the poses with the map; `plane` then says by how much the map was off.
+        """Refine the poses with the map; `plane` is then the error of the map that they show.
 
         `old` (R, C): cells that belong to other poses, and are taken as unknown.
         """
         newest = exposures[-1][0][0]
         self.plane = np.zeros(PLANE)
         drop = max(float(newest.centre[2]) - ground, 1e-2)
-        if self.belief is None or any(k[0][0].t_ns not in self.belief.times for k in exposures):
+        if self.state is None or any(k[0][0].t_ns not in self.state.times for k in exposures):
             return exposures
-        belief = self._prior(drop)
-        looks = self._looks(exposures, belief, self._ground(grid, known, old, ground, drop), drop)
+        prior = self._prior(drop)
+        linearisations = self._linearisations(exposures, prior, self._ground(grid, known, old, ground, drop), drop)
         pixel = grid.cell / drop
-        self.belief, plane = refine_poses(belief, looks, pixel, drop, self.ring, self.tuning)
+        self.state, plane = refine_poses(prior, linearisations, pixel, drop, self.ring, self.tuning)
         if self._mapped:
             self.plane = plane
-        poses = dict(zip(self.belief.times, self.belief.poses, strict=True))
+        poses = dict(zip(self.state.times, self.state.poses, strict=True))
         return [[self._moved(k, poses[k[0].t_ns]) for k in e] for e in exposures]
 
     def _prior(self, drop: float) -> PoseGaussian:
-        assert self.belief is not None
+        assert self.state is not None
         scale = np.array([drop, 1.0, 1.0])
         if not self._mapped:
-            return self.belief.with_plane(np.array(self.tuning.plane_sigma) * scale)
-        P = self.belief.covariance.copy()
+            return self.state.with_plane(np.array(self.tuning.plane_sigma) * scale)
+        P = self.state.covariance.copy()
         P[range(PLANE), range(PLANE)] += (np.array(self.tuning.wander) * scale) ** 2
-        return replace(self.belief, covariance=P)
+        return replace(self.state, covariance=P)
 
     def _moved(self, kept: Kept, world_from_body: Pose) -> Kept:
         view, fine, coarse = kept
         pose = world_from_body @ self._mounts[view.t_ns, view.cam]
         return replace(view, world_from_cam=pose), posed(fine, pose), posed(coarse, pose)
 
-    def _looks(
-        self, exposures: list[list[Kept]], belief: PoseGaussian, cells: RefinementCells, drop: float
+    def _linearisations(
+        self, exposures: list[list[Kept]], prior: PoseGaussian, cells: RefinementCells, drop: float
     ) -> list[ViewPair]:
-        """Coarse to fine, as often as the newest exposure is in doubt."""
+        """Pictures and cells of each linearisation, coarse to fine; more where the newest exposure is less certain."""
         all_of = [k for e in exposures for k in e]
-        fine = [self._sight(view, ready) for view, ready, _ in all_of]
-        coarse = [self._sight(view, ready) for view, _, ready in all_of]
-        doubt = doubt_of_last(belief, drop) / cells.arm
+        fine = [self._refinement_view(view, ready) for view, ready, _ in all_of]
+        coarse = [self._refinement_view(view, ready) for view, _, ready in all_of]
+        uncertainty = ground_uncertainty(prior, drop) / cells.arm
         wide = cells.coarser()
-        if doubt > self.tuning.far_cells:
+        if uncertainty > self.tuning.far_cells:
             return [(coarse, wide)] * 2 + [(fine, cells)] * 2
-        return [(fine, cells)] * (2 if doubt > self.tuning.near_cells else 1)
+        return [(fine, cells)] * (2 if uncertainty > self.tuning.near_cells else 1)
 
-    def _sight(self, view: View, prepared: Prepared) -> RefinementView:
+    def _refinement_view(self, view: View, prepared: Prepared) -> RefinementView:
         return RefinementView(prepared, self._mounts[view.t_ns, view.cam], view.t_ns)
 
     def _ground(self, grid: Grid, known: ElevationMap, old: Mask, ground: float, drop: float) -> RefinementCells:
-        """Some cells: the trusted ones near where the map has them, those it does not know anywhere, no others."""
+        """A thinned set of cells: trusted ones held to the map, unseen ones free, no others."""
         some, (xs, ys) = thinning(grid, self.tuning.cells), grid.xy()
         height, sigma, flags, other = known.height[some], known.sigma[some], known.flags[some], old[some]
         seen = ((flags & np.uint16(Flag.UNSEEN)) == 0) & ~other
@@ -119,25 +119,25 @@ class Alignment:
             xs[some[1]], ys[some[0]], height.astype(np.float32), kappa.astype(np.float32), self.about, grid.cell
         )
 
-    def on(self, grid: Grid) -> F32:
-        """What the last step found to be missing of the map's heights, (R, C)."""
+    def plane_on(self, grid: Grid) -> F32:
+        """Correction of the map's heights that the last step found, (R, C) metres."""
         return plane_on(*grid.xy(), self.plane, self.about)
 
     def gauge(self, grid: Grid) -> Datum | None:
-        """What all heights of a window share, about its middle."""
-        if self.belief is None or not self._mapped:
+        """Offset and tilt that all heights of a window share, about its middle, with covariance."""
+        if self.state is None or not self._mapped:
             return None
         east, north = (float(v.mean()) for v in grid.xy())
         move = np.eye(PLANE)
         move[0, 1:] = east - self.about[0], north - self.about[1]
-        covariance = move @ self.belief.covariance[:PLANE, :PLANE] @ move.T
+        covariance = move @ self.state.covariance[:PLANE, :PLANE] @ move.T
         covariance[0, 0] += self._offset2
         return Datum(east, north, covariance)
 
 
-def doubt_of_last(belief: PoseGaussian, drop: float) -> float:
-    """Metres on the ground by which the newest exposure may miss what all others make expected."""
-    P, n = belief.covariance, len(belief.covariance) - POSE
+def ground_uncertainty(state: PoseGaussian, drop: float) -> float:
+    """1-sigma on the ground, metres, of the newest exposure given all others."""
+    P, n = state.covariance, len(state.covariance) - POSE
     own = np.diag(P[n:, n:] - regress_on(P[:n, :n], P[:n, n:]) @ P[:n, n:])
     v = np.maximum(own, 0.0)
     return float(np.sqrt(0.5 * (v[0] + v[1]) + 0.5 * (v[3] + v[4]) * drop**2))

@@ -1,6 +1,6 @@
-"""What is believed of the exposures' poses and of the map's plane together: one normal distribution.
+"""Gaussian over the poses of the exposures and the plane of the map, jointly (docs/method/recursive.md, eqs. 22 to 25).
 
-The navigation lane tells it of the poses, the pictures correct it (docs/method/recursive.md, eqs. 22 to 25).
+The keyframe posterior of the navigation lane sets it, the pictures update it.
 """
 
 from __future__ import annotations
@@ -36,30 +36,30 @@ class PoseGaussian:
     poses: tuple[Pose, ...]  # world_from_body
     covariance: F64  # (3 + 6E, 3 + 6E)
     plane: F64  # (3,) mean of the map's error
-    start: F64  # (3 + 6E,) error from which to look for the best one: where the last step ended
+    start: F64  # (3 + 6E,) initial error of the next solve: where the last one ended
 
     @classmethod
     def none(cls, plane_sigma: F64) -> PoseGaussian:
-        """No exposure, and a plane of which only this much is known."""
+        """No exposure, and a plane of this 1-sigma (3,)."""
         return cls((), (), np.diag(plane_sigma**2), np.zeros(PLANE), np.zeros(PLANE))
 
     def rows(self, times: Collection[int]) -> NDArray[np.int64]:
-        """Where the exposures of these times are."""
+        """Rows of the covariance that belong to the exposures of these times."""
         each = [np.arange(PLANE + POSE * k, PLANE + POSE * (k + 1)) for k, t in enumerate(self.times) if t in times]
         return np.concatenate([*each, np.empty(0, np.int64)]).astype(np.int64)
 
-    def told(self, ring: KeyframePosterior) -> PoseGaussian:
-        """Take over what the navigation lane says of its keyframes (eq. 23).
+    def with_posterior(self, posterior: KeyframePosterior) -> PoseGaussian:
+        """Take over the posterior of the keyframes (eq. 23).
 
-        Of those that it holds, what was believed is replaced; what was believed of the others and of the plane given
-        these stays, so that they follow. A lane that tells of each exposure once leaves the correction to the pictures.
+        Their joint distribution is replaced. The distribution of the other exposures and of the plane, conditional on
+        the keyframes, stays; so they follow. New exposures are appended.
         """
-        at = {m.t_ns: k for k, m in enumerate(ring.motions)}
+        at = {m.t_ns: k for k, m in enumerate(posterior.motions)}
         shared = [t for t in self.times if t in at]
         new = [t for t in at if t not in self.times]
         mine, rest = self.rows(shared), np.setdiff1d(np.arange(len(self.covariance)), self.rows(shared))
         theirs, theirs_new = (_rows_of([at[t] for t in ts]) for ts in (shared, new))
-        P, Q = self.covariance, ring.covariance
+        P, Q = self.covariance, posterior.covariance
         gain = regress_on(P[np.ix_(mine, mine)], P[np.ix_(mine, rest)])
         out = np.zeros((len(P) + len(theirs_new),) * 2)
         fresh = np.arange(len(P), len(out))
@@ -75,10 +75,10 @@ class PoseGaussian:
         poses = dict(zip(self.times, self.poses, strict=True))
         shift = np.zeros(len(P))
         for t in shared:
-            shift[self.rows([t])] = between(poses[t], ring.motions[at[t]].world_from_body)
+            shift[self.rows([t])] = between(poses[t], posterior.motions[at[t]].world_from_body)
         shift[rest] = gain @ shift[mine]
         means = [moved(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
-        means += [ring.motions[at[t]].world_from_body for t in new]
+        means += [posterior.motions[at[t]].world_from_body for t in new]
         lead = regress_on(S, Q[np.ix_(theirs, theirs_new)]) @ (self.start - shift)[mine]
         return PoseGaussian(
             (*self.times, *new), tuple(means), out, self.plane + shift[:PLANE],
@@ -86,7 +86,7 @@ class PoseGaussian:
         )  # fmt: skip
 
     def kept(self, times: Collection[int]) -> PoseGaussian:
-        """Forget all other exposures."""
+        """Marginalise all other exposures."""
         keep = np.concatenate([np.arange(PLANE), self.rows(times)])
         pairs = [(t, p) for t, p in zip(self.times, self.poses, strict=True) if t in times]
         return replace(
@@ -95,12 +95,12 @@ class PoseGaussian:
         )  # fmt: skip
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
-        """Where the error is this: it is taken out, of the map as well."""
+        """The distribution after an error (3 + 6E,) was taken out of the poses and of the map."""
         poses = tuple(moved(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
         return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
 
     def with_plane(self, sigma: F64) -> PoseGaussian:
-        """Of the plane only this much is known."""
+        """The plane replaced by an independent one of this 1-sigma (3,)."""
         P = self.covariance.copy()
         P[:PLANE], P[:, :PLANE] = 0.0, 0.0
         P[:PLANE, :PLANE] = np.diag(sigma**2)
@@ -108,7 +108,7 @@ class PoseGaussian:
 
 
 def regress_on(P: F64, across: F64) -> F64:
-    """What is expected of others (m,) of those with covariance `P` (n, n): (m, n), their covariance `across` (n, m).
+    """Regression coefficients (m, n) of m variables on n of covariance `P` (n, n); cross-covariance `across` (n, m).
 
     Errors that all have in common make `P` singular; a share of 1e-9 of its variances leaves the answer what it is.
     """

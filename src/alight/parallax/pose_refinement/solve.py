@@ -1,7 +1,7 @@
 """Poses refined with the map: exposures, plane, heights and template in one small solve (docs/method/recursive.md).
 
-The pictures fix how the exposures and the map lie to each other; where all of them lie together no picture tells, and
-there the belief stands. A cell's height and template value are eliminated, held to the map as well as the map is known.
+The pictures fix the exposures and the map relative to each other; their common position stays as the prior has it. A
+cell's height and template value are marginalised, the height with the map's own sigma as prior.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class RefinementView:
     exposure: int  # t_ns
 
     def at(self, world_from_body: Pose) -> Prepared:
-        """The same picture seen from elsewhere."""
+        """This picture with another pose of its body."""
         return posed(self.prepared, world_from_body @ self.body_from_cam)
 
 
@@ -63,7 +63,7 @@ ViewPair = tuple[list[RefinementView], RefinementCells]  # pictures and cells of
 
 
 def posed(prepared: Prepared, world_from_cam: Pose) -> Prepared:
-    """The same picture seen from elsewhere."""
+    """A prepared picture with another pose of its camera."""
     H, b = ground_projection(prepared.camera, world_from_cam)
     return replace(prepared, H=H, b=b, centre=np.array(world_from_cam.translation))
 
@@ -75,50 +75,50 @@ def thinning(grid: Grid, count: int) -> tuple[slice, slice]:
 
 
 def refine_poses(
-    belief: PoseGaussian,
-    looks: Sequence[ViewPair],
+    prior: PoseGaussian,
+    linearisations: Sequence[ViewPair],
     pixel: float,
     drop: float,
     ring: int,
     tuning: PoseRefinementTuning,
 ) -> tuple[PoseGaussian, F64]:
-    """The belief with what the pictures say, and the plane (3,) by which the map was off (eqs. 17 to 24).
+    """The posterior given the pictures, and the error (3,) of the map's plane (eqs. 17 to 24).
 
     Args:
-        belief: prior.
-        looks: one a linearisation, of exposures that the belief knows.
+        prior: of the poses and the plane.
+        linearisations: pictures and cells of each, of exposures that the prior holds.
         pixel: rad.
         drop: metres from the cameras to the ground.
         ring: steps that a picture takes part in; its information is shared among them.
     """
-    times = [t for t in belief.times if any(s.exposure == t for s in looks[0][0])]
-    rows = np.concatenate([np.arange(PLANE), belief.rows(times)])
-    pairs = [(t, p) for t, p in zip(belief.times, belief.poses, strict=True) if t in times]
-    P, held, one = belief.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
-    x = belief.start[rows]
-    x[:PLANE] = -belief.plane
+    times = [t for t in prior.times if any(s.exposure == t for s in linearisations[0][0])]
+    rows = np.concatenate([np.arange(PLANE), prior.rows(times)])
+    pairs = [(t, p) for t, p in zip(prior.times, prior.poses, strict=True) if t in times]
+    P, held, one = prior.covariance[np.ix_(rows, rows)], Buffers(), np.eye(len(rows))
+    x = prior.start[rows]
+    x[:PLANE] = -prior.plane
     apparent = np.tile(np.repeat([pixel * drop, pixel], 3), len(times)) * tuning.apparent_px
     F = np.concatenate([np.zeros(PLANE), apparent]) ** 2
     A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
-    for sights, ground in looks:
+    for views, ground in linearisations:
         poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
-        seen, b = _information(sights, times, poses, ground, ground.tilted(belief.plane + x[:PLANE]), held, tuning)
-        known = np.linalg.inv(one + seen * F)
-        A, b = known @ seen, known @ b
+        seen, b = _information(views, times, poses, ground, ground.tilted(prior.plane + x[:PLANE]), held, tuning)
+        damping = np.linalg.inv(one + seen * F)
+        A, b = damping @ seen, damping @ b
         whitened = np.asarray(np.linalg.solve(one + A @ P, b + A @ x))  # P^-1 x
         x = P @ whitened
     if not whitened @ x <= tuning.unlikely * len(x):  # so that NaN is refused
-        log.info("the pictures contradict what is believed of the poses, which stay as they were")
-        return belief, np.zeros(PLANE)
-    across, shared = belief.covariance[:, rows], A / ring
-    known = np.linalg.solve(one + shared @ P, shared)
-    after = belief.covariance - across @ (0.5 * (known + known.T)) @ across.T
+        log.info("the pictures contradict the prior of the poses, which stay as they were")
+        return prior, np.zeros(PLANE)
+    across, shared = prior.covariance[:, rows], A / ring
+    gain = np.linalg.solve(one + shared @ P, shared)
+    after = prior.covariance - across @ (0.5 * (gain + gain.T)) @ across.T
     follow = _following(seen, rows, len(after), tuning.taken_share)
-    return belief.corrected(across @ whitened, follow @ after @ follow.T), belief.plane + x[:PLANE]
+    return prior.corrected(across @ whitened, follow @ after @ follow.T), prior.plane + x[:PLANE]
 
 
 def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F64:
-    """What becomes of errors when the step that comes takes a share of the heights from these poses (eq. 24)."""
+    """Transition of the errors when the next step takes a share of the heights from these poses (eq. 24)."""
     out = np.eye(size)
     out[:PLANE, :PLANE] *= 1 - share
     out[:PLANE, rows[PLANE:]] = -share * np.linalg.lstsq(seen[:PLANE, :PLANE], seen[:PLANE, PLANE:], rcond=None)[0]
@@ -126,7 +126,7 @@ def _following(seen: F64, rows: NDArray[np.int64], size: int, share: float) -> F
 
 
 def _information(
-    sights: list[RefinementView],
+    used: list[RefinementView],
     times: list[int],
     poses: list[Pose],
     ground: RefinementCells,
@@ -135,8 +135,8 @@ def _information(
     tuning: PoseRefinementTuning,
 ) -> tuple[F64, F64]:
     """Normal equations at one linearisation: A (M, M) and b (M,), M = 3 + 6E."""
-    owner = np.array([times.index(s.exposure) for s in sights], np.int64)
-    views = [s.at(poses[k]) for s, k in zip(sights, owner, strict=True)]
+    owner = np.array([times.index(s.exposure) for s in used], np.int64)
+    views = [s.at(poses[k]) for s, k in zip(used, owner, strict=True)]
     s = _crosses(views, ground, height, held)
     n, (rows, cols), M = len(views), height.shape, PLANE + POSE * len(poses)
     weights, mean = np.empty((n, 5 * rows, cols), np.float32), np.empty((5 * rows, cols), np.float32)

@@ -87,7 +87,7 @@ class RecursiveMap(GroundMap):
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         found = ring.step(grid, known, *self._range(grid, up, known))
         if ring.plane.any():
-            self.elevation.lean(ring.plane, ring.about)
+            self.elevation.add_plane(ring.plane, ring.about)
             known = replace(known, height=known.height + ring.plane_on(grid))
         if found is None:
             return False

@@ -1,6 +1,6 @@
 """Fit the outlier probability of `alight.parallax.uncertainty` (eq. 15) on tuning flights of the ladder, true poses.
 
-    python bench/doubt.py            # prints the coefficients and what they are worth on each flight
+    PYTHONPATH=bench python training/outlier_probability.py   # prints coefficients, and their worth a flight
 
 A cell is wrong when it is off by more than a hundredth of the height above it. The logarithms of the evidence are the
 terms of a logistic regression; each flight weighs the same, and so do its batch and its ring. Real photos and the
@@ -16,12 +16,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
+from true_views import exposures
 
 import alight_sim as simulate
 from alight.parallax import uncertainty as trust
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.records import F32, F64, Flag, Frame, Heights, Terrain, View
+from alight.raster import upsample
+from alight.records import F32, F64, Flag, Heights, Terrain
 from alight.settings import Settings
 from alight.settings.tuning.parallax import UncertaintyTuning
 from alight_sim.ladder import rung
@@ -32,18 +35,6 @@ FLIGHTS = (
 )  # fmt: skip
 WRONG = 0.01  # of the height above the cell
 EVERY = 5  # cells: neighbours say the same
-
-
-def exposures(flight: simulate.SimulatedFlight) -> Iterator[list[View]]:
-    """The views of each exposure with their true poses."""
-    for event in flight.events():
-        if isinstance(event, Frame):
-            body = flight.pose(event.t_ns)
-            yield [
-                View(event.t_ns, i, image, cam.camera, body @ cam.body_from_cam)
-                for i, (cam, image) in enumerate(zip(flight.true_rig.cameras, event.images, strict=True))
-                if image is not None
-            ]
 
 
 @contextmanager
@@ -83,7 +74,7 @@ def rows_of(
     grid = np.zeros_like(use)
     grid[24:-24:EVERY, 24:-24:EVERY] = True
     use &= grid
-    at = [np.log(np.repeat(np.repeat(terms[k], 2, 0), 2, 1)[: e.shape[0], : e.shape[1]][use]) for k in names()]
+    at = [np.log(upsample(terms[k], 2, e.shape)[use]) for k in names()]
     wrong = np.abs(found.height - truth.height[r, c]) > WRONG * (camera - truth.height[r, c])
     return np.stack(at, axis=-1).astype(np.float64), wrong[use]
 
@@ -117,14 +108,9 @@ def collect(name: str) -> Iterator[tuple[F64, NDArray[np.bool_]]]:
 
 
 def logistic(X: F64, y: NDArray[np.bool_], weight: F64) -> F64:
-    """Coefficients, the constant last, by Newton's method."""
-    X = np.c_[X, np.ones(len(X))]
-    b = np.zeros(X.shape[1])
-    for _ in range(40):
-        p = 1 / (1 + np.exp(-X @ b))
-        w = weight * p * (1 - p) + 1e-12
-        b += np.linalg.solve(X.T @ (X * w[:, None]) + 1e-6 * np.eye(len(b)), X.T @ (weight * (y - p)))
-    return b
+    """Coefficients of a logistic regression, the constant last, next to no penalty."""
+    found = LogisticRegression(C=1e6, max_iter=1000, tol=1e-8).fit(X, y, sample_weight=weight)
+    return np.r_[found.coef_[0], found.intercept_]
 
 
 def main() -> None:

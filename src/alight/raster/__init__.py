@@ -1,0 +1,51 @@
+"""Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
+
+from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
+from alight.raster.disc import (
+    DiscWindow,
+    disc_any,
+    disc_crosses_edge,
+    disc_mask,
+    disc_max,
+    disc_mean,
+    disc_share,
+    disc_spans,
+    disc_window,
+)
+from alight.raster.distance import distance_to
+from alight.raster.fill import nearest_known
+from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
+from alight.raster.scalars import linear_ramp, log_at_least, log_offset
+from alight.raster.smoothing import WeightedMean, gaussian_mean, masked_gaussian, weighted_gaussian
+
+__all__ = [
+    "DiscWindow",
+    "WeightedMean",
+    "block_max",
+    "block_mean",
+    "block_quantile",
+    "cells_as_blocks",
+    "close_mask",
+    "disc_any",
+    "disc_crosses_edge",
+    "disc_mask",
+    "disc_max",
+    "disc_mean",
+    "disc_share",
+    "disc_spans",
+    "disc_window",
+    "distance_to",
+    "ellipse",
+    "fill_pits",
+    "gaussian_mean",
+    "grow",
+    "linear_ramp",
+    "local_max",
+    "log_at_least",
+    "log_offset",
+    "masked_gaussian",
+    "nearest_known",
+    "upsample",
+    "weighted_gaussian",
+    "without_specks",
+]

@@ -1,0 +1,16 @@
+"""Euclidean distance transform."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from alight.arrays import F32, Mask
+
+
+def distance_to(mask: Mask) -> F32:
+    """Distance of every cell's centre to the nearest centre in the mask, (R, C) cells; infinite for an empty mask."""
+    if not mask.any():
+        return np.full(mask.shape, np.inf, dtype=np.float32)
+    # not OpenCV's: the last bits of its distances change with the number of free threads
+    return np.asarray(distance_transform_edt(~mask), np.float32)

@@ -1,0 +1,67 @@
+"""Judge heights that were made elsewhere: sharpen them with an image, assess hazards, choose sites."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from rasterio.crs import CRS
+
+from alight.geometry import LocalFrame
+from alight.hazards import assess
+from alight.hazards.sharpen import sharpen
+from alight.landing.sites import choose_sites
+from alight.outputs.verdict import write_judgement
+from alight.records import RunResult
+from alight.settings import Settings
+from alight.sources.raster import GroundRaster
+
+# surveyed heights show every obstacle and lie level, unless the user's settings say otherwise
+SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
+IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """The answer for one height raster."""
+
+    result: RunResult
+    crs: CRS | None  # of the raster; None: metres east and north
+    sharpened: bool  # an image made the heights finer
+
+    def save(self, out: Path, overwrite: bool = False) -> list[Path]:
+        """Write the folder of files; see `outputs.verdict.write_judgement`."""
+        return write_judgement(self.result, self.crs, self.sharpened, out, overwrite)
+
+
+def judge(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
+    """Judge a height raster: where this lander may touch down, with what probability, and why not elsewhere.
+
+    Args:
+        ground: heights, their sigma, and an image of the same ground where there is one.
+        settings: lander, hazards and sites; `SURVEYED` are the assignments that suit surveyed heights.
+        name: of the input, for the report.
+    """
+    warnings, elevation, clock = list(ground.warnings), ground.elevation, [time.perf_counter()]
+    if ground.image is not None and ground.image.shape[0] > elevation.grid.rows:
+        finer = sharpen(elevation, ground.image, settings.tuning.hazards.sharpen)
+        warnings += [IMAGE_UNUSED] if finer is None else []
+        elevation = finer or elevation
+    clock.append(time.perf_counter())
+    stages = settings.stages()
+    hazards = assess(elevation, None, stages.lander, stages.hazards)
+    clock.append(time.perf_counter())
+    result = RunResult(
+        source_name=name,
+        source_kind="heights",
+        local=LocalFrame(0.0, 0.0, 0.0),
+        georeferenced=False,  # the page shows the raster's own coordinates
+        settings=settings,
+        sites=choose_sites(hazards, None, elevation, stages.sites, stages.lander),
+        elevation=elevation,
+        hazards=hazards,
+        warnings=warnings,
+        timings={"sharpen": [clock[1] - clock[0]], "hazards": [clock[2] - clock[1]]},
+    )
+    return Judgement(result, ground.crs, elevation is not ground.elevation)

@@ -1,0 +1,82 @@
+"""The commands that fit the tables: draws, cards and nets. The fits need scikit-learn, the extra `train`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from alight.learned import relu_net
+from alight.learned.terms import LAND_COVER_TERMS
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    before = set(sys.modules)
+    for folder in ("bench", "training"):
+        monkeypatch.syspath_prepend(str(ROOT / folder))
+    yield
+    for name in set(sys.modules) - before:  # bench and training have modules of common names
+        if str(ROOT / "training") in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+def test_draws_are_by_weight_and_each_flight_is_shifted_as_one() -> None:
+    from draws import SHIFT, rounds_of
+
+    weight = np.r_[np.full(5000, 0.9 / 5000), np.full(5000, 0.1 / 5000)]
+    flight = np.repeat(np.arange(100), 100)
+    rounds = list(rounds_of(np.random.default_rng(0), weight, flight, 7, rounds=20, batch=1000))
+    assert all(len(r.cells) == 10_000 for r in rounds)
+    assert_allclose(np.mean([(r.cells < 5000).mean() for r in rounds]), 0.9, atol=0.01)
+    assert rounds[0].shift.shape == (100, 7)
+    assert_allclose(np.std([r.shift for r in rounds]), SHIFT, rtol=0.03)
+
+
+def test_a_card_keeps_the_sections_that_a_fit_does_not_change() -> None:
+    from card import with_sections
+
+    card = "# t\n\n## What it is\nA.\n\n## Metrics\nold\n\n- 1\n\n## Limits\nB.\n"
+    assert with_sections(card, {"Metrics": r"new \d"}) == (
+        "# t\n\n## What it is\nA.\n\n## Metrics\nnew \\d\n\n## Limits\nB.\n"
+    )
+    with pytest.raises(ValueError, match="Date"):
+        with_sections(card, {"Date": ""})
+
+
+def test_the_land_cover_net_learns_classes_that_its_terms_tell_apart() -> None:
+    pytest.importorskip("sklearn")
+    from land_cover import CLASSES, Rows, fit_net
+
+    rng, count = np.random.default_rng(0), 40_000
+    kind = rng.integers(0, CLASSES, count)
+    values = rng.normal(size=(count, len(LAND_COVER_TERMS))).astype(np.float32)
+    values[:, :CLASSES] += 4 * np.eye(CLASSES)[kind]
+    flight = rng.integers(0, 20, count)
+    net = fit_net(Rows(LAND_COVER_TERMS, values, kind, np.full(count, 1 / count), flight))
+    found = {name: values[None, :, i] for i, name in enumerate(LAND_COVER_TERMS)}
+    assert (relu_net(net, found.items())[0].argmax(axis=1) == kind).mean() > 0.9
+
+
+def test_the_net_of_p_safe_is_monotone_and_learns_a_term_that_matters() -> None:
+    pytest.importorskip("sklearn")
+    from p_safe import Sample, fit, odds
+
+    from alight.learned.terms import HAZARD_TERMS
+
+    rng = np.random.default_rng(0)
+    samples = []
+    for name in ("a", "b"):
+        terms = {t: rng.normal(size=4000).astype(np.float32) for t in HAZARD_TERMS}
+        safe = terms["residual_mean"] + rng.normal(0, 0.3, 4000) < 0
+        samples.append(Sample(name, terms, safe, safe, np.ones(4000, np.float32), 1.0, 1.0))
+    net = fit(samples)
+    assert min(net.hidden.weights.min(), net.output.weights.min()) >= 0
+    s = samples[0]
+    assert odds(s, net)[s.safe].mean() > odds(s, net)[~s.safe].mean() + 2

@@ -1,0 +1,150 @@
+"""Fit `learned/land_cover.npz`: a small net over the evidence of single cells, from flights with truth.
+
+    PYTHONPATH=bench python training/land_cover.py
+
+Half of the cells are drawn as they come, half so that every class of every flight weighs alike: what is common has to
+be told from what is rare and small. Needs the extra `train` (scikit-learn). Maps are kept under --scratch, because
+making them is most of the work.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from card import version, write_table
+from draws import rounds_of
+from ground_flights import TUNING
+from ground_maps import Judgeable, judgeable
+from scipy.ndimage import distance_transform_edt
+from sklearn.neural_network import MLPClassifier
+
+from alight.arrays import F32, F64, I64, U8
+from alight.learned import CLIP, AffineLayer, Net
+from alight.records import LANDABLE, ElevationMap, Flag, Terrain
+from alight.settings import TerrainSettings
+from alight.terrain import evidence
+from alight.terrain.appearance import appearance, seen
+from alight.terrain.relief import relief
+from alight.terrain.water import wetness
+
+HIDDEN, CLASSES = 48, 8
+AS_THEY_COME, OF_A_CLASS = 8000, 800  # cells of a flight
+LEAST = 50  # cells of a class in a flight that count
+PENALTY = 2e-3  # of squared weights, at every step
+ROUNDS, BATCH, RATE = 16, 1024, 1e-3  # draws of all cells, cells of a step, step of Adam
+# log odds taken from short grass: as much as leaves no open ground worse off than before, flights left out
+CAUTION = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Evidence of some cells, and what is there."""
+
+    names: tuple[str, ...]
+    values: F32  # (N, terms)
+    kind: I64  # (N,) class code - 1
+    weight: F64  # (N,)
+    flight: I64  # (N,)
+
+
+def evidence_of(e: ElevationMap) -> dict[str, F32]:
+    """The terms of one map."""
+    colours = appearance(e)
+    return dict(evidence.land_cover_terms(e, colours, relief(e, wetness(e, colours), TerrainSettings())))
+
+
+def worst_class(j: Judgeable) -> U8:
+    """(R, C): the class of every cell; that of what may not be landed on where any of it is in the cell."""
+    label, grid = j.truth.label, j.truth.grid
+    barred = ~np.isin(label, [int(k) for k in LANDABLE])
+    reach = 0.5 * j.elevation.grid.cell / grid.cell
+    if reach >= 0.7 and barred.any():
+        away, at = distance_transform_edt(~barred, return_indices=True)
+        label = np.where(away <= reach + 0.3, label[tuple(at)], label)
+    return j.of(label)
+
+
+def _drawn(j: Judgeable) -> tuple[I64, U8, F64]:
+    """Some cells of a map, their classes, and their weights."""
+    rng, kind = np.random.default_rng(0), worst_class(j).ravel()
+    flags = j.elevation.flags & np.uint16(Flag.UNSEEN)
+    ok = (seen(j.elevation) & j.known & (flags == 0)).ravel() & (kind > 0)
+    every = np.flatnonzero(ok)
+    parts = [rng.choice(every, min(AS_THEY_COME, len(every)), replace=False)]
+    weights = [np.full(len(parts[0]), 0.5 / len(parts[0]))]
+    found = [c for k in Terrain if len(c := np.flatnonzero(ok & (kind == k))) >= LEAST]
+    for cells in found:
+        parts.append(rng.choice(cells, min(OF_A_CLASS, len(cells)), replace=False))
+        weights.append(np.full(len(parts[-1]), 0.5 / len(found) / len(parts[-1])))
+    at = np.concatenate(parts)
+    return at, kind[at], np.concatenate(weights)
+
+
+def rows_of(flights: Iterable[str], scratch: Path) -> list[Rows]:
+    """Some cells of every flight; kept beside its map."""
+    out = []
+    for number, name in enumerate(flights):
+        path = scratch / f"{name.replace('/', '_')}-cover.npz"
+        if not path.exists():
+            j = judgeable(name, "batch", scratch)
+            if j is None:
+                continue
+            at, kind, weight = _drawn(j)
+            found = evidence_of(j.elevation)
+            values = np.stack([v.ravel()[at] for v in found.values()], axis=1)
+            np.savez(path, names=np.array(list(found)), values=values, kind=kind, weight=weight)
+        with np.load(path) as z:
+            at_ = np.full(len(z["kind"]), number, np.int64)
+            out.append(Rows(tuple(map(str, z["names"])), z["values"], z["kind"].astype(np.int64) - 1, z["weight"], at_))
+    return out
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """The cells of several flights."""
+    values, kind, weight, flight = (
+        np.concatenate([getattr(p, k) for p in parts]) for k in ("values", "kind", "weight", "flight")
+    )
+    return Rows(parts[0].names, values, kind, weight / weight.sum(), flight)
+
+
+def fit_net(r: Rows, seed: int = 0) -> Net:
+    """The net of some cells: Adam over draws by weight, each round's evidence shifted anew."""
+    rng = np.random.default_rng(seed)
+    usual = np.average(r.values, axis=0, weights=r.weight).astype(np.float32)
+    spread = np.sqrt(np.average((r.values - usual) ** 2, axis=0, weights=r.weight)).astype(np.float32) + 1e-6
+    z = (r.values - usual) / spread
+    net = MLPClassifier(
+        (HIDDEN,), alpha=PENALTY * BATCH, batch_size=BATCH, learning_rate_init=RATE, random_state=seed, shuffle=False
+    )  # its penalty is divided by the cells of a step
+    for cells, shift in rounds_of(rng, r.weight, r.flight, z.shape[1], ROUNDS, BATCH):
+        x = (z[cells] + shift[r.flight[cells]]).clip(-CLIP, CLIP)
+        net.partial_fit(np.asarray(x, np.float32), r.kind[cells], classes=np.arange(CLASSES))
+    layers = [
+        AffineLayer(np.asarray(w, np.float32), np.asarray(b, np.float32))
+        for w, b in zip(net.coefs_, net.intercepts_, strict=True)
+    ]
+    layers[1].bias[Terrain.SHORT_GRASS - 1] -= np.float32(CAUTION)
+    return Net(r.names, usual, spread.astype(np.float32), layers[0], layers[1])
+
+
+def main() -> None:
+    """Fit, and write the table and its card."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
+    parts = rows_of(TUNING, parser.parse_args().scratch)
+    fitted = (
+        f"Maps of {len(parts)} simulated tuning flights of our own simulator (`TUNING` in `bench/ground_flights.py`), "
+        "batch maps with\nestimated poses; a cell carries a class that may not be landed on if any of that class lies "
+        f"in it. {AS_THEY_COME} cells as they come and\n{OF_A_CLASS} of each class are drawn a flight. {version()}"
+    )
+    measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
+    made = "`PYTHONPATH=bench python training/land_cover.py`"
+    write_table("land_cover", fit_net(joined(parts)), {"Fitted on": fitted, "Made by": made, "Metrics": measure})
+
+
+if __name__ == "__main__":
+    main()
