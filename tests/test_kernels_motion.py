@@ -119,7 +119,7 @@ def scene(seed: int) -> tuple[WindowObservations, WindowPoses]:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
+def test_points_and_pose_constraints_are_those_of_numpy(seed: int) -> None:
     observations, poses = scene(seed)
     x = triangulate_window(observations, poses, CAMS)
     np.testing.assert_allclose(x[1:], twins.triangulate(observations, poses, CAMS)[1:], rtol=1e-6, atol=1e-6)
@@ -134,7 +134,7 @@ def test_points_and_what_is_left_of_their_sights(seed: int) -> None:
 
 
 def test_nothing_seen_is_no_number_but_no_error() -> None:
-    """A feature without a sight, and none at all."""
+    """A feature without an observation, and no feature at all."""
     observations, poses = scene(0)
     blind = WindowObservations(
         observations.ids[:1], np.full_like(observations.normalised[:1], np.nan), observations.sigma[:1]
