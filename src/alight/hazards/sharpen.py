@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg
 
 from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
 from alight.raster import upsample
@@ -72,22 +73,12 @@ def _laplacian(z: F32) -> F32:
     return out
 
 
-def _conjugate_gradients(matrix: Operator, right: F32, diagonal: F32, steps: int) -> F32:
-    """Solve matrix(x) = right, matrix symmetric and positive."""
-    x, left = np.zeros_like(right), right.copy()
-    scaled = left / diagonal
-    direction, size = scaled.copy(), float(np.vdot(left, scaled))
-    for _ in range(steps):
-        if size <= 1e-12:
-            break
-        across = matrix(direction)
-        length = np.float32(size / float(np.vdot(direction, across)))
-        x += length * direction
-        left -= length * across
-        scaled = left / diagonal
-        was, size = size, float(np.vdot(left, scaled))
-        direction = scaled + np.float32(size / was) * direction
-    return x
+def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int) -> F32:
+    """Solve normal(x) = right, symmetric and positive, preconditioned by its diagonal; at most `steps` iterations."""
+    shape, size = right.shape, right.size
+    matrix = LinearOperator((size, size), lambda x: normal(x.reshape(shape)).ravel(), dtype=np.float32)
+    jacobi = LinearOperator((size, size), lambda x: x.ravel() / diagonal.ravel(), dtype=np.float32)
+    return np.asarray(cg(matrix, right.ravel(), rtol=1e-6, maxiter=steps, M=jacobi)[0], np.float32).reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +93,7 @@ class _Scene:
     tuning: SharpenTuning
 
 
-def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, cg: int) -> F32:
+def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, iterations: int) -> F32:
     """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
@@ -130,7 +121,7 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, cg: int) -> F32:
     share = (float((cell_weights(scene.factor) ** 2).sum()) / scene.factor) ** 2
     each = cv2.resize(scene.cell_weight, z.shape[::-1], interpolation=cv2.INTER_NEAREST)
     diagonal = share * each + weight * (dp**2 + dq**2) * 12 * scale**2 + 20 * stiff
-    return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), cg)
+    return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), iterations)
 
 
 def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
@@ -143,14 +134,14 @@ def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
     if coarse.explained < scene.tuning.least_explained or coarse.sun[2] <= 0:
         return None
     light, lit, dark = coarse, np.ones(z.shape, dtype=np.bool_), -math.inf
-    for steps, cg in ROUNDS:
+    for steps, iterations in ROUNDS:
         dark = max(dark, shadow_level(scene.image, in_shadow(z, light, scene.pixel)))
         lit = scene.image > dark
         light = find_light(z, scene.image, lit, scene.pixel)
         use = lit.copy()
         use[:2] = use[-2:] = use[:, :2] = use[:, -2:] = False
         for _ in range(steps):
-            z = z + _step(scene, z, light, use, cg)
+            z = z + _step(scene, z, light, use, iterations)
         log.info(
             "light %s, ambient %.1f, left %.2f, shadow below %.0f",
             light.sun.round(1),
