@@ -52,7 +52,7 @@ def test_only_the_kernels_doorway_imports_the_compiler(path: Path) -> None:
 
 @pytest.mark.parametrize("path", KERNELS, ids=name_of)
 def test_kernels_stand_on_the_ground(path: Path) -> None:
-    allowed = {"__future__", "functools", "math", "numpy", "numpy.typing", "alight.compiled"}
+    allowed = {"__future__", "functools", "math", "numpy", "numpy.typing", "alight.compiled", "alight.arrays"}
     own = {".".join(p.relative_to(ROOT / "src").with_suffix("").parts) for p in KERNELS}
     assert all(m in allowed | own for m in imports(path))
 

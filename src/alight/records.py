@@ -12,14 +12,9 @@ from enum import IntEnum, IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F16, F32, F64, U8, U16
 from alight.geometry import Camera, Grid, LocalFrame, Pose
 from alight.settings import Settings
-
-F16 = NDArray[np.float16]
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-U16 = NDArray[np.uint16]
 
 
 class AlightError(Exception):
@@ -184,7 +179,7 @@ class View:
     @property
     def centre(self) -> F64:
         """The camera centre C in the world, (3,) metres."""
-        return self.world_from_cam.translation
+        return np.asarray(self.world_from_cam.translation)
 
 
 class Flag(IntFlag):

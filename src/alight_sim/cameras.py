@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, F64
 from alight.geometry import Camera, Pose
-from alight.records import F32, F64, InputError
+from alight.records import InputError
 from alight_sim.kernels.boxes import cast_boxes
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.kernels.shade import shade

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32
+from alight.arrays import F32
 from alight_sim.kernels.illuminate import LIT, SHADED
 
 

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from alight.records import F64, InputError, Terrain
+from alight.arrays import F64
+from alight.records import InputError, Terrain
 from alight_sim.patterns import FlightPlan, line
 from alight_sim.vehicle import VEHICLES, Trajectory, fly_through
 from alight_sim.world import World

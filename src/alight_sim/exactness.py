@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose
-from alight.records import F64
 from alight_sim.cameras import Eye
 from alight_sim.kernels.raycast import cast_rays
 from alight_sim.world import World, world_of

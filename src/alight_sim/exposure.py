@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from alight.arrays import F32, F64, U8
 from alight.geometry import Camera
-from alight.records import F32, F64, U8
 from alight_sim.kernels.exposure import LEVELS, develop
 from alight_sim.section import Section
 from alight_sim.vehicle import correlated

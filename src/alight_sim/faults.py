@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from alight.arrays import F64, I64
 from alight.geometry import Pose, so3_exp
-from alight.records import F64, Rig, RigCamera
+from alight.records import Rig, RigCamera
 from alight_sim.section import Section
-
-Times = NDArray[np.int64]
 
 
 class Span(Section):
@@ -104,9 +103,9 @@ class Faults(Section):
 class Exposures:
     """When the cameras looked, when they say so, when it came, and what was lost. All (N,), in order of true time."""
 
-    true_ns: Times
-    stamp_ns: Times
-    arrival_ns: Times
+    true_ns: I64
+    stamp_ns: I64
+    arrival_ns: I64
     seen: NDArray[np.bool_]  # (N, cameras)
 
     @property
@@ -116,7 +115,7 @@ class Exposures:
         return np.asarray(there[np.argsort(self.arrival_ns[there], kind="stable")])
 
 
-def exposures(faults: Faults, beat_ns: Times, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
+def exposures(faults: Faults, beat_ns: I64, cameras: int, seeds: np.random.SeedSequence) -> Exposures:
     """Damage the even beat of `beat_ns` (N,) of a rig of so many cameras; each fault has a stream of its own."""
     rngs = [np.random.default_rng(s) for s in seeds.spawn(6)]
     n, start = len(beat_ns), int(beat_ns[0])

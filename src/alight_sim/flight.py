@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from alight.arrays import F64, I64, U8
 from alight.geometry import LocalFrame, Pose
-from alight.records import F64, U8, Event, Frame, ImuSample, InputError, NavSample, Rig
+from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig
 from alight.settings import ImuNoise
 from alight_sim.cameras import Eye, Poses, Shutter
 from alight_sim.course import LEAD, Extent, chart
@@ -36,7 +36,6 @@ METER = 16  # pixels across: what exposure control looks at
 # one random stream for each source of randomness; a new one goes at the end
 WIND, NAV, IMU_BIAS, IMU_NOISE, IMAGE, FAULTS, GAIN, FLAWS = range(8)
 
-Times = NDArray[np.int64]
 S = TypeVar("S", bound=Section)
 
 
@@ -148,26 +147,26 @@ class SimulatedFlight:
         return exposures(self.faults, beat_ns, len(self.true_rig.cameras), self.seeds(FAULTS))
 
     @property
-    def frame_times(self) -> Times:
+    def frame_times(self) -> I64:
         """(N,) ns: true times of all exposures, the lost ones included."""
         return self.exposures.true_ns
 
     @cached_property
-    def imu_times(self) -> Times:
+    def imu_times(self) -> I64:
         """(N,) ns."""
         return self._clock(self.imu.rate_hz, 0)
 
     @cached_property
-    def nav_times(self) -> Times:
+    def nav_times(self) -> I64:
         """(N,) ns."""
         return self._clock(self.nav.rate_hz, NAV_OFFSET_NS)
 
-    def _clock(self, rate_hz: float, offset_ns: int) -> Times:
+    def _clock(self, rate_hz: float, offset_ns: int) -> I64:
         n = math.floor((self.seconds + 2 * LEAD) * rate_hz) + 1
         return START_NS - int(LEAD * 1e9) + offset_ns + np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64)
 
     @staticmethod
-    def since(t_ns: Times) -> F64:
+    def since(t_ns: I64) -> F64:
         """(N,) seconds of the trajectory."""
         return np.asarray((t_ns - START_NS).astype(np.float64) * 1e-9)
 
@@ -184,7 +183,7 @@ class SimulatedFlight:
         return self.world.truth(self.seen)
 
     @cached_property
-    def truth_trajectory(self) -> tuple[Times, list[Pose]]:
+    def truth_trajectory(self) -> tuple[I64, list[Pose]]:
         """True body poses at the times of all inertial samples and exposures."""
         t = np.union1d(self.imu_times, self.frame_times)
         s = self.since(t)

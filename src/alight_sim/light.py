@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy.special import ndtri
 
-from alight.records import F64
+from alight.arrays import F64
 from alight_sim.section import Section
 
 SUN_STEP = math.radians(0.1)  # shadows are computed anew when the sun has turned by so much

@@ -17,8 +17,9 @@ import yaml
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
+from alight.arrays import U8
 from alight.geometry import Pose, quaternion_from_matrix
-from alight.records import U8, Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
+from alight.records import Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, Terrain
+from alight.arrays import F32
+from alight.records import Terrain
 from alight_sim.kernels import texture as t
 from alight_sim.looks import Look
 

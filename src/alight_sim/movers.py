@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from pydantic import Field, model_validator
 
-from alight.records import F64
+from alight.arrays import F64
 from alight_sim.kernels.boxes import NUMBERS
 from alight_sim.section import Section
 

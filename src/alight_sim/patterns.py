@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from alight.records import F64
+from alight.arrays import F64
 from alight_sim.section import Section
 from alight_sim.vehicle import Air, Limits
 

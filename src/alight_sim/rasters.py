@@ -18,11 +18,12 @@ from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform, transform_bounds
 from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
 
+from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid, LocalFrame
-from alight.records import F32, F64, U8, InputError, Terrain
+from alight.records import InputError, Terrain
 from alight_sim.looks import Look
 from alight_sim.section import Section
-from alight_sim.things.base import Box, Mask, Sheet
+from alight_sim.things.base import Box, Sheet
 from alight_sim.tiles import SIDE, Tile
 
 EARTH_RADIUS = 6371008.8  # metres, mean

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from alight.records import F64
+from alight.arrays import F64
 from alight_sim.kernels.layers import DUNES, HILLS, RIDGES, add_fractal, add_fractal_here
 from alight_sim.section import Section
 

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
+from alight.arrays import F64
 from alight.geometry import Camera, Pose
-from alight.records import F64, Rig, RigCamera
+from alight.records import Rig, RigCamera
 from alight_sim.section import Section
 
 RigName = Literal["pair", "single", "wide", "oblique"]

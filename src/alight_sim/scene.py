@@ -11,8 +11,9 @@ import numpy as np
 import yaml
 from pydantic import Field, ValidationError
 
+from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import F64, InputError
+from alight.records import InputError
 from alight_sim.exposure import Imaging
 from alight_sim.faults import Faults
 from alight_sim.light import Light

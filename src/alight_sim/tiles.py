@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, F64, U8
+from alight.arrays import F32, F64, U8, Mask
 from alight_sim.kernels.stamps import EAST, LEVEL, NORTH, REACH
 from alight_sim.relief import FractalRelief, noise
-from alight_sim.things.base import Box, Layer, Mask, Scattered, Sheet, blank_things, overlapping, terrain_named
+from alight_sim.things.base import Box, Layer, Scattered, Sheet, blank_things, overlapping, terrain_named
 
 if TYPE_CHECKING:
     from alight_sim.scene import SceneGround

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Grid
-from alight.records import F32, U8, Terrain
+from alight.records import Terrain
 from alight_sim.kernels.touchdown import running_sums, touchdown
 from alight_sim.section import Section
 
-Mask = NDArray[np.bool_]
 BAND = 1024  # rows judged at a time: a large world's running sums need no more memory than this
 
 

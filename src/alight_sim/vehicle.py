@@ -18,8 +18,8 @@ from scipy.interpolate import BSpline
 from scipy.linalg import expm
 from scipy.signal import lfilter, ss2tf
 
+from alight.arrays import F64
 from alight.geometry import Pose
-from alight.records import F64
 from alight_sim.section import Section
 
 GRAVITY = 9.80665  # m/s^2

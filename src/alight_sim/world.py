@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, U8
 from alight.geometry import Grid, LocalFrame
-from alight.records import F32, F64, U8, InputError, Terrain
+from alight.records import InputError, Terrain
 from alight_sim import rasters
 from alight_sim.coarser import mean_of, mean_shadow, most_of
 from alight_sim.kernels.layers import BLOCK, box_mean, ground_light, sun_margin, tile_block_tops

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, U8, U16
 from alight.compiled import kernel
-
-F32 = NDArray[np.float32]
-U16 = NDArray[np.uint16]
-U8 = NDArray[np.uint8]
 
 
 @kernel

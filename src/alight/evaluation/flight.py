@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 from scipy.ndimage import distance_transform_edt
 
+from alight.arrays import F64
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run
-from alight.records import F64, Flag, InputError, Terrain
+from alight.records import Flag, InputError, Terrain
 from alight.settings import Lander, Settings
 from alight.sources import open_source, read_tum
 from alight.sources.source import Trajectory

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from alight.arrays import F64
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, LocalFrame
 from alight.outputs import Run, world_up
 from alight.raster import ellipse
-from alight.records import F64, Flag, InputError
+from alight.records import Flag, InputError
 from alight.sources import read_tum
 
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from alight.arrays import F64
 
 NONE, RADTAN, EQUIDISTANT = 0, 1, 2  # codes shared with the kernels
 MODELS = {"none": NONE, "radial-tangential": RADTAN, "equidistant": EQUIDISTANT}
@@ -44,7 +44,7 @@ class Camera:
             raise ValueError("no camera: focal lengths and image size must be positive, all numbers finite")
 
     @property
-    def K(self) -> Array:
+    def K(self) -> F64:
         """The (3, 3) calibration matrix, pixels."""
         return np.array([[self.fu, 0.0, self.cu], [0.0, self.fv, self.cv], [0.0, 0.0, 1.0]])
 
@@ -54,7 +54,7 @@ class Camera:
         return MODELS[self.model]
 
     @property
-    def coefficients(self) -> Array:
+    def coefficients(self) -> F64:
         """The distortion as (5,) numbers, zero where the model has none: what the kernels take."""
         return np.array([*self.distortion, *([0.0] * (5 - len(self.distortion)))])
 
@@ -70,7 +70,7 @@ class Camera:
             cv=(self.cv + 0.5) * factor - 0.5,
         )
 
-    def distort(self, normalised: ArrayLike) -> Array:
+    def distort(self, normalised: ArrayLike) -> F64:
         """Take (..., 2) ideal coordinates x/z, y/z to distorted ones."""
         xy = np.asarray(normalised, dtype=np.float64)
         if self.model == "none":
@@ -91,7 +91,7 @@ class Camera:
             [x * s + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * s + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1
         )
 
-    def undistort(self, distorted: ArrayLike, iterations: int = 20) -> Array:
+    def undistort(self, distorted: ArrayLike, iterations: int = 20) -> F64:
         """Take (..., 2) distorted coordinates back to ideal ones (Newton with the numerical Jacobian)."""
         target = np.asarray(distorted, dtype=np.float64)
         if self.model == "none":
@@ -112,7 +112,7 @@ class Camera:
                 break
         return xy
 
-    def project(self, points_cam: ArrayLike) -> Array:
+    def project(self, points_cam: ArrayLike) -> F64:
         """Take (..., 3) points in the optical frame to (..., 2) pixels; NaN where z <= 0."""
         p = np.asarray(points_cam, dtype=np.float64)
         z = p[..., 2:3]
@@ -120,7 +120,7 @@ class Camera:
             xy = self.distort(np.where(z > 0, p[..., :2] / z, np.nan))
         return xy * [self.fu, self.fv] + [self.cu, self.cv]
 
-    def rays(self, pixels: ArrayLike) -> Array:
+    def rays(self, pixels: ArrayLike) -> F64:
         """Take (..., 2) pixels to (..., 3) directions in the optical frame with z = 1."""
         xy = self.undistort((np.asarray(pixels, dtype=np.float64) - [self.cu, self.cv]) / [self.fu, self.fv])
         return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from alight.arrays import F64
 
 _A = 6378137.0  # semi-major axis, metres
 _F = 1 / 298.257223563  # flattening
 _E2 = _F * (2 - _F)
 
 
-def _ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Array:
+def _ecef(latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:
     lat, lon = np.radians(latitude_deg), np.radians(longitude_deg)
     h = np.asarray(height, dtype=np.float64)
     n = _A / np.sqrt(1 - _E2 * np.sin(lat) ** 2)
@@ -45,7 +45,7 @@ class LocalFrame:
             raise ValueError(f"no place on Earth: {self.latitude}, {self.longitude}, {self.height}")
 
     @cached_property
-    def _enu_from_ecef(self) -> Array:
+    def _enu_from_ecef(self) -> F64:
         la, lo = np.radians([self.latitude, self.longitude])
         return np.array(
             [
@@ -55,12 +55,12 @@ class LocalFrame:
             ]
         )
 
-    def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Array:
+    def to_enu(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> F64:
         """Take geodetic coordinates (degrees, metres) to (..., 3) ENU metres."""
         d = _ecef(latitude_deg, longitude_deg, height) - _ecef(self.latitude, self.longitude, self.height)
         return np.asarray(d @ self._enu_from_ecef.T)
 
-    def to_geodetic(self, enu: ArrayLike) -> tuple[Array, Array, Array]:
+    def to_geodetic(self, enu: ArrayLike) -> tuple[F64, F64, F64]:
         """Take (..., 3) ENU metres to latitude, longitude (degrees) and ellipsoidal height (metres)."""
         p = np.asarray(enu, dtype=np.float64) @ self._enu_from_ecef + _ecef(self.latitude, self.longitude, self.height)
         x, y, z = p[..., 0], p[..., 1], p[..., 2]

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.geometry.cameras import Camera
 from alight.geometry.poses import Pose
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,13 +34,13 @@ class Grid:
         """(rows, columns)."""
         return self.rows, self.cols
 
-    def xy(self) -> tuple[Array, Array]:
+    def xy(self) -> tuple[F64, F64]:
         """East of every column (cols,) and north of every row (rows,), metres."""
         return self.east + self.cell * np.arange(self.cols, dtype=np.float64), self.north - self.cell * np.arange(
             self.rows, dtype=np.float64
         )
 
-    def index(self, east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[Array, Array]:
+    def index(self, east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[F64, F64]:
         """Fractional (row, column) of world positions."""
         return (self.north - np.asarray(north)) / self.cell, (np.asarray(east) - self.east) / self.cell
 
@@ -76,13 +75,13 @@ def box_of(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(cols[0]), int(cols[-1]) + 1)
 
 
-def plane_on(xs: Array, ys: Array, plane: Array, about: Array) -> NDArray[np.float32]:
+def plane_on(xs: F64, ys: F64, plane: F64, about: F64) -> NDArray[np.float32]:
     """Heights (R, C) at columns `xs` and rows `ys` of a plane (3,): up at `about` (2,), and rise east and north."""
     up = plane[0] + plane[1] * (xs - about[0])[None, :] + plane[2] * (ys - about[1])[:, None]
     return np.asarray(up, dtype=np.float32)
 
 
-def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[Array, Array]:
+def ground_projection(camera: Camera, world_from_cam: Pose) -> tuple[F64, F64]:
     """Return `H` (3, 3) and `b` (3,) in *normalised* image coordinates (K left out; the lens comes after, per cell)."""
     cam_from_world = world_from_cam.inverse
     R, t = cam_from_world.rotation, cam_from_world.translation

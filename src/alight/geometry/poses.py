@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from alight.geometry.rotations import Array, matrix_from_quaternion, quaternion_from_matrix, slerp
+from alight.arrays import F64
+from alight.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, slerp
 
 
-def _readonly(a: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _readonly(a: ArrayLike, shape: tuple[int, ...]) -> F64:
     out = np.array(a, dtype=np.float64)
     if out.shape != shape:
         raise ValueError(f"expected shape {shape}, got {out.shape}")
@@ -22,8 +23,8 @@ def _readonly(a: ArrayLike, shape: tuple[int, ...]) -> Array:
 class Pose:
     """A rigid motion: `x_dst = rotation @ x_src + translation`."""
 
-    rotation: Array = field(default_factory=lambda: np.eye(3))  # (3, 3) dst from src
-    translation: Array = field(default_factory=lambda: np.zeros(3))  # (3,) origin of src in dst, metres
+    rotation: F64 = field(default_factory=lambda: np.eye(3))  # (3, 3) dst from src
+    translation: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) origin of src in dst, metres
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rotation", _readonly(self.rotation, (3, 3)))
@@ -53,14 +54,14 @@ class Pose:
         return cls(matrix_from_quaternion(quaternion_wxyz), np.asarray(translation))
 
     @property
-    def matrix(self) -> Array:
+    def matrix(self) -> F64:
         """The (4, 4) homogeneous matrix."""
         M = np.eye(4)
         M[:3, :3], M[:3, 3] = self.rotation, self.translation
         return M
 
     @property
-    def quaternion(self) -> Array:
+    def quaternion(self) -> F64:
         """The rotation as (w, x, y, z)."""
         return quaternion_from_matrix(self.rotation)
 
@@ -72,7 +73,7 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         return Pose(self.rotation @ other.rotation, self.rotation @ other.translation + self.translation)
 
-    def apply(self, points: ArrayLike) -> Array:
+    def apply(self, points: ArrayLike) -> F64:
         """Take (..., 3) points from src to dst."""
         return np.asarray(points) @ self.rotation.T + self.translation
 

@@ -5,13 +5,13 @@ single rotations have formulas of their own: SciPy's logarithm of one takes twen
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
+from alight.arrays import F64
 
 
-def skew(v: ArrayLike) -> Array:
+def skew(v: ArrayLike) -> F64:
     """Return the (..., 3, 3) matrices with `skew(a) @ b == cross(a, b)` of (..., 3) vectors."""
     a = np.asarray(v, dtype=np.float64)
     if a.ndim == 1:
@@ -23,7 +23,7 @@ def skew(v: ArrayLike) -> Array:
     return out
 
 
-def so3_exp(rotation_vector: ArrayLike) -> Array:
+def so3_exp(rotation_vector: ArrayLike) -> F64:
     """Return the (3, 3) or (N, 3, 3) rotations of rotation vectors (3,) or (N, 3) in radians (Rodrigues)."""
     w = np.asarray(rotation_vector, dtype=np.float64)
     if w.ndim > 1:
@@ -38,7 +38,7 @@ def so3_exp(rotation_vector: ArrayLike) -> Array:
     return np.eye(3) + a * W + b * (W @ W)
 
 
-def so3_log(rotation: ArrayLike) -> Array:
+def so3_log(rotation: ArrayLike) -> F64:
     """Return the rotation vectors (3,) or (N, 3) in radians, of length at most pi, of rotations (3, 3) or (N, 3, 3)."""
     R = np.asarray(rotation, dtype=np.float64)
     if R.ndim > 2:
@@ -51,7 +51,7 @@ def so3_log(rotation: ArrayLike) -> Array:
     return np.asarray(2.0 * np.arctan2(sine, w) * v / sine)
 
 
-def quaternion_from_matrix(rotation: ArrayLike) -> Array:
+def quaternion_from_matrix(rotation: ArrayLike) -> F64:
     """Return the unit quaternion (w, x, y, z) with w >= 0 of a (3, 3) rotation (largest-pivot method)."""
     R = np.asarray(rotation, dtype=np.float64)
     t = float(np.trace(R))
@@ -70,7 +70,7 @@ def quaternion_from_matrix(rotation: ArrayLike) -> Array:
     return -q if q[0] < 0 else q
 
 
-def matrix_from_quaternion(quaternion: ArrayLike) -> Array:
+def matrix_from_quaternion(quaternion: ArrayLike) -> F64:
     """Return the (3, 3) rotation of a quaternion (w, x, y, z), normalised first.
 
     Raises:
@@ -90,7 +90,7 @@ def matrix_from_quaternion(quaternion: ArrayLike) -> Array:
     )
 
 
-def slerp(a: ArrayLike, b: ArrayLike, t: float) -> Array:
+def slerp(a: ArrayLike, b: ArrayLike, t: float) -> F64:
     """Return the rotation a fraction `t` of the way along the shortest arc from `a` to `b`, both (3, 3)."""
     A = np.asarray(a, dtype=np.float64)
     return A @ so3_exp(t * so3_log(A.T @ np.asarray(b, dtype=np.float64)))
@@ -100,7 +100,7 @@ ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FRD_FROM_FLU = np.diag([1.0, -1.0, -1.0])
 
 
-def enu_from_flu(yaw: float, pitch: float, roll: float) -> Array:
+def enu_from_flu(yaw: float, pitch: float, roll: float) -> F64:
     """Return ENU-from-FLU of aeronautical angles in radians: yaw clockwise from north, pitch nose up, roll right.
 
     The angles are the usual Z-Y-X sequence of NED/FRD; the result is in our own ENU/FLU.

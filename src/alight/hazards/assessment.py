@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, U8, Mask
 from alight.hazards.contact import (
     Footprint,
     footprint_of,
@@ -19,10 +19,9 @@ from alight.hazards.evidence_probability import evidence_probability
 from alight.hazards.probability import CERTAIN, TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.hazards.usable_heights import smoothed_height, usable_height
 from alight.raster import disc_any, disc_crosses_edge, disc_mean, disc_share, distance_to
-from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
+from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
-Bool = NDArray[np.bool_]
 ROUNDING = 1e-4  # of a share
 
 
@@ -33,16 +32,16 @@ class _Findings:
     footprint: Footprint
     slope: F32
     step: F32
-    edge: Bool
-    unknown: Bool
+    edge: Mask
+    unknown: Mask
     rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
-    blocked: Bool  # the ground reaches into the belly's or the rotor's clearance
-    vetoed: Bool
+    blocked: Mask  # the ground reaches into the belly's or the rotor's clearance
+    vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
 
 
-def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[int, int]) -> Bool:
+def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[int, int]) -> Mask:
     """Cells whose land cover may not be landed on; a cell without a class is not refused."""
     if terrain is None:
         return np.zeros(shape, dtype=np.bool_)
@@ -51,7 +50,7 @@ def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[in
 
 def _find(
     height: F32,
-    unseen: Bool,
+    unseen: Mask,
     terrain: TerrainMap | None,
     spare: float,
     lander: Lander,
@@ -152,7 +151,7 @@ def _quality(
     return q
 
 
-def clearance_of(safe: Bool, cell: float) -> F32:
+def clearance_of(safe: Mask, cell: float) -> F32:
     """Distance of every cell's centre to the rim of the nearest cell that is refused, metres; 0 on those."""
     out: F32 = np.maximum(distance_to(~safe) - np.float32(0.5), np.float32(0)) * np.float32(cell)
     return out

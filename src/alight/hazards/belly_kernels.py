@@ -3,14 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-B = NDArray[np.bool_]
 
 BLOCK = 4  # cells a side of the blocks that the search opens
 
@@ -103,7 +98,7 @@ def search(
 
 
 @kernel
-def gather(own: F32, r: int, skip: B, out: F32) -> None:
+def gather(own: F32, r: int, skip: Mask, out: F32) -> None:
     """Fill out (4, C) with the footprints of row `r`; what is not judged has nothing that could rise."""
     for i in range(4):
         out[i] = own[i, r]
@@ -112,7 +107,7 @@ def gather(own: F32, r: int, skip: B, out: F32) -> None:
 
 
 @kernel
-def keep(skip: B, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
+def keep(skip: Mask, known: F32, steep: F32, tilt: F32, rise: F32) -> None:
     """Tangents of squared tangents, and NaN where nothing was wanted or something is unknown."""
     for c in range(tilt.size):
         tilt[c] = math.sqrt(steep[c])

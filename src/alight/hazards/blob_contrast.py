@@ -9,8 +9,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from alight.arrays import F32, U8
 from alight.raster import block_max, gaussian_mean, weighted_gaussian
-from alight.records import F32, U8, ElevationMap
+from alight.records import ElevationMap
 
 SURROUNDINGS = 0.25  # metres, 1-sigma of the wide Gaussian
 SPOT = 0.7  # fine pixels, 1-sigma of the narrow Gaussian: the blur of a lens

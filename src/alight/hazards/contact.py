@@ -9,15 +9,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, Mask
 from alight.hazards import contact_kernels as gear
 from alight.hazards import footprint_kernels as kernels
 from alight.hazards.belly_kernels import BLOCK
 from alight.hazards.footprint import block_starts, feet_of, padded_spans, skids_of
 from alight.raster import disc_mask, disc_spans
-from alight.records import F32
 from alight.settings import Lander
-
-Bool = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +101,7 @@ def _ground_of(height: F32, footprint: Footprint, lander: Lander, cell: float) -
 
 
 def gear_contact(
-    height: F32, footprint: Footprint, skip: Bool, lander: Lander, cell: float, spare: float = 0.0
+    height: F32, footprint: Footprint, skip: Mask, lander: Lander, cell: float, spare: float = 0.0
 ) -> tuple[F32, F32]:
     """Rest feet or skids on the ground at every heading (G4, G5).
 

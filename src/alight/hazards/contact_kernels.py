@@ -1,15 +1,10 @@
 """Compiled loops that rest a lander's feet or skids on the ground (docs/method/hazards.md)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel, parallel_kernel, prange
 from alight.hazards.belly_kernels import gather, keep, may_rise, raise_to, search
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-B = NDArray[np.bool_]
 
 HAIR = 1e-5  # cells; two diagonals equally high carry both ways
 
@@ -81,7 +76,7 @@ def feet_contact(
     ground: F32,
     body: F32,
     tops: F32,
-    skip: B,
+    skip: Mask,
     own: F32,
     xy: F64,
     solve: F64,
@@ -278,7 +273,7 @@ def skid_contact(
     ground: F32,
     body: F32,
     tops: F32,
-    skip: B,
+    skip: Mask,
     own: F32,
     axes: F64,
     offsets: I64,

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from scipy.special import logit
 
+from alight.arrays import F32
 from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.contact import Footprint
 from alight.learned.terms import HazardTerm
 from alight.raster import disc_max, disc_mean, log_at_least
-from alight.records import F32, ElevationMap, TerrainMap
+from alight.records import ElevationMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 RIM = 0.25  # metres; an object this near to the rim may as well lie outside

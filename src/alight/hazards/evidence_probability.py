@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
+from alight.arrays import F32
 from alight.learned import monotone_costs, read_net
 from alight.learned.terms import HazardTerm
-from alight.records import F32
 
 
 class PriorPenalty(NamedTuple):

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64, I64
 from alight.raster.disc import RIM
 from alight.settings import Lander
-
-I64 = NDArray[np.int64]
-F64 = NDArray[np.float64]
 
 
 def padded_spans(spans: I64, reach: int) -> I64:

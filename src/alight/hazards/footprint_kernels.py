@@ -7,14 +7,9 @@ Loops run over whole rows of cells, offset by offset, so that they vectorise; an
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64, Mask
 from alight.compiled import kernel, parallel_kernel, prange
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
-B = NDArray[np.bool_]
 
 
 @parallel_kernel
@@ -230,7 +225,7 @@ def highest_above(height: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64,
 
 
 @parallel_kernel
-def cast_shadows(height: F32, towards_r: float, towards_c: float, climb: float, longest: int, out: B) -> None:
+def cast_shadows(height: F32, towards_r: float, towards_c: float, climb: float, longest: int, out: Mask) -> None:
     """Fill out (R, C): something towards the sun stands above the ray to it, followed cell by cell.
 
     Args:

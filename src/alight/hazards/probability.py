@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.footprint import feet_of
-from alight.records import F32
 from alight.settings import HazardsSettings, Lander
 
 CERTAIN = 40.0  # sigmas; the limit is kept, or broken, for sure

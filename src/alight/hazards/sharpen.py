@@ -12,17 +12,16 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
+from alight.arrays import F32, U8, Mask
 from alight.hazards.sunlight import DIFFERENCE, SMOOTHING, Sunlight, find_light, gradients, in_shadow, shadow_level
 from alight.raster import upsample
-from alight.records import F32, U8, ElevationMap
+from alight.records import ElevationMap
 from alight.settings.tuning.hazards import SharpenTuning
 
 log = logging.getLogger(__name__)
 
-Bool = NDArray[np.bool_]
 
 HEIGHT_FLOOR = 0.001  # metres; no cell is trusted further
 ROUNDS = ((2, 30), (3, 30), (3, 30))  # Gauss-Newton and conjugate-gradient steps between two estimates of the light
@@ -83,7 +82,7 @@ def _conjugate_gradients(normal: Operator, right: F32, diagonal: F32, steps: int
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What the height field has to agree with."""
+    """Heights of the cells and the image that the fine heights must agree with."""
 
     cells: F32  # (R, C) metres, no NaN
     cell_weight: F32  # (R, C) 1 / sigma^2, 0 where unknown
@@ -93,7 +92,7 @@ class _Scene:
     tuning: SharpenTuning
 
 
-def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, iterations: int) -> F32:
+def _step(scene: _Scene, z: F32, light: Sunlight, lit: Mask, iterations: int) -> F32:
     """One Gauss-Newton step of S3: cells, shading of the lit pixels, and how sharply ground bends."""
     p, q = gradients(z, scene.pixel)
     shade, dp, dq = light.brightness(p, q)
@@ -124,7 +123,7 @@ def _step(scene: _Scene, z: F32, light: Sunlight, lit: Bool, iterations: int) ->
     return _conjugate_gradients(normal, right.astype(np.float32), diagonal.astype(np.float32), iterations)
 
 
-def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
+def _solve(scene: _Scene) -> tuple[F32, Mask, Sunlight] | None:
     """The fine heights, the lit pixels and the light; None where shading does not explain the image."""
     z = np.asarray(cv2.resize(scene.cells, scene.image.shape[::-1], interpolation=cv2.INTER_CUBIC))
     small = np.asarray(cv2.resize(scene.image, scene.cells.shape[::-1], interpolation=cv2.INTER_AREA))
@@ -152,7 +151,7 @@ def _solve(scene: _Scene) -> tuple[F32, Bool, Sunlight] | None:
     return np.asarray(cv2.sepFilter2D(z, cv2.CV_32F, UNALTERNATED, UNALTERNATED)), lit, light
 
 
-def _sigma(z: F32, lit: Bool, elevation: ElevationMap, factor: int) -> F32:
+def _sigma(z: F32, lit: Mask, elevation: ElevationMap, factor: int) -> F32:
     """1-sigma of the fine heights (S4): the cell's own, and in shadow a share of the detail that is not seen there."""
     detail = z - cv2.GaussianBlur(z, (0, 0), 0.5 * factor)
     near = np.sqrt(cv2.blur(detail**2, (2 * factor + 1, 2 * factor + 1)))
@@ -191,7 +190,7 @@ def sharpen(elevation: ElevationMap, image: U8, tuning: SharpenTuning) -> Elevat
     return None if found is None else _refined(elevation, found[0] + np.float32(level), found[1], image, factor)
 
 
-def _refined(elevation: ElevationMap, z: F32, lit: Bool, image: U8, factor: int) -> ElevationMap:
+def _refined(elevation: ElevationMap, z: F32, lit: Mask, image: U8, factor: int) -> ElevationMap:
     height = np.where(upsample(np.isfinite(elevation.height), factor), z, np.float32(np.nan))
     rgb = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     return replace(

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, Mask
 from alight.hazards.footprint_kernels import cast_shadows
-from alight.records import F32, F64
-
-Bool = NDArray[np.bool_]
 
 DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
 LEAST_SHADOW = 50  # pixels that must lie in a predicted shadow before its brightness is used
@@ -63,7 +60,7 @@ def _solve(terms: F32, image: F32) -> F64:
     return np.asarray(np.linalg.lstsq(a.T @ a, a.T @ b, rcond=1e-9)[0])
 
 
-def find_light(height: F32, image: F32, lit: Bool, pixel: float) -> Sunlight:
+def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
     """Fit the light to an image of known ground, by least squares without what does not follow it (S1).
 
     Args:
@@ -90,7 +87,7 @@ def find_light(height: F32, image: F32, lit: Bool, pixel: float) -> Sunlight:
     return Sunlight(x[:3], float(x[3]), 1.4826 * typical, explained)
 
 
-def in_shadow(height: F32, light: Sunlight, pixel: float) -> Bool:
+def in_shadow(height: F32, light: Sunlight, pixel: float) -> Mask:
     """Pixels that the sun does not reach: turned away from it, or behind something that stands towards it."""
     level = math.hypot(light.sun[0], light.sun[1])
     if level < 1e-6:
@@ -102,7 +99,7 @@ def in_shadow(height: F32, light: Sunlight, pixel: float) -> Bool:
     return out | (light.brightness(along, across)[0] < light.ambient)
 
 
-def shadow_level(image: F32, shadow: Bool) -> float:
+def shadow_level(image: F32, shadow: Mask) -> float:
     """Grey level up to which a pixel may lie in shadow; -inf where no shadow is to be expected."""
     core = cv2.erode(shadow.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     if core.sum() < LEAST_SHADOW:

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, Mask
 from alight.raster import close_mask, weighted_gaussian
 from alight.raster.smoothing import LEAST_SHARE
-from alight.records import F32, ElevationMap, Flag
+from alight.records import ElevationMap, Flag
 from alight.settings import HazardsSettings, Lander
-
-Bool = NDArray[np.bool_]
 
 _NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or one that cannot be right
 _PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # no texture: an obstacle would stand out against it
 
 
-def _with_gaps(known: Bool, reach_cells: float) -> Bool:
+def _with_gaps(known: Mask, reach_cells: float) -> Mask:
     """Known cells, and gaps between them that are narrower than twice the reach."""
     n = int(reach_cells + 1e-6)
     if n < 1:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.landing.reasons import REASON_WORDS
-from alight.records import F64, Hazard, HazardMap, Site, Sites
+from alight.records import Hazard, HazardMap, Site, Sites
 
 SIGMAS_OF_TIE = 2.0  # that the clearance of a site must cover, to be a site in another frame
 

@@ -6,17 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.records import F64, ElevationMap, Route, Site, Waypoint
+from alight.arrays import F64, Mask
+from alight.records import ElevationMap, Route, Site, Waypoint
 from alight.settings import RouteSettings
-
-Bool = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class _Corridor:
-    """What stands on the way: the mapped cells within `clearance` of the ground track."""
+    """Obstacles on the way: the mapped cells within `clearance` of the ground track."""
 
     share: F64  # (n,) how far along the way each cell is, 0 to 1
     top: F64  # (n,) metres, its height and two sigma
@@ -37,8 +35,8 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
     return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
 
 
-def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Bool) -> bool:
-    """Whether any cell of the ground track itself lies off the map or is not known."""
+def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
+    """True if any cell of the ground track lies off the map or is not known."""
     grid = elevation.grid
     steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
     row, col = grid.index(np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps))

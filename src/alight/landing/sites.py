@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, Mask
 from alight.landing.reasons import why_no_site
 from alight.raster import disc_window
-from alight.records import F32, F64, ElevationMap, HazardMap, Site, Sites, Terrain, TerrainMap
+from alight.records import ElevationMap, HazardMap, Site, Sites, Terrain, TerrainMap
 from alight.settings import Lander, SitesSettings
 
-Bool = NDArray[np.bool_]
 Term = tuple[float, F32]  # of Q: weight, and (R, C) values
 
 
@@ -46,7 +45,7 @@ def _peaks(score: F64, count: int, apart_cells: float) -> list[tuple[int, int]]:
     return found
 
 
-def _landing_class(land_cover: TerrainMap | None, rows: slice, cols: slice, disc: Bool) -> Terrain:
+def _landing_class(land_cover: TerrainMap | None, rows: slice, cols: slice, disc: Mask) -> Terrain:
     """The most frequent known class in the footprint."""
     if land_cover is None:
         return Terrain.UNKNOWN

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import skew, so3_exp
 from alight.motion.ekf.state import ACC, ATT, CORE, GYRO, MOTION, NAV, POS, VEL, FilterState
 from alight.motion.preintegration import GRAVITY, IMU_POSITION, IMU_ROTATION, IMU_VELOCITY, Preintegral, right_jacobian
-from alight.records import F64
 from alight.settings import FilterSettings
 
 MAX_RATE_AGE = 1.0  # s; after a longer gap without IMU, as between photos, the angular velocity is not used

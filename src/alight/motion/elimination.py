@@ -11,11 +11,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
-from alight.motion.observations import Ints, Mask, WindowObservations, WindowPoses, cameras_at
+from alight.motion.observations import WindowObservations, WindowPoses, cameras_at
 from alight.motion.point_kernels import eliminate_list, marginalise_tracks
 from alight.motion.triangulation import NEAR, WEAK_PRIOR
-from alight.records import F64
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +29,12 @@ class PoseConstraint:
     V: F64  # (N, K, 6, 3): A of a feature is its block diagonal less V V'
     b: F64  # (N, K, 6)
     misfit: F64  # (N,) squared residual that remains at the best point
-    freedom: Ints  # (N,) degrees of freedom: rows less three
+    freedom: I64  # (N,) degrees of freedom: rows less three
     root: F64  # (N, 3, 3), root root' is the covariance of the point
     point_covariance: F64  # (N, 3, 3) for exact poses, m^2
     step: F64  # (N, 3) m, from the point given to the best point for the poses as they are
 
-    def select(self, which: Mask | Ints) -> PoseConstraint:
+    def select(self, which: Mask | I64) -> PoseConstraint:
         """Return the constraints of some features."""
         return PoseConstraint(*(getattr(self, f.name)[which] for f in fields(self)))
 
@@ -115,7 +115,7 @@ class EliminatedPoints:
     matrix of the poses and G z from the right side, z = root' gradient.
     """
 
-    starts: Ints  # (N + 1,) first observation of each point, then M
+    starts: I64  # (N + 1,) first observation of each point, then M
     coupling: F64  # (M, 6, 3) G
     gradient: F64  # (N, 3) right side of the points
     root: F64  # (N, 3, 3), root root' is the covariance of a point
@@ -138,7 +138,7 @@ class EliminatedPoints:
 
 
 def eliminate_points(
-    starts: Ints, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float = 0.0
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float = 0.0
 ) -> EliminatedPoints:
     """Eliminate N points from M linearised observations, sorted by point (M21).
 
@@ -159,7 +159,7 @@ def eliminate_points(
     return out
 
 
-def sum_by_point(starts: Ints, values: F64) -> F64:
+def sum_by_point(starts: I64, values: F64) -> F64:
     """Sum (M, ...) values, sorted by point, into (N, ...); every point has at least one.
 
     Args:

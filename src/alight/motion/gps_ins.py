@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import so3_exp, so3_log
 from alight.motion.ekf.state import (
     ATT,
@@ -22,7 +23,7 @@ from alight.motion.ekf.state import (
     VEL,
     FilterState,
 )
-from alight.records import F64, NavSample
+from alight.records import NavSample
 from alight.settings import FilterSettings
 
 GIMBAL_MOUNTING_SIGMA = 0.03  # rad, of the rotation between a gimbal's tag and the camera

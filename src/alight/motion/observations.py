@@ -9,20 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
-from alight.records import F64
-
-Ints = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class WindowObservations:
     """Observations of N features from K poses by C cameras."""
 
-    ids: Ints  # (N,)
+    ids: I64  # (N,)
     normalised: F64  # (N, K, C, 2) normalised coordinates, NaN = not observed
     sigma: F64  # (N, K) of a normalised coordinate
 
@@ -36,7 +32,7 @@ class WindowObservations:
         """(N, K): whether at least one camera observed the feature at the pose."""
         return np.asarray(np.isfinite(self.normalised[..., 0]).any(axis=2))
 
-    def select(self, which: Mask | Ints) -> WindowObservations:
+    def select(self, which: Mask | I64) -> WindowObservations:
         """Return the observations of some features."""
         return WindowObservations(self.ids[which], self.normalised[which], self.sigma[which])
 
@@ -47,7 +43,7 @@ class WindowObservations:
         normalised, sigma = (np.delete(a, dropped, axis=1) for a in (self.normalised, self.sigma))
         return replace(self, normalised=normalised, sigma=sigma)
 
-    def with_pose(self, ids: Ints, normalised: F64, sigma: F64) -> WindowObservations:
+    def with_pose(self, ids: I64, normalised: F64, sigma: F64) -> WindowObservations:
         """Append a pose with the observations made there: known features keep their row, new ones are appended.
 
         Args:

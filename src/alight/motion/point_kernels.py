@@ -5,12 +5,9 @@ adjustments: lists of observations sorted by point. NumPy would take forty small
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64, I64
 from alight.compiled import inline, kernel
-
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
 
 @inline

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import skew, so3_exp
-from alight.records import F64, ImuSample
+from alight.records import ImuSample
 from alight.settings import FilterSettings
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is taken up by the accelerometer bias

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Camera, Pose, skew
-from alight.records import F64, Tracks
+from alight.records import Tracks
 from alight.settings import FilterSettings
 
 POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])  # takes (rotation, position) of a pose to (position, rotation)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from alight.arrays import F64, Mask
 from alight.motion.elimination import PoseConstraint
-from alight.motion.observations import Mask
-from alight.records import F64
 
 _KNEE = 3.0  # times the median residual: from here on the weight of a feature falls off
 _MIN_MEDIAN = 1e-3  # squared sigmas; simulated features may have no residual at all

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from alight.arrays import F64, I64
 from alight.geometry import Pose
-from alight.motion.observations import Ints, WindowObservations, WindowPoses, cameras_at
+from alight.motion.observations import WindowObservations, WindowPoses, cameras_at
 from alight.motion.point_kernels import nearest_to_rays, triangulate_tracks
-from alight.records import F64
 
 NEAR = 0.1  # m; a point closer to a camera along its axis, or behind it, is not observed by it
 WEAK_PRIOR = 1e-9  # 1/m^2 added to a point's information, so that a point at infinity has a covariance
@@ -30,7 +30,7 @@ def triangulate_window(observations: WindowObservations, poses: WindowPoses, cam
     return points
 
 
-def triangulate_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
+def triangulate_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
     """Return the (N, 3) points nearest to weighted rays (midpoint method): a start for a batch adjustment.
 
     Args:

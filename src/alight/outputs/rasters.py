@@ -13,8 +13,9 @@ from rasterio.crs import CRS
 from rasterio.enums import ColorInterp
 from rasterio.io import MemoryFile
 
+from alight.arrays import F32
 from alight.geometry import Grid, LocalFrame
-from alight.records import F32, REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
+from alight.records import REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS
 

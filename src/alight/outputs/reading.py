@@ -12,9 +12,10 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
+from alight.arrays import F32, U8, U16
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
-from alight.records import F32, U8, U16, InputError
+from alight.records import InputError
 from alight.settings import Settings, settings_of_run
 
 

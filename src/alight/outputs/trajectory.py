@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from alight.records import F64, Motion
+from alight.arrays import F64
+from alight.records import Motion
 
 COLUMNS = (
     "t_ns,east_m,north_m,up_m,q_w,q_x,q_y,q_z,v_e,v_n,v_u,"

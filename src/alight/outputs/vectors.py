@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import F64, Route, Site, Sites, Waypoint
+from alight.records import Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD

@@ -13,13 +13,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from alight.arrays import F32, U8, U16
 from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
 from alight.parallax.views import Prepared, choose_views, maps, prepare_view, rgb_of, stack
-from alight.records import F32, U8, U16, Heights, View
+from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 

@@ -1,12 +1,9 @@
 """Loop over views of one instant: what they see alike and the others do not (docs/method/uncertainty.md, eq. 15a)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, I64
 from alight.compiled import kernel, parallel_kernel, prange
-
-F32 = NDArray[np.float32]
-I64 = NDArray[np.int64]
 
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 

@@ -5,15 +5,10 @@ branches, which the compiler turns into vector code: five to twelve times faster
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64, U8
 from alight.compiled import inline, kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.sorting_kernels import fill_row, median_row, sort_rows
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
-I64 = NDArray[np.int64]
 
 UNKNOWN = np.float32(1e6)  # metres: a height so far from all others that no weight is left
 BAND = 24  # rows a thread takes at once

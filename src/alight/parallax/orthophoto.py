@@ -11,10 +11,11 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
+from alight.arrays import F32, U8
 from alight.geometry import Grid, ground_projection
 from alight.parallax.views import project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
-from alight.records import F32, U8, ElevationMap, Flag, View
+from alight.records import ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
 FACTOR = 2  # fine pixels a cell, each way: cells are 1.8 pixels wide

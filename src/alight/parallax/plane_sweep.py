@@ -12,18 +12,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Prepared, centres_of, maps, sample
-from alight.records import F32, F64
 from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
 
-Mask = NDArray[np.bool_]
 Span = tuple[float, float]  # lowest and highest height, metres
 Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
 

@@ -1,12 +1,10 @@
 """From the world grid into an image: ground-plane homography, parallax of the heights, lens (eqs. 1 to 3)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
 Three = tuple[np.float32, np.float32, np.float32]
 
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)

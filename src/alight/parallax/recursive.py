@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, U8
 from alight.geometry import Grid, box_of
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
@@ -23,7 +24,7 @@ from alight.parallax.batch import judged, picture_at
 from alight.parallax.plane_sweep import sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment, Kept
 from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
-from alight.records import F32, F64, U8, ElevationMap, Heights, KeyframePosterior, View
+from alight.records import ElevationMap, Heights, KeyframePosterior, View
 from alight.settings import ParallaxSettings
 
 FUSED = ("height", "sigma", "flags", "views", "residual")

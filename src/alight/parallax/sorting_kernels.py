@@ -6,12 +6,9 @@ Sorting cell by cell costs ten times as much: its branches cannot be guessed.
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, I64
 from alight.compiled import kernel
-
-F32 = NDArray[np.float32]
-I64 = NDArray[np.int64]
 
 NOTHING = np.float32(1e9)  # in place of a missing sample: sorts behind all others
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from alight.arrays import F64
 from alight.parallax.views import grey_of
-from alight.records import F64, View
+from alight.records import View
 from alight.settings.tuning.parallax import PointsTuning
 
 

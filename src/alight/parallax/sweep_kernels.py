@@ -1,16 +1,11 @@
 """Loops of the plane sweep: robust cost of a height, semi-global aggregation, winner (docs/method/parallax.md, 6-7)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I32, I64, U8
 from alight.compiled import inline, kernel, minimum_kernel, parallel_kernel, prange
 from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, sort_rows
 
-F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
-F64 = NDArray[np.float64]
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 FAR = np.float32(1e9)  # cost beyond the first and last plane

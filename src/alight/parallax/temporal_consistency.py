@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, U8, U16
 from alight.geometry import Grid
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit, enlarged
-from alight.records import F32, U8, U16, Flag, View
+from alight.records import Flag, View
 from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells

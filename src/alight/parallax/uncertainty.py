@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, U16
 from alight.geometry import Grid
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.gauss_newton import Fit, median_height
 from alight.parallax.views import NORM_FLOOR, Prepared, maps, sample
-from alight.records import F32, U16, Flag
+from alight.records import Flag
 from alight.settings.tuning.parallax import UncertaintyTuning
 
 LEAST_RELIEF, LEAST_NOISE = 1e-4, 1e-5  # parallax pixels^2, normalised grey^2

@@ -4,13 +4,9 @@ docs/method/uncertainty.md, docs/method/recursive.md
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, U8, U16
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
-
-F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
-U16 = NDArray[np.uint16]
 
 ZERO, ONE = np.float32(0), np.float32(1)
 LEAST = np.float32(1e-4)  # metres: sigmas are at least this

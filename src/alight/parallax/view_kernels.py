@@ -1,13 +1,9 @@
 """Loops over pictures before anything is matched: local contrast, and which cameras see a cell (eqs. 3b and 5)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, parallel_kernel, prange
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 FAR = np.float32(1e6)  # metres: beyond every camera
 ZERO, ONE = np.float32(0), np.float32(1)

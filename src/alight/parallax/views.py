@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, F64
 from alight.geometry import Camera, Grid, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
-from alight.records import F32, F64, View
+from alight.records import View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
@@ -117,7 +118,7 @@ def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tup
 
 
 def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
-    """The same for columns evenly spaced at `xs` and rows at any `ys`."""
+    """Image coordinates for columns evenly spaced at `xs` and rows at any `ys`."""
     held = buffers or Buffers()
     out = held.get("mapx", h.shape), held.get("mapy", h.shape)
     project_cells(p.camera, p.r2_max, p.H, p.b, xs, ys, h, out)

@@ -1,14 +1,10 @@
 """Loops over the surface of a height map: plane prior and ray test of visibility (docs/method/parallax.md, 12, 13)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 from alight.parallax.gauss_newton_kernels import BAND, CHUNK, invert_row
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 Two = tuple[np.float32, np.float32]
 

@@ -12,8 +12,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import F64, Datum, ElevationMap, HazardMap, Motion, NextView, Site, TerrainMap
+from alight.records import Datum, ElevationMap, HazardMap, Motion, NextView, Site, TerrainMap
 
 OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
 

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import U8
 from alight.geometry import Grid
-from alight.records import U8, ElevationMap
+from alight.records import ElevationMap
 
 WIDTH = 1000.0  # of every picture, in page units; heights follow
 PIXELS = 1400  # most pixels of a picture's longer side

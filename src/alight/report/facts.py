@@ -35,7 +35,7 @@ class Time:
 
 
 def answer(result: RunResult) -> Answer:
-    """Where to land, in one sentence; or that there is no place, and why."""
+    """The answer in one sentence: the site, or why there is none."""
     if not result.sites.sites:
         reason = result.sites.reason or "no reason was given"
         return Answer(False, "No safe site", reason[:1].upper() + reason[1:].rstrip(".") + ".")
@@ -67,7 +67,7 @@ def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
 
 
 def warnings(result: RunResult) -> list[str]:
-    """What a person should know before believing the answer, said once."""
+    """Warnings of the run, each once."""
     return list(dict.fromkeys([*result.warnings, *(result.route.warnings if result.route else ())]))
 
 
@@ -120,7 +120,7 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
 
 
 def run_facts(result: RunResult) -> list[tuple[str, str]]:
-    """What went in and how it was used."""
+    """Facts about the input and its use."""
     facts = [("input", f"{result.source_name} ({result.source_kind})")]
     facts += [(name, f"{n:,}") for name, n in result.counts.items()]
     if result.height_above_ground is not None:

@@ -1,4 +1,4 @@
-"""What a picture of the page is, and the first ones: the ground from above and the best site from near."""
+"""Pictures of the page: their record, the ground from above, and the best site from near."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _aside(found: list[Mark], c: Canvas) -> list[Mark]:
 
 
 def _hidden(x: float, y: float, others: list[tuple[float, float, float]], c: Canvas) -> float:
-    """How much a number at (x, y) covers of other things, and how far it leaves the picture."""
+    """Cost of a number at (x, y): its overlap with other marks, and how far it leaves the picture."""
     outside = sum(max(BADGE - d, 0.0) for d in (x, y, canvas.WIDTH - x, c.height - y))
     return 4 * outside + sum(max(r + BADGE - math.hypot(x - a, y - b), 0.0) for a, b, r in others)
 
@@ -130,7 +130,7 @@ def _explain(result: RunResult) -> list[str]:
 
 
 def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
-    """What the cameras saw, with sites, flight path and route."""
+    """Orthophoto with sites, flight path and route."""
     n = len(result.sites.sites)
     return Figure(
         title="The ground from above",

@@ -81,7 +81,7 @@ def sigma_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> Figure:
-    """What covers the ground."""
+    """Map of the land cover."""
     order = list(paint.TERRAIN_COLOURS)
     index = np.full(256, -1, np.int8)
     index[[t.value for t in order]] = np.arange(len(order))

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, U8, ElevationMap, Flag, Hazard, HazardMap, Terrain
+from alight.arrays import F32, U8
+from alight.records import ElevationMap, Flag, Hazard, HazardMap, Terrain
 
 Colour = tuple[int, int, int]
 Ramp = Sequence[str]
@@ -118,7 +119,7 @@ def paint_safe(hazards: HazardMap) -> U8:
 
 
 def paint_ortho(elevation: ElevationMap) -> U8:
-    """What the cameras saw."""
+    """The orthophoto as an image."""
     return rgba(elevation.rgb, elevation.views > 0)
 
 

@@ -81,7 +81,7 @@ def seconds(value: float) -> str:
 
 
 def place(result: RunResult, site: Site) -> str:
-    """Where a site is: geographic, or from the origin where the place on Earth is unknown."""
+    """Position of a site: geographic, or from the origin where the place on Earth is unknown."""
     if not result.georeferenced:
         ew, ns = ("east" if site.east >= 0 else "west"), ("north" if site.north >= 0 else "south")
         return f"{abs(site.east):.1f} m {ew}, {abs(site.north):.1f} m {ns} of the origin"

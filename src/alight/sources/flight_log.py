@@ -10,8 +10,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from alight.arrays import U8
 from alight.geometry import LocalFrame, Pose
-from alight.records import U8, Event, Frame, InputError, Rig
+from alight.records import Event, Frame, InputError, Rig
 from alight.settings import ImuNoise, Settings
 from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image

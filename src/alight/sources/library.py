@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from alight.arrays import U8
 from alight.learned import table_path
-from alight.records import U8, InputError, Terrain
+from alight.records import InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.terrain.features import LEVELS, names
 from alight.terrain.model import Head, Model

@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.geometry import LocalFrame, Pose, enu_from_flu
 from alight.records import NavSample
 from alight.sources.photo_tags import PhotoTags
-
-F64 = NDArray[np.float64]
 
 # the body of a photo is its gimbal: x along the optical axis, y left, z up, when all gimbal angles are zero
 BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))

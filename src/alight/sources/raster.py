@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
+from alight.arrays import F32, U8
 from alight.geometry import Grid
-from alight.records import F32, U8, ElevationMap, Flag, InputError
+from alight.records import ElevationMap, Flag, InputError
 
 MOST_CELLS = 100_000_000
 SEEN_BY = 9  # views that a height made elsewhere counts as: more than doubt asks for

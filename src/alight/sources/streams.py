@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64, I64
 from alight.geometry import LocalFrame, Pose, matrix_from_quaternion
 from alight.records import ImuSample, NavSample
 from alight.sources.source import Findings, Trajectory
-from alight.sources.tables import Times, read_numbers
-
-F64 = NDArray[np.float64]
+from alight.sources.tables import read_numbers
 
 NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth without velocity and biases
 
@@ -23,7 +21,7 @@ NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth witho
 class Table:
     """Rows of one stream that can be used."""
 
-    t_ns: Times  # (N,)
+    t_ns: I64  # (N,)
     values: F64  # (N, columns - 1), NaN = not measured
 
 

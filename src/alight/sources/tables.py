@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import I64
 from alight.sources.source import Findings
 
-Times = NDArray[np.int64]
 LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
 Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
 
@@ -110,11 +110,11 @@ def _numbers(row: Row, group: str, findings: Findings) -> list[float] | None:
 
 def read_numbers(
     path: Path, columns: tuple[int, ...], group: str, findings: Findings
-) -> tuple[Times, NDArray[np.float64], list[int]]:
+) -> tuple[I64, NDArray[np.float64], list[int]]:
     """Read rows of numbers in order of time.
 
     Returns:
-        Times (N,) ns, values (N, columns[0] - 1) with NaN for an empty field, and the (N,) line numbers.
+        I64 (N,) ns, values (N, columns[0] - 1) with NaN for an empty field, and the (N,) line numbers.
         `columns` lists the numbers of columns that are allowed, time included; shorter rows are filled with NaN.
     """
     good: list[Row] = []

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, Mask
 from alight.raster import masked_gaussian
-from alight.records import F32, ElevationMap
-
-Bool = NDArray[np.bool_]
+from alight.records import ElevationMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +21,7 @@ class Appearance:
     coloured: bool  # False: grey images, colour says nothing
 
 
-def seen(elevation: ElevationMap) -> Bool:
+def seen(elevation: ElevationMap) -> Mask:
     """Cells that any camera saw."""
     return np.asarray((elevation.views > 0) & (elevation.rgb.max(axis=2) > 0))
 

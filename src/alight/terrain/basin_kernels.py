@@ -3,12 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F64, Mask
 from alight.compiled import inline, kernel
-
-F64 = NDArray[np.float64]
-B = NDArray[np.bool_]
 
 
 @inline
@@ -23,7 +20,7 @@ def _lowest_neighbour(water: F64, r: int, c: int) -> float:
 
 
 @kernel
-def fill_basins(surface: F64, outlet: B, water: F64) -> None:
+def fill_basins(surface: F64, outlet: Mask, water: F64) -> None:
     """Flood the surface from its outlets: morphological reconstruction by erosion (G13).
 
     Sweeps from opposite corners until nothing sinks any more; each cell ends at the lowest level from which its water

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, U8, Mask
 from alight.learned import Net, read_net, relu_net
 from alight.raster import close_mask, fill_pits, grow, without_specks
-from alight.records import F32, LANDABLE, U8, ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
 from alight.terrain.evidence import land_cover_terms
@@ -17,7 +17,6 @@ from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
-Bool = NDArray[np.bool_]
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
@@ -25,7 +24,7 @@ PIT = 0.15  # metres: what is refused and narrower than twice this is left to th
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 
 
-def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Bool:
+def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
     """Ground within reach of a tree crown (G18): oblique views show the ground under it as open.
 
     Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
@@ -73,7 +72,7 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
     return np.where(green, Terrain.SHORT_GRASS, np.where(grey, Terrain.PAVED, Terrain.BARE)).astype(np.uint8)
 
 
-def _with_water_and_tufts(odds: F32, water: Bool, cell: float, settings: TerrainSettings) -> F32:
+def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
     """Log odds with standing water made certain, and gaps between tufts given to the tufts."""
     out = odds.copy()
     best = odds.max(axis=-1)

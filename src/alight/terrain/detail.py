@@ -11,9 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from alight.arrays import F32, U8
 from alight.learned.terms import POWER_BANDS, DetailTerm, band
 from alight.raster import block_max, block_mean, gaussian_mean, local_max, nearest_known
-from alight.records import F32, U8, ElevationMap, Flag
+from alight.records import ElevationMap, Flag
 
 Found = Iterator[tuple[str, F32]]
 WIDTHS = (0.7, 1.4, 2.8, 5.6, 11.2)  # fine pixels, 1-sigma: bands lie between each and the next

@@ -10,9 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from alight.arrays import F32
 from alight.learned.terms import RELATIVE, SurfaceTerm
 from alight.raster import linear_ramp, log_offset, masked_gaussian
-from alight.records import F32, REFUSED, ElevationMap, Flag
+from alight.records import REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.detail import detail_terms
 from alight.terrain.relief import Relief

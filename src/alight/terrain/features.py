@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, U8
+from alight.arrays import F32, U8
 
 PIXEL = 0.1  # metres, of the finest level; each further level doubles it
 LEVELS = 3

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, U8
+from alight.arrays import F32, U8
 from alight.terrain.features import against, appearance_features, frame_of
 
 Real = TypeVar("Real", np.float32, np.float64)

@@ -6,14 +6,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, Mask
 from alight.raster import block_quantile, ellipse, masked_gaussian, nearest_known, upsample
-from alight.records import F32, ElevationMap
+from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.basin_kernels import fill_basins
-
-Bool = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +49,14 @@ def height_above_ground(height: F32, low: F32, size: int, settings: TerrainSetti
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
-def open_to_rim(unknown: Bool) -> Bool:
+def open_to_rim(unknown: Mask) -> Mask:
     """Unknown cells that reach the rim of the map; holes within are walls to water, not ways out."""
     framed = np.pad(unknown, 1, constant_values=True).astype(np.uint8)
     labels = cv2.connectedComponents(framed, connectivity=4)[1]
     return np.asarray(labels == labels[0, 0])[1:-1, 1:-1]
 
 
-def standing_water(ground: F32, wet: Bool) -> tuple[F32, F32]:
+def standing_water(ground: F32, wet: Mask) -> tuple[F32, F32]:
     """Depth and level of the water that the ground would hold (G13); NaN where it is unknown.
 
     The map's rim and everything unknown that reaches it let water out: a basin must be closed by ground that was seen.

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median
 
+from alight.arrays import F32, Mask
 from alight.raster import linear_ramp, masked_gaussian, without_specks
-from alight.records import F32, ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
-Bool = NDArray[np.bool_]
 MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
 
 
@@ -49,13 +48,13 @@ def water_odds(colours: Appearance, shape: Relief, moving: F32, settings: Terrai
     return odds
 
 
-def _grown(seed: Bool, into: Bool) -> Bool:
+def _grown(seed: Mask, into: Mask) -> Mask:
     """The connected parts of `into` that hold a seed."""
     labels = cv2.connectedComponents((into | seed).astype(np.uint8), connectivity=8)[1]
     return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
 
 
-def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> Bool:
+def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> Mask:
     """Grow water over the ground that must be wet too (G15).
 
     First over connected cells that look like water; then over connected cells that lie lower, because the surface of a
@@ -87,7 +86,7 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> B
     return out
 
 
-def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Bool:
+def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
     """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
     cell = elevation.grid.cell
     odds = water_odds(colours, shape, _moving(elevation), settings)
@@ -95,7 +94,7 @@ def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32,
     return flooded(near, wet, shape.level - shape.depth, cell, settings.pond_share)
 
 
-def open_water(land_cover: TerrainMap) -> Bool:
+def open_water(land_cover: TerrainMap) -> Mask:
     """(R, C): the patches labelled water that are water with P >= `MIN_MEDIAN`, whole.
 
     A cell that may not be landed on takes the name of its likeliest hazard, even an improbable one: a shadow beside a

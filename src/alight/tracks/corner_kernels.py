@@ -3,15 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I16, I32, I64
 from alight.compiled import inline, kernel
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-I16 = NDArray[np.int16]
-I32 = NDArray[np.int32]
-I64 = NDArray[np.int64]
 
 _GREY = 4.0 * 255.0  # of a Sobel gradient: what cv2.cornerMinEigenVal divides by
 

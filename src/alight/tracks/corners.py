@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.records import F32, F64, U8
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.tracks.corner_kernels import corner_responses, strongest_corners
-
-Mask = NDArray[np.bool_]
-Ids = NDArray[np.int64]
 
 BORDER = 4  # px; closer to the edge the SSD window leaves the image
 _RESPONSE_HALF = 2  # px, half side of the window of the response, without its centre
@@ -23,7 +19,7 @@ def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
     return out
 
 
-def oldest_per_cell(ids: Ids, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
+def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -> Mask:
     """Keep the `most` oldest good features of every cell: converging tracks add cost and no information."""
     keep, at = np.zeros(len(ids), bool), np.flatnonzero(good)
     column, row = np.floor(np.nan_to_num(pixels[at]) / cell).astype(np.int64).T

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Pose, skew
-from alight.records import F64
 
 
 def inverse_depth(first: F64, other: F64, other_from_first: Pose) -> tuple[F64, F64]:

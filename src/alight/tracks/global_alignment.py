@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.records import F32, U8
+from alight.arrays import F32, U8, Mask
 from alight.settings import TracksSettings
-
-Mask = NDArray[np.bool_]
 
 _MIN_FEATURES = 12  # for an affine warp of the whole image
 _SMALL_SIDE = 160  # px, approximate shorter side of a downsampled image

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Camera
-from alight.records import F64
 from alight.tracks.corner_kernels import interpolate_rays
 
 

@@ -3,13 +3,9 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, U8
 from alight.compiled import kernel, sum_kernel
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 _MIN_GAIN = np.float32(0.2)  # of contrast; a patch with less contrast is not matched

@@ -8,16 +8,12 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from alight.arrays import F64, I64, U8, Mask
 from alight.geometry import Pose
-from alight.records import F64, U8
 from alight.settings import TracksSettings
 from alight.tracks.lens import Lens
 from alight.tracks.patch_kernels import align_patches
-
-Mask = NDArray[np.bool_]
-Ids = NDArray[np.int64]
 
 _PATCH_MARGIN = 9  # px of a patch around the window: room for rotation and scale
 _BLUR = 0.7  # px; without it linear interpolation biases matches towards whole pixels (M1e)
@@ -88,14 +84,14 @@ def patch_warps(pixels: F64, lens: Lens, views: Sequence[Pose], ground: GroundPl
 class FeaturePatches:
     """Appearance of N features."""
 
-    ids: Ids  # (N,) ascending
+    ids: I64  # (N,) ascending
     grey: U8  # (N, S, S)
     places: F64  # (N, 2) column and row in the patch
     pixels: F64  # (N, 2) in the image from which it was cut
-    image_number: Ids  # (N,) number of that image
+    image_number: I64  # (N,) number of that image
 
     @classmethod
-    def cut(cls, image: U8, ids: Ids, pixels: F64, window: int, image_number: int = 0) -> FeaturePatches:
+    def cut(cls, image: U8, ids: I64, pixels: F64, window: int, image_number: int = 0) -> FeaturePatches:
         """Cut patches out of a smoothed image; features too close to its edge get none."""
         side = window + 2 * _PATCH_MARGIN
         corner = np.rint(pixels).astype(np.int64) - side // 2
@@ -139,7 +135,7 @@ class AnchorPatches:
     def _none(self) -> FeaturePatches:
         return FeaturePatches.cut(np.zeros((1, 1), np.uint8), np.empty(0, np.int64), np.empty((0, 2)), self._window)
 
-    def refine(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None, depth: F64) -> F64:
+    def refine(self, image: U8, ids: I64, pixels: F64, pose: Pose | None, depth: F64) -> F64:
         """Refine tracked pixels by the anchor patches of their features; (N, 2) pixels.
 
         Args:
@@ -166,7 +162,7 @@ class AnchorPatches:
         self._patches = held.select(good)
         return out
 
-    def add_missing(self, image: U8, ids: Ids, pixels: F64, pose: Pose | None) -> None:
+    def add_missing(self, image: U8, ids: I64, pixels: F64, pose: Pose | None) -> None:
         """Cut patches of the features that have none yet."""
         if pose is None:
             return

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.records import F32, F64
+from alight.arrays import F32, F64, Mask
 
-Mask = NDArray[np.bool_]
 # (3, 3, 3): points @ [i] is the i-th coordinate of the motion of points by rotations about each axis
 _GENERATORS = np.array(
     [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]], float

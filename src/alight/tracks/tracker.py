@@ -11,10 +11,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Camera, Pose
-from alight.records import F32, F64, U8, Frame, Prediction, Rig, Tracks
+from alight.records import Frame, Prediction, Rig, Tracks
 from alight.settings import TracksSettings
 from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
@@ -32,8 +32,6 @@ from alight.tracks.lens import Lens
 from alight.tracks.patches import AnchorPatches, FeaturePatches, GroundPlane, patch_warps, smooth_image
 from alight.tracks.search_region import inside_search_region, pixel_covariance
 
-Mask = NDArray[np.bool_]
-Ids = NDArray[np.int64]
 Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
 
@@ -53,7 +51,7 @@ class _LastExposure:
     t_ns: int
     image: U8
     poses: Poses | None
-    ids: Ids
+    ids: I64
     pixels: F32  # (N, 2)
     depth: F64  # (N,) metres in the left camera, NaN = unknown
 
@@ -115,7 +113,7 @@ class Tracker:
         self._last = _LastExposure(frame.t_ns, image, poses, ids, pixels, depth)
         return self._tracks_of(frame.t_ns, ids, observed, corner_response(image, pixels, self._settings.window_px))
 
-    def _track_in_time(self, image: U8, prediction: Prediction | None) -> tuple[Ids, F32, F64]:
+    def _track_in_time(self, image: U8, prediction: Prediction | None) -> tuple[I64, F32, F64]:
         m = self._last
         if m is None or not len(m.ids):
             return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
@@ -257,7 +255,7 @@ class Tracker:
         camera = self._cameras[0]
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
-    def _add_corners(self, image: U8, ids: Ids, pixels: F32, depth: F64) -> tuple[Ids, F32, F64]:
+    def _add_corners(self, image: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
         new = detect_corners(image, pixels, self._cell, self._settings.texture)
         fresh = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
@@ -315,7 +313,7 @@ class Tracker:
         found[at], good[at] = patched.locate(right, predicted, warps, self._settings)
         return found
 
-    def _tracks_of(self, t_ns: int, ids: Ids, pixels: F64, texture: F64) -> Tracks:
+    def _tracks_of(self, t_ns: int, ids: I64, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
         for i, lens in enumerate(self._lenses):
             normalised[:, i] = lens.normalise(pixels[:, i])

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F64, LANDABLE, U8, Terrain
+from alight.arrays import F64, U8
+from alight.records import LANDABLE, Terrain
 
 MOST = 0.05  # hazards called safe, at most: the share that is asked for
 

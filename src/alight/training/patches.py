@@ -9,13 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, U8
+from alight.arrays import F32, I64, U8
 from alight.terrain.features import PIXEL, STRETCH, against, appearance_features, frame_of, names
 
 VARIANTS = 3  # of each patch: itself and as other cameras might have taken it
 PLACES = 3  # a side of each patch, where its features are read
 
-Integers = NDArray[np.int64]
 Tell = Callable[[float], None]
 
 
@@ -39,8 +38,8 @@ class Samples:
     """Features of one level, N rows."""
 
     values: F32  # (N, F)
-    patch: Integers  # (N,) index of the patch
-    variant: Integers  # (N,) 0: the picture as it is
+    patch: I64  # (N,) index of the patch
+    variant: I64  # (N,) 0: the picture as it is
 
     def of(self, rows: NDArray[np.bool_]) -> Samples:
         """Some of the rows."""

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 
-from alight.records import F32, F64, U8, Terrain
+from alight.arrays import F32, F64, I64, U8
+from alight.records import Terrain
 from alight.terrain.features import LEVELS, PIXEL, STRETCH
 from alight.terrain.model import CLIP, Head, Model, appearance_evidence, log_probability, log_softmax, scores
 from alight.training.confusion import Confusion, lines_of
-from alight.training.patches import Integers, LabelledPatch, Samples, Tell, measure_patches, quiet
+from alight.training.patches import LabelledPatch, Samples, Tell, measure_patches, quiet
 
 PENALTY = 1e-4  # of the squared weights
 SHRINKAGE = 0.3  # of the covariance within the classes towards a sphere
@@ -37,7 +38,7 @@ def balance(kinds: NDArray[np.uint8], sites: NDArray[np.str_]) -> F64:
     return np.asarray(weight / weight.mean())
 
 
-def fit_logistic(z: F32, at: Integers, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
+def fit_logistic(z: F32, at: I64, weight: F64, count: int, penalty: float) -> tuple[F32, F32]:
     """Multinomial logistic regression with a penalty: weights (K, F) and bias (K,)."""
     features = np.c_[z, np.ones(len(z))].astype(np.float64)
     goal = np.eye(count)[at]
@@ -55,7 +56,7 @@ def fit_logistic(z: F32, at: Integers, weight: F64, count: int, penalty: float) 
     return found[:, :-1].astype(np.float32), found[:, -1].astype(np.float32)
 
 
-def fit_head(values: F32, at: Integers, weight: F64, count: int, penalty: float = PENALTY) -> Head:
+def fit_head(values: F32, at: I64, weight: F64, count: int, penalty: float = PENALTY) -> Head:
     """The classifier of one level, without a temperature."""
     mean, spread = values.mean(axis=0), values.std(axis=0) + np.float32(1e-6)
     z = np.clip((values - mean) / spread, -CLIP, CLIP)
@@ -69,7 +70,7 @@ def fit_head(values: F32, at: Integers, weight: F64, count: int, penalty: float 
     return Head(plain[0], plain[1], plain[2], plain[3], plain[4], plain[5], float(np.median(off)), 1.0)
 
 
-def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, Integers]:
+def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, out: str) -> tuple[F32, I64]:
     """Scores of the pictures of a site by a model of the others, (n, K), and their patches; unknown classes -inf."""
     inside = sites[s.patch] != out
     training, test = s.of(inside), s.of(~inside & (s.variant == 0))
@@ -81,7 +82,7 @@ def _fit_without(s: Samples, kinds: U8, sites: NDArray[np.str_], classes: U8, ou
     return found, test.patch
 
 
-def _temperature(scored: F32, at: Integers) -> float:
+def _temperature(scored: F32, at: I64) -> float:
     """By which the scores of left-out sites are divided to be as sure as they are right; unknown classes leave none."""
     fair = np.isfinite(scored[np.arange(len(at)), at])
     values, truth = np.where(np.isfinite(scored), scored, -1e9)[fair], at[fair]
@@ -94,7 +95,7 @@ def _temperature(scored: F32, at: Integers) -> float:
     return float(np.exp(minimize_scalar(surprise, bounds=np.log(TEMPERATURES), method="bounded").x))
 
 
-def patch_means(log_p: F32, patch: Integers, count: int) -> F64:
+def patch_means(log_p: F32, patch: I64, count: int) -> F64:
     """Mean log probability of the places of each patch, normalised, (count, K); NaN for patches without any."""
     n = np.bincount(patch, minlength=count)[:, None]
     floor = np.maximum(log_p, FLOOR)
@@ -157,7 +158,7 @@ def train(patches: list[LabelledPatch], tell: Tell = quiet) -> tuple[Model, Conf
 
 
 def provenance(kinds: U8, sites: NDArray[np.str_], left_out: Confusion | None) -> str:
-    """What a model was trained on and how well it does elsewhere, in words."""
+    """Training data of a model, and its confusion on sites left out, in words."""
     of = ", ".join(f"{Terrain(k).name.lower()} {(kinds == k).sum()}" for k in np.unique(kinds))
     places = ", ".join(np.unique(sites))
     lines = [f"trained on {len(kinds)} patches ({of}) of {len(np.unique(sites))} site(s): {places}"]
@@ -181,7 +182,7 @@ def elsewhere(patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
 
 
 def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet) -> Confusion:
-    """What a given model says of every patch, each at the finest level that it can fill."""
+    """Confusion of a given model on every patch, each at the finest level that it can fill."""
     kinds, sites = _known(patches)
     log_p = np.full((len(patches), len(model.classes)), np.nan)
     for level, head in enumerate(model.heads):
@@ -193,7 +194,7 @@ def judge_patches(model: Model, patches: list[LabelledPatch], tell: Tell = quiet
 
 
 def judge_pixels(model: Model, pictures: Iterable[tuple[str, U8, U8]], sampling: float) -> Confusion:
-    """What a model says of the blocks of pictures with a label a pixel; all pictures are one site."""
+    """Confusion of a model on the blocks of pictures with a label a pixel; all pictures are one site."""
     kinds, log_p = [], []
     for _, rgb, label in pictures:
         found = appearance_evidence(model, rgb, sampling)

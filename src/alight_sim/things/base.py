@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer
 
-from alight.records import F32, F64, U8, Terrain
+from alight.arrays import F32, F64, U8, Mask
+from alight.records import Terrain
 from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
 from alight_sim.looks import Look
 from alight_sim.section import Section
@@ -19,7 +20,6 @@ from alight_sim.section import Section
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
-Mask = NDArray[np.bool_]
 Box = tuple[float, float, float, float]  # west, south, east, north, metres
 CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "rock", "paved", "structure"]
 Places = tuple[tuple[float, float], ...]

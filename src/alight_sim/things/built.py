@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
-from alight.records import F64, Terrain
+from alight.arrays import F64, Mask
+from alight.records import Terrain
 from alight_sim.kernels import stamps
 from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
 from alight_sim.looks import Look
@@ -17,7 +18,6 @@ from alight_sim.things.base import (
     CoverName,
     Layer,
     LookName,
-    Mask,
     Places,
     Scattered,
     Sheet,

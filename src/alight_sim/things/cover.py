@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from alight.records import F64, Terrain
+from alight.arrays import F64, Mask
+from alight.records import Terrain
 from alight_sim.looks import Look
 from alight_sim.relief import noise
 from alight_sim.things.base import (
@@ -19,7 +20,6 @@ from alight_sim.things.base import (
     CoverName,
     Layer,
     LookName,
-    Mask,
     Sheet,
     Tint,
     along_and_across,

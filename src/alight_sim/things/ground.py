@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field
 
-from alight.records import F64, Terrain
+from alight.arrays import F64
+from alight.records import Terrain
 from alight_sim.kernels.stamps import EAST, HALF_U, HALF_V, LEVEL, NORTH, REACH, TOP, TURN
 from alight_sim.looks import Look
 from alight_sim.relief import FractalRelief, noise

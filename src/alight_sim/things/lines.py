@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from alight.records import F64, Terrain
+from alight.arrays import F64, Mask
+from alight.records import Terrain
 from alight_sim.kernels.layers import along_line
 from alight_sim.looks import Look
 from alight_sim.relief import noise
@@ -16,7 +17,6 @@ from alight_sim.things.base import (
     CoverName,
     Layer,
     LookName,
-    Mask,
     Places,
     Sheet,
     Tint,

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64, I64
 from alight.geometry import Pose
 from alight.motion.bundle.matching import (
     BundleObservations,
-    Index,
     Pair,
     PhotoFeatures,
     colmap,
@@ -37,7 +37,7 @@ from alight.motion.bundle.solver import (
     triangulate_bundle,
 )
 from alight.motion.bundle.summary import LEAST_SEEN, FirstPoses, Solved, bundle_warnings, notes_of, why_no_motion
-from alight.records import F64, Frame, InputError, Motion, NavSample, Rig
+from alight.records import Frame, InputError, Motion, NavSample, Rig
 from alight.settings import BundleSettings
 
 log = logging.getLogger(__name__)
@@ -140,8 +140,8 @@ def solve_bundle(
 
 
 def _coarse_rounds(
-    state: BundleState, few: BundleObservations, priors: Priors, aside: Index, tell: Callable[[float], None]
-) -> tuple[BundleState, Index]:
+    state: BundleState, few: BundleObservations, priors: Priors, aside: I64, tell: Callable[[float], None]
+) -> tuple[BundleState, I64]:
     """Coarse rounds without the photos that jumped; photos that prove misplaced are set aside, too."""
     held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
     few = without_photos(few, aside)[0]
@@ -192,7 +192,7 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
     return FirstPoses(centres, rotations, photos, turned, wrong, jumped, warnings)
 
 
-def _who(found: Sequence[Oriented]) -> list[tuple[Index, ...]]:
+def _who(found: Sequence[Oriented]) -> list[tuple[I64, ...]]:
     return [(f.photos, f.turned, f.contradicted, f.jumped) for f in found]
 
 

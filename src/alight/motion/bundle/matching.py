@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera
-from alight.records import F32, F64, U8, MissingExtraError
+from alight.records import MissingExtraError
 from alight.settings import BundleSettings
 
-Index = NDArray[np.int64]
 _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
@@ -42,7 +42,7 @@ class Pair:
 
     i: int
     j: int
-    matches: Index  # (M, 2) feature numbers in i and j
+    matches: I64  # (M, 2) feature numbers in i and j
     j_from_i: F64  # (3, 3) rotation between the two optical frames
     direction: F64  # (3,) unit, from the centre of i to that of j, in the optical frame of i
 
@@ -51,12 +51,12 @@ class Pair:
 class BundleObservations:
     """Observations of all photos, sorted by point."""
 
-    photo: Index  # (N,)
-    point: Index  # (N,) 0 .. points - 1, every number occurs
+    photo: I64  # (N,)
+    point: I64  # (N,) 0 .. points - 1, every number occurs
     pixels: F64  # (N, 2)
 
     @property
-    def starts(self) -> Index:
+    def starts(self) -> I64:
         """The first row of each point: what `np.add.reduceat` takes."""
         return np.flatnonzero(np.diff(self.point, prepend=-1))
 
@@ -65,7 +65,7 @@ class BundleObservations:
         """How many points there are."""
         return int(self.point[-1]) + 1 if len(self.point) else 0
 
-    def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, Index]:
+    def keep(self, rows: NDArray[np.bool_], least: int = 2) -> tuple[BundleObservations, I64]:
         """Return the rows that are kept, without points of fewer than `least`; old numbers of those left."""
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= least)
@@ -160,7 +160,7 @@ def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
     return sorted(pairs)
 
 
-def match_descriptors(a: F32, b: F32) -> Index:
+def match_descriptors(a: F32, b: F32) -> I64:
     """Match unit descriptors (K, 128) and (L, 128): best both ways and clearly better than the second; (M, 2)."""
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), dtype=np.int64)
@@ -182,9 +182,7 @@ def match_descriptors(a: F32, b: F32) -> Index:
     return np.stack([i, best[i]], axis=1)
 
 
-def verify(
-    camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: Index, least: int
-) -> tuple[Index, F64, F64] | None:
+def verify(camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int) -> tuple[I64, F64, F64] | None:
     """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
     if len(matches) < least:
         return None

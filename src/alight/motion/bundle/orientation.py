@@ -14,9 +14,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
+from alight.arrays import F64, I64
 from alight.geometry import so3_exp, so3_log
-from alight.motion.bundle.matching import Index, Pair
-from alight.records import F64
+from alight.motion.bundle.matching import Pair
 
 # rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
 _MAX_DISAGREEMENT = 0.35
@@ -38,15 +38,15 @@ HALF_TURN = np.diag([-1.0, -1.0, 1.0])  # about the optical axis
 class Oriented:
     """First poses of the photos of one connected component."""
 
-    photos: Index  # (k,) photo numbers
+    photos: I64  # (k,) photo numbers
     world_from_cam: F64  # (k, 3, 3)
-    turned: Index  # photo numbers whose gimbal tag is half a turn off about the optical axis
-    contradicted: Index  # photo numbers whose gimbal tag the pictures contradict in any other way
-    jumped: Index  # photo numbers whose GPS position the pictures contradict
+    turned: I64  # photo numbers whose gimbal tag is half a turn off about the optical axis
+    contradicted: I64  # photo numbers whose gimbal tag the pictures contradict in any other way
+    jumped: I64  # photo numbers whose GPS position the pictures contradict
     guessed: bool  # the roll about a straight line of flight rests on the camera looking down
 
 
-def components(count: int, pairs: Sequence[Pair]) -> list[Index]:
+def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
     """Return the photos of each connected component of two and more, largest first."""
     if not pairs:
         return []
@@ -67,7 +67,7 @@ def _median_rotation(rotations: F64, start: F64) -> F64:
     return R
 
 
-def average_rotations(photos: Index, pairs: Sequence[Pair]) -> F64:
+def average_rotations(photos: I64, pairs: Sequence[Pair]) -> F64:
     """Return (k, 3, 3) `frame_from_cam` of one component, the frame being the first photo's camera (L1 averaging).
 
     Start: the spanning tree of most matches. Then each photo takes the median of the rotations by its neighbours
@@ -109,7 +109,7 @@ def _robust_alignment(world: F64, frame: F64, sigma: F64, start: F64) -> F64:
 class _Baselines:
     """Unit directions between photos: by GPS, and by the images in the frame of the averaged rotations."""
 
-    ends: Index  # (q, 2) photo numbers
+    ends: I64  # (q, 2) photo numbers
     world: F64  # (q, 3)
     frame: F64  # (q, 3)
     noise: F64  # (q,) rad
@@ -119,7 +119,7 @@ class _Baselines:
         return np.asarray(((self.world - self.frame @ R.T) ** 2).sum(axis=1) / self.noise**2)
 
 
-def _baselines(photos: Index, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
+def _baselines(photos: I64, frame_from_cam: F64, pairs: Sequence[Pair], centres: F64, sigma: F64) -> _Baselines:
     slot = {int(p): s for s, p in enumerate(photos)}
     ends, world, frame, noise = [], [], [], []
     for p in pairs:
@@ -134,7 +134,7 @@ def _baselines(photos: Index, frame_from_cam: F64, pairs: Sequence[Pair], centre
     return _Baselines(np.array(ends, dtype=np.int64).reshape(-1, 2), by_gps, by_images, np.array(noise))
 
 
-def _jumped(base: _Baselines, R: F64) -> Index:
+def _jumped(base: _Baselines, R: F64) -> I64:
     """Return the photos whose GPS position jumped: most of their baselines are wrong. The worst is removed first."""
     is_wrong = base.misfit(R) > _MAX_BASELINE_ERROR**2
     left = np.ones(len(is_wrong), dtype=bool)
@@ -150,7 +150,7 @@ def _jumped(base: _Baselines, R: F64) -> Index:
     return np.array(sorted(out), dtype=np.int64)
 
 
-def orient(photos: Index, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> Oriented:
+def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal: F64) -> Oriented:
     """Turn the averaged rotations of one component into the world.
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.

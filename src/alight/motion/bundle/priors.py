@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from alight.arrays import F64, I64
 from alight.geometry import Camera
-from alight.motion.bundle.matching import Index
 from alight.motion.bundle.orientation import HALF_TURN
 from alight.motion.bundle.solver import Priors
-from alight.records import F64, NavSample, Rig
+from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
 
 # 1-sigma of scale aspect cu cv and distortion; the focal length apart, see docs/method/bundle.md
@@ -62,7 +62,7 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
     return camera, sigma
 
 
-def corrected_priors(priors: Priors, turned: Index, contradicted: Index) -> Priors:
+def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
     """Turn back the gimbal tags that are half a turn off; drop those that the images contradict."""
     attitude = priors.world_from_body.copy()
     B = priors.body_from_cam

@@ -9,31 +9,29 @@ from dataclasses import replace
 
 import numpy as np
 
+from alight.arrays import F64, I64
 from alight.geometry import Camera
-from alight.motion.bundle.matching import BundleObservations, Index, colmap, colmap_camera
+from alight.motion.bundle.matching import BundleObservations, colmap, colmap_camera
 from alight.motion.bundle.solver import BundleState, Priors, lens_camera, triangulate_bundle
-from alight.records import F64
 
 _MIN_SHARE = 0.5  # of the median share of remaining observations; below it a photo is misplaced
 _MIN_INLIERS = 12  # points of a resection
 _INLIER_PX = 8.0
 
 
-def without_photos(obs: BundleObservations, photos: Index) -> tuple[BundleObservations, Index]:
+def without_photos(obs: BundleObservations, photos: I64) -> tuple[BundleObservations, I64]:
     """Return the observations of all other photos, and the old numbers of their points."""
     return obs.keep(~np.isin(obs.photo, photos))
 
 
-def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> Index:
+def misplaced(before: BundleObservations, after: BundleObservations, count: int) -> I64:
     """Return the photos that lost a far larger share of their observations than the median."""
     seen = np.bincount(before.photo, minlength=count)
     share = np.bincount(after.photo, minlength=count) / np.maximum(seen, 1)
     return np.flatnonzero((seen > 0) & (share < _MIN_SHARE * np.median(share[seen > 0])))
 
 
-def resect(
-    state: BundleState, obs: BundleObservations, photos: Index, priors: Priors
-) -> tuple[BundleState, Priors, Index]:
+def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Priors) -> tuple[BundleState, Priors, I64]:
     """Place photos by the points that the others see; their GPS and attitude priors are dropped.
 
     Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.

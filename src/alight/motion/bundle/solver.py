@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion.bundle.matching import BundleObservations
 from alight.motion.elimination import EliminatedPoints, eliminate_points, sum_by_point
 from alight.motion.projection import MIN_DEPTH, POSITION_FIRST, in_camera, jacobians
 from alight.motion.robust import cauchy, huber
 from alight.motion.triangulation import triangulate_rays
-from alight.records import F64
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information

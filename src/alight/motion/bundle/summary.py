@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.motion.bundle.matching import BundleObservations, Index, PhotoFeatures
+from alight.arrays import F64, I64
+from alight.motion.bundle.matching import BundleObservations, PhotoFeatures
 from alight.motion.bundle.solver import BundleState, Priors, lens_camera, residuals
-from alight.records import F64, Frame, Motion
+from alight.records import Frame, Motion
 from alight.settings import BundleSettings
 
 LEAST_SEEN = 20  # observations that a registered photo keeps
@@ -23,10 +24,10 @@ class FirstPoses:
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
-    photos: Index  # photos with a pose
-    turned: Index  # photos whose attitude tag is half a turn off
-    contradicted: Index  # photos whose attitude tag is wrong
-    jumped: Index  # photos whose GPS position is wrong
+    photos: I64  # photos with a pose
+    turned: I64  # photos whose attitude tag is half a turn off
+    contradicted: I64  # photos whose attitude tag is wrong
+    jumped: I64  # photos whose GPS position is wrong
     warnings: list[str]
 
 
@@ -35,12 +36,12 @@ class Solved:
     """The adjusted state of all photos; only those in `registered` are valid."""
 
     state: BundleState
-    registered: Index
+    registered: I64
     observations: BundleObservations  # of `state.points`, outliers removed
     covariance: F64  # (n, 6, 6)
     pixel_sigma: float
     first: FirstPoses
-    placed: Index  # photos whose GPS was ignored and which were placed by resection
+    placed: I64  # photos whose GPS was ignored and which were placed by resection
     free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...
 
 
@@ -94,7 +95,7 @@ def _why_out(features: PhotoFeatures | None) -> str:
     return "no texture" if len(features.pixels) < LEAST_SEEN else "too few matches with other photos"
 
 
-def _names(frames: Sequence[Frame], which: Sequence[int] | Index) -> str:
+def _names(frames: Sequence[Frame], which: Sequence[int] | I64) -> str:
     shown = [frames[i].name or str(frames[i].t_ns) for i in which[:3]]
     return ", ".join(shown) + (f" and {len(which) - 3} more" if len(which) > 3 else "")
 

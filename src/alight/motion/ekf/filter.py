@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.dynamics import (
     MAX_RATE_AGE,
@@ -55,7 +56,7 @@ from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_me
 from alight.motion.preintegration import Preintegral
 from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
-from alight.records import F64, ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Prediction, Rig, Tracks
+from alight.records import ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Prediction, Rig, Tracks
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)

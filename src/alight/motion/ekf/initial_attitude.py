@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.geometry import Pose
-from alight.records import F64, Tracks
+from alight.records import Tracks
 
 COURSE_ATTITUDE_SIGMA = np.array([0.1, 0.1, 0.05])  # rad about east, north, up: that the camera looks down is assumed
 MIN_GPS_BASELINE = 0.5  # m between two GPS positions whose direction is used

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64, Mask
 from alight.geometry import Pose, skew, so3_exp
 from alight.motion.ekf.state import CLONE, OFFSET, FilterState
 from alight.motion.elimination import PoseConstraint, marginalise_points
-from alight.motion.observations import Mask, WindowObservations, WindowPoses
+from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
-from alight.records import F64
 from alight.settings import FilterSettings
 
 _ITERATIONS = 2

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
 from alight.motion.ekf.health import GateCounts
 from alight.motion.ekf.state import CLONE, LANDMARK, Clone, FilterState, Landmark
 from alight.motion.elimination import PoseConstraint, unit_noise_rows
-from alight.motion.observations import Ints, Mask
 from alight.motion.projection import depths, jacobians, project
 from alight.motion.robust import median_residual, robust_weights
 from alight.motion.triangulation import NEAR
-from alight.records import F64
 
 MAX_REJECTIONS = 3  # exposures in a row outside its gate after which a landmark is dropped: it moves
 _RESIDUAL_GAIN = 0.3  # of the last exposure in a landmark's running mean residual
@@ -31,7 +30,7 @@ class Gate:
         self._probability = probability
         self._limits = np.zeros(1)
 
-    def limits(self, rows: Ints) -> F64:
+    def limits(self, rows: I64) -> F64:
         """Return the largest squared distances that pass (chi-square)."""
         most = int(rows.max(initial=0))
         if most >= len(self._limits):
@@ -97,7 +96,7 @@ def linearise_landmarks(
 
 
 def update_landmarks(
-    state: FilterState, ids: Ints, normalised: F64, sigma: F64, cams: Sequence[Pose], gate: Gate
+    state: FilterState, ids: I64, normalised: F64, sigma: F64, cams: Sequence[Pose], gate: Gate
 ) -> GateCounts:
     """Update the state by the landmarks observed at its last clone.
 
@@ -144,14 +143,14 @@ def reject_moving(landmarks: Sequence[Landmark], residual: F64) -> None:
         q.rejections = MAX_REJECTIONS if q.mean_residual @ q.mean_residual > limit else q.rejections
 
 
-def _common(held: Ints, ids: Ints) -> tuple[Ints, Ints]:
+def _common(held: I64, ids: I64) -> tuple[I64, I64]:
     """Return which of the landmarks held are among sorted ids: (index of the landmark, index in ids)."""
     i = np.searchsorted(ids, held)
     present = (i < len(ids)) & (ids[np.minimum(i, len(ids) - 1)] == held) if len(ids) else np.zeros(len(held), bool)
     return np.flatnonzero(present), i[present]
 
 
-def _mahalanobis(state: FilterState, clone: int, index: Ints, rows: LandmarkRows) -> F64:
+def _mahalanobis(state: FilterState, clone: int, index: I64, rows: LandmarkRows) -> F64:
     """Squared Mahalanobis distance of every landmark by the covariance of its own rows."""
     pose = np.arange(len(state.P))[state.clone_slice(clone)]
     columns = np.hstack([np.broadcast_to(pose, (len(index), len(pose))), state.landmark_rows(index)])  # (N, 9)
@@ -161,7 +160,7 @@ def _mahalanobis(state: FilterState, clone: int, index: Ints, rows: LandmarkRows
     return np.asarray((rows.residual * np.linalg.solve(S, rows.residual[..., None])[..., 0]).sum(axis=1))
 
 
-def _correct(state: FilterState, clone: int, index: Ints, rows: LandmarkRows) -> None:
+def _correct(state: FilterState, clone: int, index: I64, rows: LandmarkRows) -> None:
     """Update the state by the rows of landmarks seen from one clone."""
     n, m = rows.residual.shape
     pose = np.arange(len(state.P))[state.clone_slice(clone)]
@@ -175,7 +174,7 @@ def _correct(state: FilterState, clone: int, index: Ints, rows: LandmarkRows) ->
     state.correct(rows.residual.ravel()[observed], H.reshape(n * m, -1)[observed], columns)
 
 
-def initialise_landmarks(state: FilterState, ids: Ints, x: F64, constraint: PoseConstraint, gate: Gate) -> Mask:
+def initialise_landmarks(state: FilterState, ids: I64, x: F64, constraint: PoseConstraint, gate: Gate) -> Mask:
     """Move N tracks from the window into the state, if their observations agree (M17); (N,) which were moved.
 
     Delayed initialisation: the observations of a track are split into two independent parts. The part that does not

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.motion.dynamics import Step
 from alight.motion.ekf.health import NEVER_NS, Health
 from alight.motion.ekf.state import FilterState
 from alight.motion.ekf.visual_update import VisualUpdate
-from alight.records import F64, NavSample, Tracks
+from alight.records import NavSample, Tracks
 
 
 @dataclass(eq=False)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp
 from alight.motion.dynamics import (
     Step,
@@ -19,7 +20,7 @@ from alight.motion.dynamics import (
 )
 from alight.motion.ekf.state import ACC, CLONE, GYRO, MOTION, MOUNT, POS, TIME, VEL, Clone, FilterState
 from alight.motion.preintegration import Preintegral, preintegrate, segments
-from alight.records import F64, ImuSample, Prediction
+from alight.records import ImuSample, Prediction
 from alight.settings import FilterSettings
 
 _CORE = np.r_[MOTION, MOUNT]  # errors of a state on which predicted poses depend

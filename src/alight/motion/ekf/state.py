@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dtrsm
 
+from alight.arrays import F64
 from alight.geometry import so3_exp
 from alight.motion.observations import WindowPoses
-from alight.records import F64
 
 ATT = slice(0, 3)  # rad, body attitude
 POS = slice(3, 6)  # m

@@ -7,6 +7,7 @@ from copy import copy
 
 import numpy as np
 
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera, Pose, so3_log
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
@@ -14,11 +15,11 @@ from alight.motion.ekf.keyframe_posterior import RefinedPoses, refine_keyframes
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
 from alight.motion.ekf.state import POS, FilterState
 from alight.motion.elimination import marginalise_points, unit_noise_rows
-from alight.motion.observations import Ints, Mask, WindowObservations
+from alight.motion.observations import WindowObservations
 from alight.motion.projection import observation_sigma
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
-from alight.records import F64, Tracks
+from alight.records import Tracks
 from alight.settings import FilterSettings
 
 _MIN_POSES = 3  # that must have observed a track before it is used
@@ -87,7 +88,7 @@ class VisualUpdate:
             return 0.0
         return float(np.median(np.linalg.norm(np.array([x.x for x in state.landmarks]) - state.core[POS], axis=1)))
 
-    def _update_from_lost_tracks(self, state: FilterState, ids: Ints, dropped: list[int]) -> GateCounts:
+    def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
         """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
         unused = self._unused
         if not len(unused.ids):
@@ -146,7 +147,7 @@ class VisualUpdate:
         return GateCounts(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
-def _contains(ids: Ints, id_: int) -> bool:
+def _contains(ids: I64, id_: int) -> bool:
     """Whether sorted ids contain one."""
     i = int(np.searchsorted(ids, id_))
     return i < len(ids) and int(ids[i]) == id_

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from alight.records import F64
+from alight.arrays import F64
 
 
 class BlockTridiagonal:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.dynamics import (
     Step,
@@ -43,7 +44,7 @@ from alight.motion.projection import observation_sigma
 from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
 from alight.motion.smoother.track_segments import TrackSegments
-from alight.records import F64, ImuSample, Motion, NavSample, Rig, Tracks
+from alight.records import ImuSample, Motion, NavSample, Rig, Tracks
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64, I64
 from alight.geometry import Pose
 from alight.motion.elimination import eliminate_points
-from alight.motion.observations import Ints
 from alight.motion.projection import in_camera, jacobians
 from alight.motion.robust import cauchy
 from alight.motion.triangulation import NEAR, triangulate_rays
-from alight.records import F64, Tracks
+from alight.records import Tracks
 
 _MIN_EXPOSURES = 3  # of a segment
 _MIN_SCALE2 = 4.0  # squared sigmas: smallest squared scale of the Cauchy cost
@@ -146,13 +146,13 @@ class LinearisedSegments:
         s.points = s.points + self._eliminated.point_step(predicted)
 
 
-def _stack(tracks: Sequence[Tracks]) -> tuple[Ints, Ints, F64]:
+def _stack(tracks: Sequence[Tracks]) -> tuple[I64, I64, F64]:
     """Return exposure (R,), feature (R,) and normalised coordinates (R, C, 2) of the rows of all tracks in turn."""
     exposure = np.repeat(np.arange(len(tracks)), [len(t.ids) for t in tracks])
     return exposure, np.concatenate([t.ids for t in tracks]), np.concatenate([t.normalised for t in tracks])
 
 
-def _segment_of(exposure: Ints, ids: Ints, span: int) -> Ints:
+def _segment_of(exposure: I64, ids: I64, span: int) -> I64:
     """Number the segments: observations of one feature, cut every `span` exposures from its first."""
     if not len(ids):
         return np.zeros(0, np.int64)

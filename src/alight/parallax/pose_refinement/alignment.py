@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid, Pose, plane_on
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, regress_on
 from alight.parallax.pose_refinement.solve import (
@@ -18,10 +18,9 @@ from alight.parallax.pose_refinement.solve import (
     thinning,
 )
 from alight.parallax.views import Prepared
-from alight.records import F32, F64, REFUSED, Datum, ElevationMap, Flag, KeyframePosterior, View
+from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior, View
 from alight.settings.tuning.parallax import PoseRefinementTuning
 
-Mask = NDArray[np.bool_]
 Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
-from alight.records import F64, KeyframePosterior
+from alight.records import KeyframePosterior
 
 PLANE = 3  # offset up [m], rise per metre towards east and towards north [rad]
 POSE = 6  # position [m], rotation vector [rad], world axes

@@ -1,13 +1,9 @@
 """Normal equations of poses, map plane, heights and template together (docs/method/recursive.md, eqs. 17 to 20)."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from alight.arrays import F32, F64, I64
 from alight.compiled import kernel, parallel_kernel, prange
-
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-I64 = NDArray[np.int64]
 
 PLANE, POSE = 3, 6  # unknowns of the map's plane, which come first, and of an exposure
 EAST, WEST, NORTH, SOUTH = 1, 2, 3, 4  # arms of the cross of samples; 0 is the cell itself

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F32, F64
 from alight.geometry import Grid, Pose, ground_projection, plane_on
 from alight.parallax.gauss_newton_kernels import template
 from alight.parallax.pose_refinement import kernels
 from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, moved
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
-from alight.records import F32, F64
 from alight.settings.tuning.parallax import PoseRefinementTuning
 
 log = logging.getLogger(__name__)

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
 from alight.parallax import find_points, ground_sampling, height_range
 from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
-from alight.records import F64, Datum, ElevationMap, Flag, Heights, View, is_trusted
+from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 

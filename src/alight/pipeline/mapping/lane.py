@@ -8,9 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation import Navigation, Trajectory
-from alight.records import F64, ElevationMap, View
+from alight.records import ElevationMap, View
 
 Progress = Callable[[float], None]
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.elevation import TiledElevation
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import F64, ElevationMap, Flag, Heights, KeyframePosterior, View
+from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View
 
 
 @dataclass(eq=False)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from alight.records import F64, View
+from alight.arrays import F64
+from alight.records import View
 from alight.settings.tuning import MappingTuning
 
 STEEPEST = np.cos(np.radians(75.0))  # views flatter than this to the ground are not used
