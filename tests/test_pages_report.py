@@ -1,0 +1,53 @@
+"""The page on the report has every reason, flag and key that a run can give."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from alight.landing.sites import _SPOKEN
+from alight.records import Flag, Hazard
+from alight.report import words
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "reading-the-report.md").read_text(encoding="utf-8")
+STAGES = [p for part in ("pipeline", "landing", "motion") for p in (ROOT / "src" / "alight" / part).rglob("*.py")]
+NO = re.compile(r"^(no [a-z]+[^.]{12,}|the aircraft hardly .*|the photos .*|there is no GPS.*)$", re.S)
+
+
+def sentences() -> list[str]:
+    """Reasons of having no site, from the sources: what stands in a string before the first number."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in STAGES]
+    docs = {ast.get_docstring(n, clean=False) for t in trees for n in ast.walk(t) if isinstance(n, _DOCUMENTED)}
+    found = {n.value for t in trees for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    return sorted(s.strip() for s in found - docs if NO.match(s.strip()))
+
+
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
+
+
+def test_the_sources_have_reasons() -> None:
+    assert len(sentences()) >= 8
+
+
+@pytest.mark.parametrize("sentence", sentences())
+def test_a_reason_is_on_the_page(sentence: str) -> None:
+    assert sentence.rstrip(":") in PAGE
+
+
+@pytest.mark.parametrize("share", _SPOKEN.values())
+def test_a_share_of_the_ground_is_on_the_page(share: str) -> None:
+    assert f"| {share} |" in PAGE
+
+
+@pytest.mark.parametrize("hazard", list(Hazard))
+def test_a_key_of_the_map_of_reasons_is_on_the_page(hazard: Hazard) -> None:
+    assert f"| {words.HAZARDS[hazard]} | {hazard.name} |" in PAGE
+
+
+@pytest.mark.parametrize("flag", list(Flag))
+def test_a_key_of_the_map_of_flags_is_on_the_page(flag: Flag) -> None:
+    assert f"| {words.FLAGS[flag]} | {flag.name} |" in PAGE
