@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import alight
@@ -16,7 +17,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PAGES = ("python", "your-camera")
 MISSING = {  # what a page shows and this version does not have yet
     "alight.judge(": not hasattr(alight, "judge"),
-    "alight.Pipeline(flight.rig)": inspect.signature(alight.Pipeline).parameters["settings"].default is inspect._empty,
+    "alight.Pipeline(": inspect.signature(alight.Pipeline).parameters["kind"].default is inspect.Parameter.empty,
 }
 
 
@@ -53,9 +54,7 @@ def readers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, R
 
 
 @pytest.fixture
-def reader(
-    readers: dict[str, tuple[Path, Reader]], monkeypatch: pytest.MonkeyPatch
-) -> Callable[[str], Reader]:
+def reader(readers: dict[str, tuple[Path, Reader]], monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Reader]:
     """The reader of a page, who works in the page's folder."""
 
     def of(page: str) -> Reader:
@@ -82,7 +81,7 @@ def test_the_examples_find_a_site_and_its_place(reader: Callable[[str], Reader])
     assert names["safe"].any()
     assert names["elevation"].grid.cell == 0.2
     assert "parallax.cel" in str(names["refused"])
-    assert names["profile"].max() - names["profile"].min() < 5.0
+    assert np.isfinite(names["profile"]).sum() > 20
 
 
 @pytest.mark.skipif(MISSING["alight.judge("], reason="this version has no alight.judge")
@@ -90,7 +89,7 @@ def test_the_heights_of_the_example_are_judged(reader: Callable[[str], Reader]) 
     assert reader("python").read()["judged"].best is not None
 
 
-@pytest.mark.skipif(MISSING["alight.Pipeline(flight.rig)"], reason="this version's Pipeline wants more than a rig")
+@pytest.mark.skipif(MISSING["alight.Pipeline("], reason="this version's Pipeline wants more than a rig")
 def test_the_pipeline_of_the_example_decides(reader: Callable[[str], Reader]) -> None:
     names = reader("python").read()
     assert len(names["decision"].motions) == names["flight"].length

@@ -8,29 +8,35 @@ from pathlib import Path
 
 import pytest
 
-from alight.landing.sites import _SPOKEN
 from alight.records import Flag, Hazard
 from alight.report import words
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "reading-the-report.md").read_text(encoding="utf-8")
-STAGES = [p for part in ("pipeline", "landing", "motion") for p in (ROOT / "src" / "alight" / part).rglob("*.py")]
+SOURCES = [p for part in ("pipeline", "landing", "motion") for p in (ROOT / "src" / "alight" / part).rglob("*.py")]
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
 NO = re.compile(r"^(no [a-z]+[^.]{12,}|the aircraft hardly .*|the photos .*|there is no GPS.*)$", re.S)
 
 
 def sentences() -> list[str]:
     """Reasons of having no site, from the sources: what stands in a string before the first number."""
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in STAGES]
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES]
     docs = {ast.get_docstring(n, clean=False) for t in trees for n in ast.walk(t) if isinstance(n, _DOCUMENTED)}
     found = {n.value for t in trees for n in ast.walk(t) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
     return sorted(s.strip() for s in found - docs if NO.match(s.strip()))
 
 
-_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef)
+def shares() -> list[str]:
+    """What is said of the ground that a hazard refuses: the values of the table whose keys are hazards."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES if "landing" in path.parts]
+    tables = [n for t in trees for n in ast.walk(t) if isinstance(n, ast.Dict) and n.keys]
+    said = [v for d in tables if all(ast.unparse(k).startswith("Hazard.") for k in d.keys if k) for v in d.values]
+    return [v.value for v in said if isinstance(v, ast.Constant) and isinstance(v.value, str)]
 
 
 def test_the_sources_have_reasons() -> None:
     assert len(sentences()) >= 8
+    assert len(shares()) == len(Hazard)
 
 
 @pytest.mark.parametrize("sentence", sentences())
@@ -38,7 +44,7 @@ def test_a_reason_is_on_the_page(sentence: str) -> None:
     assert sentence.rstrip(":") in PAGE
 
 
-@pytest.mark.parametrize("share", _SPOKEN.values())
+@pytest.mark.parametrize("share", shares())
 def test_a_share_of_the_ground_is_on_the_page(share: str) -> None:
     assert f"| {share} |" in PAGE
 
