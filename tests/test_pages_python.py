@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import inspect
 import re
 from collections.abc import Callable
@@ -63,6 +65,21 @@ def reader(readers: dict[str, tuple[Path, Reader]], monkeypatch: pytest.MonkeyPa
         return found
 
     return of
+
+
+ALL = sorted(p.relative_to(DOCS).with_suffix("").as_posix() for p in DOCS.rglob("*.md") if "lab" not in p.parts)
+
+
+@pytest.mark.parametrize("page", [p for p in ALL if blocks(p)])
+def test_what_an_example_imports_is_there(page: str) -> None:
+    """Also on pages whose examples are not run."""
+    for _, code in blocks(page):
+        for node in ast.walk(ast.parse(code)):
+            if isinstance(node, ast.ImportFrom):
+                module = importlib.import_module(node.module or "")
+                assert all(hasattr(module, name.name) for name in node.names), ast.unparse(node)
+            elif isinstance(node, ast.Import):
+                assert all(importlib.import_module(name.name) for name in node.names)
 
 
 EXAMPLES = [pytest.param(page, line + 1, id=f"{page}-{line + 1}") for page in PAGES for line, _ in blocks(page)]
