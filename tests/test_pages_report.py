@@ -57,3 +57,16 @@ def test_a_key_of_the_map_of_reasons_is_on_the_page(hazard: Hazard) -> None:
 @pytest.mark.parametrize("flag", list(Flag))
 def test_a_key_of_the_map_of_flags_is_on_the_page(flag: Flag) -> None:
     assert f"| {words.FLAGS[flag]} | {flag.name} |" in PAGE
+
+
+def errors() -> list[str]:
+    """The errors in the last table of the page, in the pieces between what a run fills in."""
+    table = PAGE.split("### `alight run` stops with an error")[1].split("| --- | --- |")[1]
+    said = [row.split("|")[1].strip() for row in table.strip().split("\n") if row.startswith("|")]
+    return [piece.strip() for error in said for piece in error.split("...") if piece.strip()]
+
+
+@pytest.mark.parametrize("piece", errors())
+def test_an_error_of_the_page_is_one_of_the_code(piece: str) -> None:
+    files = [p for part in ("sources", "outputs") for p in (ROOT / "src" / "alight" / part).glob("*.py")]
+    assert any(piece in path.read_text(encoding="utf-8") for path in files)
