@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,5 +56,14 @@ def test_a_result_gives_arrays_with_their_grid_and_saves_itself(tmp_path: Path) 
     place = result.latitude_longitude(result.best)
     assert place is not None
     assert np.isfinite(place).all()
+    height = result.ellipsoid_height(result.best)
+    assert height == pytest.approx(result.record.local.height + result.best.up, abs=1e-3)
     written = result.save(tmp_path / "out")
     assert {p.name for p in written} >= {"dem.tif", "report.html", "run.json"}
+
+
+def test_a_recording_without_a_place_on_earth_gives_none() -> None:
+    result = alight.Result(replace(some_run(), georeferenced=False))
+    assert result.best is not None
+    assert result.latitude_longitude(result.best) is None
+    assert result.ellipsoid_height(result.best) is None

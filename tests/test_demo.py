@@ -64,6 +64,15 @@ def test_the_comparison_shows_a_sound_run(done: tuple[Path, subprocess.Completed
     assert float(found["position RMSE less a constant, m"]) < 0.3
 
 
+def test_the_page_for_newcomers_shows_lines_of_the_demo(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "start.md").read_text(encoding="utf-8")
+    shown = page.split("```text\n")[1].split("```")[0]
+    found = rows(done[1].stdout)
+    assert len(rows(shown)) >= 4
+    assert set(rows(shown)) <= set(found)
+    assert rows(shown)["sites truly safe, registered"] == found["sites truly safe, registered"]
+
+
 def test_the_flight_can_be_run_and_evaluated_by_hand(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     out, process = done
     flight = out.with_name("out-flight")

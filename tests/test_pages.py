@@ -25,6 +25,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
 PRESENT = [p for p in PAGES if p.parent != DOCS / "lab"]  # a dated page names the files of its day
 TREE = [p.relative_to(ROOT).as_posix() for part in ("src", "tests", "bench") for p in (ROOT / part).rglob("*.py")]
 MOST_WORDS, MOST_IN_SENTENCE = 1000, 30  # the latter of nine in ten sentences
+MOST_FOR_USERS = 25  # words of nine in ten sentences
 HEADING = "## Constants quoted here"
 Number = int | float
 
@@ -112,6 +113,12 @@ def test_a_method_page_is_short_and_in_short_sentences(page: Path) -> None:
     lengths = sorted(sentences(page.read_text(encoding="utf-8")))
     assert sum(lengths) <= MOST_WORDS
     assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_IN_SENTENCE
+
+
+@pytest.mark.parametrize("page", ["start", "your-camera", "python", "reading-the-report", "usage"])
+def test_a_page_for_users_is_in_short_sentences(page: str) -> None:
+    lengths = sorted(sentences((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")))
+    assert lengths[int(0.9 * (len(lengths) - 1))] <= MOST_FOR_USERS
 
 
 @pytest.mark.parametrize("page", METHOD, ids=name_of)

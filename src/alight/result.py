@@ -85,6 +85,12 @@ class Result:
         latitude, longitude, _ = self.record.local.to_geodetic([site.east, site.north, site.up])
         return float(latitude), float(longitude)
 
+    def ellipsoid_height(self, site: Site) -> float | None:
+        """Return metres above the WGS84 ellipsoid; None where the recording says nothing about its place on Earth."""
+        if not self.record.georeferenced:
+            return None
+        return float(self.record.local.to_geodetic([site.east, site.north, site.up])[2])
+
     def save(self, out: str | Path, overwrite: bool = False) -> list[Path]:
         """Write the folder of results (docs/formats/outputs.md) and return the files written.
 

@@ -1,0 +1,49 @@
+"""The page on the command line has every command with its options, and no option that there is not."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from alight.cli import app as application
+
+PAGE = (Path(__file__).parents[1] / "docs" / "usage.md").read_text(encoding="utf-8")
+EVERYWHERE = {"--help", "--verbose", "-v", "--version"}
+
+
+def commands() -> dict[str, Any]:
+    """Each command by the words that call it."""
+    top = typer.main.get_command(application.app)
+    found: dict[str, Any] = {}
+    for name, command in top.commands.items():  # type: ignore[attr-defined]
+        inner = getattr(command, "commands", None)
+        found |= {f"{name} {sub}": c for sub, c in inner.items()} if inner else {name: command}
+    return found
+
+
+def section(name: str) -> str:
+    """What the page says of a command: all that follows a heading with its name, up to the next heading."""
+    parts = re.split(r"^## ", PAGE, flags=re.M)
+    return "\n".join(p for p in parts if re.search(rf"`alight {name}\b", p.split("\n")[0]))
+
+
+def options(command: Any) -> set[str]:
+    """The options of a command, as they are typed."""
+    return {o for parameter in command.params for o in parameter.opts if o.startswith("--")}
+
+
+@pytest.mark.parametrize("name", sorted(commands()))
+def test_every_option_of_a_command_is_in_its_section(name: str) -> None:
+    text = section(name)
+    assert text, f"usage.md has no section on 'alight {name}'"
+    assert not [o for o in sorted(options(commands()[name]) - EVERYWHERE) if not re.search(rf"{o}\b", text)]
+
+
+@pytest.mark.parametrize("name", sorted(commands()))
+def test_a_section_names_no_option_that_no_command_has(name: str) -> None:
+    known = set.union(*(options(c) for c in commands().values())) | EVERYWHERE
+    assert not set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", section(name))) - known
