@@ -110,6 +110,37 @@ def run(
         return Result(replay(recording, chosen, poses, progress, store))
 
 
+def judge(
+    dem: str | Path,
+    *,
+    sigma: float | str | Path | None = None,
+    image: str | Path | None = None,
+    lander: Lander | None = None,
+    settings: SettingsLike = None,
+) -> Result:
+    """Judge heights that were made elsewhere: where this lander may touch down, how surely, and why not elsewhere.
+
+    Args:
+        dem: a height raster: metres, square cells, north up.
+        sigma: 1-sigma of the heights, metres or a raster; None: the raster's second band, or `hazards.usual_sigma`.
+        image: the same ground seen from above, 1, 2, 4, ... pixels a cell, 8 bit; sharpens the heights.
+        lander, settings: as for `run`.
+
+    Raises:
+        AlightError: a raster or a setting cannot be used; the message says how to mend it.
+    """
+    from alight.runner import judge as runner
+    from alight.sources.raster import read_ground
+
+    chosen = runner.for_surveyed_heights(settings_of(settings, lander))
+    ground = read_ground(
+        Path(dem), None if sigma is None else str(sigma), None if image is None else Path(image),
+        chosen.hazards.usual_sigma,
+    )  # fmt: skip
+    judgement = runner.judge(ground, chosen, Path(dem).name)
+    return Result(judgement.result, lambda record, out, overwrite: judgement.save(out, overwrite))
+
+
 def simulate(scene: str | Path | Scene = "demo", seed: int = 0, **wishes: Any) -> SimulatedFlight:
     """Make a flight over simulated ground: a source that `run` takes; `alight_sim.write` makes it a folder.
 

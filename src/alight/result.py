@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +20,7 @@ class Result:
     """
 
     record: RunResult
+    writer: Callable[[RunResult, Path, bool], list[Path]] = write_run  # of the folder
 
     @property
     def sites(self) -> tuple[Site, ...]:
@@ -97,4 +98,4 @@ class Result:
         Raises:
             OutputError: the folder holds other files (and not `overwrite`), or cannot be written.
         """
-        return write_run(self.record, Path(out), overwrite)
+        return self.writer(self.record, Path(out), overwrite)

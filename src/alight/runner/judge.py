@@ -14,12 +14,21 @@ from alight.hazards.sharpen import sharpen
 from alight.landing.sites import choose_sites
 from alight.outputs.verdict import write_judgement
 from alight.records import RunResult
-from alight.settings import Settings
+from alight.settings import Settings, load_settings
 from alight.sources.raster import GroundRaster
 
 # surveyed heights show every obstacle and lie level, unless the user's settings say otherwise
 SURVEYED = ("tuning.hazards.smoothed=false", "tuning.hazards.tilt_sigma=0.003", "tuning.hazards.noise_length=0.4")
 IMAGE_UNUSED = "the image is not used: light and shade do not explain it (paint, plants, another time of day)"
+
+
+def for_surveyed_heights(settings: Settings) -> Settings:
+    """Settings with the constants that suit surveyed heights, where the user has not set them."""
+    surveyed = load_settings("", SURVEYED).tuning.hazards
+    own = settings.tuning.hazards
+    suited = {k: getattr(surveyed, k) for k in surveyed.model_fields_set - own.model_fields_set}
+    tuning = settings.tuning.model_copy(update={"hazards": own.model_copy(update=suited)})
+    return settings.model_copy(update={"tuning": tuning})
 
 
 @dataclass(frozen=True, eq=False)
