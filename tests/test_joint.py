@@ -16,7 +16,7 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, ground_projection, plane_on, so3_exp
 from alight.parallax import RecursiveParallax
 from alight.parallax.pose_refinement import kernels
-from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, moved, regress_on
+from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, between, corrected_pose, regress_on
 from alight.parallax.pose_refinement.solve import thinning
 from alight.pipeline.navigation import GivenLane
 from alight.records import Datum, ElevationMap, Frame, Heights, KeyframePosterior, Motion, Rig, RigCamera, View
@@ -116,7 +116,7 @@ def test_a_pose_error_slides_the_ground_as_its_derivative_says() -> None:
             d = pose.rotation @ ray
             return (pose.translation + d * (level - pose.translation[2]) / d[2])[:2]
 
-        cam, true = body @ mount, moved(body, error) @ mount
+        cam, true = body @ mount, corrected_pose(body, error) @ mount
         H, b = ground_projection(ANY_CAMERA, cam)
         ray = H @ [X[0], X[1], 1.0] + X[2] * b
         slide = ground(true, ray, X[2]) - ground(cam, ray, X[2])
@@ -152,7 +152,8 @@ def test_what_is_told_replaces_what_was_believed_and_the_rest_follows() -> None:
     first = first.corrected(np.zeros(len(P)), P)
     error = np.random.default_rng(3).normal(0, 0.01, 12)
     again = tuple(
-        replace(m, world_from_body=moved(m.world_from_body, error[6 * k : 6 * k + 6])) for k, m in enumerate(ms[1:3])
+        replace(m, world_from_body=corrected_pose(m.world_from_body, error[6 * k : 6 * k + 6]))
+        for k, m in enumerate(ms[1:3])
     )
     Q = covariance(18, 4)
     then = first.with_posterior(KeyframePosterior((*again, ms[3]), Q))
@@ -230,7 +231,7 @@ def off(errors: F64) -> list[tuple[View, Motion]]:
     """The views with these (COUNT, 6) errors in their poses."""
     out = []
     for v, e in zip(true_views(), errors, strict=True):
-        pose = moved(v.world_from_cam, e)
+        pose = corrected_pose(v.world_from_cam, e)
         out.append((replace(v, world_from_cam=pose), Motion(v.t_ns, pose, (pose,), np.diag(SIGMA**2))))
     return out
 

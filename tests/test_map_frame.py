@@ -13,7 +13,7 @@ from some_run import LOCAL, elevation, site, some_run
 from test_pipeline import flight, settings_of
 
 from alight.geometry import Pose
-from alight.landing.sites import Reserve
+from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.map_frame import MapFrame

@@ -10,9 +10,9 @@ from pydantic import ValidationError
 from alight.geometry import so3_exp, so3_log
 from alight_sim import Air, FlightPlan, Limits
 from alight_sim.patterns import line
-from alight_sim.vehicle import CALM, GRAVITY, UPWARDS, VEHICLES, Vehicle, correlated, fly_through
+from alight_sim.vehicle import CALM, GRAVITY, UPWARDS, VEHICLES, SimulatedVehicle, correlated, fly_through
 
-SMOOTH = {"multirotor": VEHICLES["multirotor"], "helicopter": Vehicle(0.07, math.radians(2.5))}  # no vibration
+SMOOTH = {"multirotor": VEHICLES["multirotor"], "helicopter": SimulatedVehicle(0.07, math.radians(2.5))}  # no vibration
 PLANS = {
     "transect": FlightPlan(speed=12.0),
     "lawn_mower": FlightPlan(pattern="lawn_mower", speed=9.0),

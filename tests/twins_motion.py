@@ -8,8 +8,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
+from alight.arrays import I64
 from alight.geometry import Camera, Pose, skew
-from alight.motion.observations import Ints, WindowObservations, WindowPoses
+from alight.motion.observations import WindowObservations, WindowPoses
 from alight.records import F32, F64, U8
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
@@ -125,7 +126,7 @@ def triangulate(observations: WindowObservations, poses: WindowPoses, cams: Sequ
     return np.asarray(x)
 
 
-def nearest_to_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
+def nearest_to_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
     """(N, 3) points nearest to weighted rays, point by point."""
     out = []
     for a, b in pairwise(starts):
@@ -137,7 +138,7 @@ def nearest_to_rays(starts: Ints, rays: F64, origins: F64, weight: F64) -> F64:
 
 
 def schur(
-    starts: Ints, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float, pose: Ints, poses: int
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float, pose: I64, poses: int
 ) -> tuple[F64, F64, F64]:
     """Reduced matrix, right side, and steps of the points when the poses stay: by the full dense system."""
     m, n = len(residual), len(starts) - 1

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         evaluate,
         evaluate_appearance,
         judge,
-        open_source,
         run,
         simulate,
         train_appearance,
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from alight.records import AlightError
     from alight.result import Result
     from alight.settings import Lander, Settings
+    from alight.sources import open_source
 
 _HOME = {
     "run": "api",
@@ -41,7 +41,7 @@ _HOME = {
     "train_appearance": "api",
     "evaluate_appearance": "api",
     "judge": "api",
-    "open_source": "api",
+    "open_source": "sources",
     "Pipeline": "pipeline",
     "Settings": "settings",
     "Lander": "settings",

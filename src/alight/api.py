@@ -70,17 +70,6 @@ def _text(path: Path) -> str:
         raise SettingsError(f"{path}: cannot be read; name a YAML file of settings") from e
 
 
-def open_source(path: str | Path, settings: SettingsLike = None) -> Source:
-    """Open a flight log (`mav0/`) or a folder of photos.
-
-    Raises:
-        InputError: it is neither, or cannot be used; the message says what was looked for.
-    """
-    from alight.sources import open_source as opened
-
-    return opened(Path(path), settings_of(settings))
-
-
 def run(
     source: str | Path | Source,
     *,
@@ -103,9 +92,10 @@ def run(
     """
     from alight.outputs import FileStore
     from alight.runner.replay import replay
+    from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
-    recording = open_source(source, chosen) if isinstance(source, str | Path) else source
+    recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
     with single_threaded_algebra(), closing(FileStore(Path(tempfile.gettempdir()))) as store:
         return Result(replay(recording, chosen, poses, progress, store))
 
@@ -137,7 +127,7 @@ def judge(
         Path(dem), None if sigma is None else str(sigma), None if image is None else Path(image),
         chosen.hazards.usual_sigma,
     )  # fmt: skip
-    judgement = runner.judge(ground, chosen, Path(dem).name)
+    judgement = runner.judge_ground(ground, chosen, Path(dem).name)
     return Result(judgement.result, lambda record, out, overwrite: judgement.save(out, overwrite))
 
 
@@ -192,7 +182,7 @@ def warmup(progress: Progress = _quiet) -> None:
     from alight.runner import demo as shown
 
     with single_threaded_algebra():
-        shown.warmup(progress)
+        shown.compile_kernels(progress)
 
 
 def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05, progress: Progress = _quiet) -> str:

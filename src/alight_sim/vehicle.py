@@ -65,7 +65,7 @@ CALM = Air(wind=0.0, gusts=0.0, wobble_deg=0.0)
 
 
 @dataclass(frozen=True)
-class Vehicle:
+class SimulatedVehicle:
     """What kind of aircraft it is."""
 
     drag: float  # 1/s: deceleration per m/s of air speed
@@ -74,13 +74,13 @@ class Vehicle:
 
 
 VEHICLES = {
-    "multirotor": Vehicle(drag=0.2),
-    "helicopter": Vehicle(drag=0.07, lean_left=math.radians(2.5), vibration=((24.0, 1.2), (48.0, 0.6))),
+    "multirotor": SimulatedVehicle(drag=0.2),
+    "helicopter": SimulatedVehicle(drag=0.07, lean_left=math.radians(2.5), vibration=((24.0, 1.2), (48.0, 0.6))),
 }
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class TrueTrajectory:
     """Where the vehicle is at any time of the flight, seconds from its start. Times: one, or (N,)."""
 
     position: BSpline  # (3,) metres, world, without vibration
@@ -88,7 +88,7 @@ class Trajectory:
     wobble: BSpline  # (2,) rad, about: tilt of the thrust by small eddies
     gusts: BSpline  # (3,) m/s, world
     wind: F64  # (3,) m/s, world
-    vehicle: Vehicle
+    vehicle: SimulatedVehicle
     steepest: float  # tangent of the tilt limit
     duration: float  # s
 
@@ -216,7 +216,7 @@ def _timed(points: F64, speed: float, limits: Limits, most: float, rolling: bool
     return _Line(points, speeds, np.maximum(np.minimum(leg_speeds, reach), np.maximum(speeds[:-1], speeds[1:])), push)
 
 
-def push_left(speed: float, limits: Limits, air: Air, vehicle: Vehicle) -> float:
+def push_left(speed: float, limits: Limits, air: Air, vehicle: SimulatedVehicle) -> float:
     """Acceleration that the tilt limit leaves when flying at `speed` in the steady wind, m/s^2; negative: none."""
     slant = limits.steepest - math.tan(vehicle.lean_left)
     drag = vehicle.drag * (speed + air.wind)
@@ -230,11 +230,11 @@ def fly_through(
     limits: Limits | None = None,
     *,
     air: Air = CALM,
-    vehicle: Vehicle = VEHICLES["multirotor"],
+    vehicle: SimulatedVehicle = VEHICLES["multirotor"],
     heading: float | None = None,
     rolling: bool = False,
     hold: float = 0.0,
-) -> Trajectory:
+) -> TrueTrajectory:
     """Fly along a line of (N, 3) places (east, north, up in metres), corners rounded within a knot.
 
     `heading` (rad, counter-clockwise from east) is held; None: the nose follows the course as fast as it may turn.
@@ -264,7 +264,7 @@ def fly_through(
     air_rng, eddies = rng.spawn(2)
     gusts = air.gusts * correlated(air_rng, len(centres), 3, KNOT / air.gust_time)
     wobble = math.radians(air.wobble_deg) * correlated(eddies, len(centres), 3, 0.29)
-    return Trajectory(
+    return TrueTrajectory(
         _spline(centres, control + _blown(vehicle.drag * gusts)),
         _spline(centres, psi + wobble[:, 2]),
         _spline(centres, wobble[:, :2]),

@@ -87,7 +87,7 @@ def judge_raster(
     prepare_folder(out, force)
     with progress_bar() as tell:
         tell("judging", 0.0)
-        judgement = judge.judge(ground, chosen, dem.name)
+        judgement = judge.judge_ground(ground, chosen, dem.name)
         tell("judging", 1.0)
     _answer(judgement.result)
     judgement.save(out, force)

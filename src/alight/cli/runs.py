@@ -129,5 +129,5 @@ def warmup(verbose: VerboseOption = False) -> None:
     from alight.runner import demo as show
 
     with progress_bar() as tell:
-        show.warmup(tell)
+        show.compile_kernels(tell)
     say("ready")

@@ -95,14 +95,14 @@ class MapFrame:
 
     def site(self, site: Site) -> Site:
         """One site."""
-        return moved(site, self.offset_world)
+        return moved_site(site, self.offset_world)
 
     def look(self, look: NextView) -> NextView:
         """A view that would help."""
         return replace(look, position_world=self.point(look.position_world), place_world=self.point(look.place_world))
 
 
-def moved(site: Site, shift: F64) -> Site:
+def moved_site(site: Site, shift: F64) -> Site:
     """A site moved by (3,) metres."""
     east, north, up = (float(v) for v in shift)
     return replace(site, east=site.east + east, north=site.north + north, up=site.up + up)

@@ -37,7 +37,7 @@ def _simulate(folder: Path, seed: int, seconds: float | None, tell: Tell) -> Non
     simulate.write(flight, folder, lambda done, total: tell("flying", done / total), overwrite=True)
 
 
-def warmup(tell: Tell) -> None:
+def compile_kernels(tell: Tell) -> None:
     """Compile and cache every kernel by running each stage over a flight of a second."""
     folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
     try:

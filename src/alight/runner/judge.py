@@ -44,7 +44,7 @@ class Judgement:
         return write_judgement(self.result, self.crs, self.sharpened, out, overwrite)
 
 
-def judge(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
+def judge_ground(ground: GroundRaster, settings: Settings, name: str) -> Judgement:
     """Judge a height raster: where this lander may touch down, with what probability, and why not elsewhere.
 
     Args:

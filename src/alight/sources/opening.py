@@ -13,7 +13,7 @@ from alight.sources.source import Source
 LOOKED_FOR = "a flight log (a folder with mav0/) or a folder of JPEG photos"
 
 
-def open_source(path: Path, settings: Settings) -> Source:
+def open_source(path: str | Path, settings: Settings | None = None) -> Source:
     """Open a flight log or a folder of photos.
 
     Raises:
@@ -21,7 +21,7 @@ def open_source(path: Path, settings: Settings) -> Source:
     """
     path = Path(path)
     try:
-        return _open(path, settings)
+        return _open(path, settings or Settings())
     except OSError as e:
         raise InputError(f"{e.filename or path}: cannot be read ({e.strerror}); check the permissions") from e
 

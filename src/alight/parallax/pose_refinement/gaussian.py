@@ -19,7 +19,7 @@ PLANE = 3  # offset up [m], rise per metre towards east and towards north [rad]
 POSE = 6  # position [m], rotation vector [rad], world axes
 
 
-def moved(pose: Pose, error: F64) -> Pose:
+def corrected_pose(pose: Pose, error: F64) -> Pose:
     """The pose with an error (6,) taken out."""
     return Pose(so3_exp(error[3:]) @ pose.rotation, pose.translation + error[:3])
 
@@ -78,7 +78,7 @@ class PoseGaussian:
         for t in shared:
             shift[self.rows([t])] = between(poses[t], posterior.motions[at[t]].world_from_body)
         shift[rest] = gain @ shift[mine]
-        means = [moved(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
+        means = [corrected_pose(p, shift[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses)]
         means += [posterior.motions[at[t]].world_from_body for t in new]
         lead = regress_on(S, Q[np.ix_(theirs, theirs_new)]) @ (self.start - shift)[mine]
         return PoseGaussian(
@@ -97,7 +97,7 @@ class PoseGaussian:
 
     def corrected(self, error: F64, covariance: F64) -> PoseGaussian:
         """The distribution after an error (3 + 6E,) was taken out of the poses and of the map."""
-        poses = tuple(moved(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
+        poses = tuple(corrected_pose(p, error[PLANE + POSE * k :][:POSE]) for k, p in enumerate(self.poses))
         return replace(self, poses=poses, covariance=covariance, plane=np.zeros(PLANE), start=np.zeros(len(error)))
 
     def with_plane(self, sigma: F64) -> PoseGaussian:

@@ -17,7 +17,7 @@ from alight.arrays import F32, F64
 from alight.geometry import Grid, Pose, ground_projection, plane_on
 from alight.parallax.gauss_newton_kernels import template
 from alight.parallax.pose_refinement import kernels
-from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, moved
+from alight.parallax.pose_refinement.gaussian import PLANE, POSE, PoseGaussian, corrected_pose
 from alight.parallax.sorting_kernels import network
 from alight.parallax.views import Buffers, Prepared, centres_of, maps_at, sample
 from alight.settings.tuning.parallax import PoseRefinementTuning
@@ -101,7 +101,7 @@ def refine_poses(
     F = np.concatenate([np.zeros(PLANE), apparent]) ** 2
     A, seen, whitened = np.zeros_like(P), np.zeros_like(P), np.zeros(len(rows))
     for views, ground in linearisations:
-        poses = [moved(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
+        poses = [corrected_pose(p, x[PLANE + POSE * k :][:POSE]) for k, (_, p) in enumerate(pairs)]
         seen, b = _information(views, times, poses, ground, ground.tilted(prior.plane + x[:PLANE]), held, tuning)
         damping = np.linalg.inv(one + seen * F)
         A, b = damping @ seen, damping @ b

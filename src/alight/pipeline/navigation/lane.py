@@ -22,7 +22,7 @@ class Navigation:
     """One exposure with everything that the other lanes may know of its motion, by value."""
 
     frame: Frame
-    motion: Motion | None  # None: it comes at the end, with all others (`Trajectory`)
+    motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
     posterior: KeyframePosterior | None = (
         None  # joint posterior of the keyframes after this exposure; None: poses are exact
     )
