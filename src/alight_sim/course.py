@@ -8,7 +8,7 @@ import numpy as np
 
 from alight.records import F64, InputError, Terrain
 from alight_sim.patterns import FlightPlan, line
-from alight_sim.vehicle import VEHICLES, Trajectory, fly_through
+from alight_sim.vehicle import VEHICLES, SimulatedPath, fly_through
 from alight_sim.world import World
 
 LEAD = 0.5  # s that the inertial sensors run before the first frame and after the last
@@ -19,7 +19,7 @@ LONGEST = 7200.0  # s
 Extent = tuple[float, float, float, float]  # west, south, east, north, metres
 
 
-def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> Trajectory:
+def chart(world: World, plan: FlightPlan, rng: np.random.Generator) -> SimulatedPath:
     """Fly the plan over the world.
 
     Raises:
@@ -84,7 +84,7 @@ def _what(world: World, p: F64) -> str:
     return names.get(kind, "the ground")
 
 
-def _keeps_clear(world: World, trajectory: Trajectory) -> None:
+def _keeps_clear(world: World, trajectory: SimulatedPath) -> None:
     """Look every metre or tenth of a second."""
     west, south, east, north = world.extent
     fastest = float(np.linalg.norm(np.diff(trajectory.position.c, axis=0), axis=1).max() / 0.25)

@@ -27,7 +27,7 @@ from alight_sim.scene import Scene, explain
 from alight_sim.section import Section
 from alight_sim.sensors import ImuErrors, NavErrors, imu_biases, simulated_imu, simulated_nav
 from alight_sim.truth import SceneTruth
-from alight_sim.vehicle import Limits, Trajectory
+from alight_sim.vehicle import Limits, SimulatedPath
 from alight_sim.world import World, build
 
 START_NS = 1_700_000_000_000_000_000
@@ -45,7 +45,7 @@ class SimulatedFlight:
     """A flight over a world. Use it where a recording goes; every call of `events` gives the same events."""
 
     world: World
-    trajectory: Trajectory
+    trajectory: SimulatedPath
     seed: int
     true_rig: Rig  # what draws
     scene: Scene  # what was flown: the world's, with what was asked for instead

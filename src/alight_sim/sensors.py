@@ -14,7 +14,7 @@ from alight.geometry import so3_exp
 from alight.records import F64, ImuSample, NavSample
 from alight_sim.faults import Span
 from alight_sim.section import Section
-from alight_sim.vehicle import Trajectory
+from alight_sim.vehicle import SimulatedPath
 
 Times = NDArray[np.int64]
 Triple = tuple[float, float, float]
@@ -116,7 +116,7 @@ def _claimed(*parts: Triple | float, least: float) -> F64:
 
 
 def simulated_nav(
-    flight: Trajectory, t_ns: Times, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
+    flight: SimulatedPath, t_ns: Times, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
     """Yield the navigation solution at times of the clock (`t_ns`) and of the trajectory (`seconds`)."""
     drift, white, turn, turn_white, speed, rate, wind = (np.random.default_rng(s) for s in seeds.spawn(7))
@@ -180,7 +180,7 @@ def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
 
 
 def simulated_imu(
-    flight: Trajectory,
+    flight: SimulatedPath,
     t_ns: Times,
     seconds: F64,
     biases: tuple[F64, F64],

@@ -80,7 +80,7 @@ VEHICLES = {
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class SimulatedPath:
     """Where the vehicle is at any time of the flight, seconds from its start. Times: one, or (N,)."""
 
     position: BSpline  # (3,) metres, world, without vibration
@@ -234,7 +234,7 @@ def fly_through(
     heading: float | None = None,
     rolling: bool = False,
     hold: float = 0.0,
-) -> Trajectory:
+) -> SimulatedPath:
     """Fly along a line of (N, 3) places (east, north, up in metres), corners rounded within a knot.
 
     `heading` (rad, counter-clockwise from east) is held; None: the nose follows the course as fast as it may turn.
@@ -264,7 +264,7 @@ def fly_through(
     air_rng, eddies = rng.spawn(2)
     gusts = air.gusts * correlated(air_rng, len(centres), 3, KNOT / air.gust_time)
     wobble = math.radians(air.wobble_deg) * correlated(eddies, len(centres), 3, 0.29)
-    return Trajectory(
+    return SimulatedPath(
         _spline(centres, control + _blown(vehicle.drag * gusts)),
         _spline(centres, psi + wobble[:, 2]),
         _spline(centres, wobble[:, :2]),

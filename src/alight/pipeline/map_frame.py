@@ -35,7 +35,7 @@ class Tie:
 class MapFrame:
     """Where a map frame lies in the world."""
 
-    frame_id: int  # `Motion.map` of the poses that belong to it
+    frame_id: int  # `Motion.frame_id` of the poses that belong to it
     offset_world: F64  # (3,) metres, to add to positions of the map
     covariance: F64  # (3, 3) m^2, of the map's place in the world once the offset is applied
 
@@ -43,7 +43,7 @@ class MapFrame:
     def of(cls, motion: Motion) -> MapFrame:
         """As the motion of one exposure knows it: its covariance is the second moment with the offset not applied."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
-        return cls(motion.map, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
+        return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 
     def tie(self, other: MapFrame) -> Tie:
         """From this frame to another one; what is not known of their places adds up."""
@@ -94,14 +94,14 @@ class MapFrame:
 
     def site(self, site: Site) -> Site:
         """One site."""
-        return moved(site, self.offset_world)
+        return moved_site(site, self.offset_world)
 
     def look(self, look: NextView) -> NextView:
         """A view that would help."""
         return replace(look, position_world=self.point(look.position_world), place_world=self.point(look.place_world))
 
 
-def moved(site: Site, shift: F64) -> Site:
+def moved_site(site: Site, shift: F64) -> Site:
     """A site moved by (3,) metres."""
     east, north, up = (float(v) for v in shift)
     return replace(site, east=site.east + east, north=site.north + north, up=site.up + up)

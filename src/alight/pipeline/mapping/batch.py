@@ -8,7 +8,7 @@ from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.batch_map import BatchMap
-from alight.pipeline.mapping.frame_store import FrameStore, in_world, posed, views_of
+from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
 from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, vehicle_at_end
 from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
@@ -72,7 +72,7 @@ class BatchMapper:
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """Match all tiles with the poses of the whole recording."""
-        views = views_of(posed(self.store.keyframes, trajectory.usable), trajectory.rig)
+        views = views_of(with_motions(self.store.keyframes, trajectory.usable), trajectory.rig)
         with self._timings.of("ground"):
             found = self._map.find_ground(views)
         if not found and self._map.elevation is None:
@@ -80,7 +80,7 @@ class BatchMapper:
         with self._timings.of("heights"):
             self._map.match_tiles(views, progress)
         with self._timings.of("map"):
-            elevation = self._map.snapshot()
+            elevation = self._map.snapshot(trajectory.joint)
         if elevation is None:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place

@@ -89,7 +89,7 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
     return out
 
 
-def posed(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -> list[Keyframe]:
+def with_motions(keyframes: Iterable[Keyframe], motions: Mapping[int, Motion]) -> list[Keyframe]:
     """The keyframes that have one of these motions, with it."""
     return [Keyframe(k.frame, motions[k.frame.t_ns]) for k in keyframes if k.frame.t_ns in motions]
 
