@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench bench-heights bench-ground bench-motion bench-simulator train pictures clean
+.PHONY: help demo test check format bench bench-heights bench-coverage bench-ground bench-motion bench-simulator train pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -27,6 +27,9 @@ bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 
 bench-heights: $(MADE)  ## heights: everything asked of them beside what they must show; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
+
+bench-coverage: $(MADE)  ## do heights from estimated poses lie within what the map claims; half an hour of CPU
+	$(BIN)/python bench/bench_coverage.py
 
 bench-ground: $(MADE)  ## hazards and cover: the contest's terrains, P(safe) on test flights, the terrain library, speed
 	$(BIN)/python bench/bench_ground.py && $(BIN)/python bench/ground_flights.py && $(BIN)/python bench/bench_terrain.py library && $(BIN)/python bench/bench_terrain.py measure

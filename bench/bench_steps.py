@@ -47,7 +47,8 @@ def view(ground: np.ndarray, i: int, east: float) -> View:
 
 def step(views: list[View]) -> Heights | None:
     """One parallax batch, the views' preparation included."""
-    return match_tile(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, ParallaxSettings())
+    found = match_tile(Images(views, GRID.cell, 0.0), GRID, -1.5, 1.5, ParallaxSettings())
+    return found.heights if found else None
 
 
 def seconds(work: Callable[[], object], repeats: int = 5) -> float:

@@ -79,7 +79,7 @@ class Outcome:
         """(N,) m by which the position departs from its own velocity between exposures of one map."""
         out = []
         for a, b in zip(self.motions, self.motions[1:], strict=False):
-            if a.map == b.map and a.velocity_world is not None and b.velocity_world is not None:
+            if a.frame_id == b.frame_id and a.velocity_world is not None and b.velocity_world is not None:
                 step = b.world_from_body.translation - a.world_from_body.translation
                 way = 0.5 * (a.velocity_world + b.velocity_world) * (b.t_ns - a.t_ns) * 1e-9
                 out.append(float(np.linalg.norm(step - way)))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
-from alight.motion.bundle.adjust import select, solve_bundle
+from alight.motion.bundle.adjust import joint_of, select, solve_bundle
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -24,7 +24,7 @@ from alight.motion.bundle.matching import (
 from alight.motion.bundle.priors import make_priors
 from alight.motion.bundle.solver import Adjustment, BundleState, Priors, residuals, total_cost, triangulate_bundle
 from alight.motion.bundle.summary import Solved
-from alight.records import NavSample, Rig, RigCamera
+from alight.records import Motion, NavSample, Rig, RigCamera
 from alight.settings import BundleSettings
 
 F64 = NDArray[np.float64]
@@ -150,6 +150,32 @@ def test_the_covariance_is_honest(noisy: Scene) -> None:
         e = np.concatenate([out.state.centres[i] - noisy.centres[i], turn])
         nees.append(e @ np.linalg.solve(out.covariance[i], e))
     assert 1.0 < np.mean(nees) < 15.0
+
+
+def test_the_joint_covariance_holds_poses_and_lens_together(noisy: Scene) -> None:
+    """In order of time, the lens in units of its own sigma; all errors at once, and those of the body, are honest."""
+    rig_lever = Pose(LOOKS_FORWARD, [0.2, 0.0, -0.1])
+    out = solved(noisy, told(noisy, lens="free"))
+    motions = []
+    for i in out.registered:
+        camera = Pose(out.state.rotations[i], out.state.centres[i])
+        motions.append(Motion(100 - int(i), camera @ rig_lever.inverse, (camera,), out.covariance[i]))
+    joint = joint_of(motions, told(noisy, lens="free"), out)
+    K, L = len(motions), int(out.free.sum())
+    assert L > 0
+    assert [m.t_ns for m in joint.motions] == sorted(m.t_ns for m in motions)
+    assert len(joint.lenses) == L
+    assert joint.covariance.shape == (6 * K + L, 6 * K + L)
+    np.testing.assert_allclose(np.diag(joint.covariance)[6 * K :], 1.0)
+    error = []
+    for m in joint.motions:
+        i = 100 - m.t_ns
+        true = Pose(noisy.body[i] @ LOOKS_FORWARD, noisy.centres[i]) @ rig_lever.inverse
+        error += [true.translation - m.world_from_body.translation]
+        error += [so3_log(true.rotation @ m.world_from_body.rotation.T)]
+    sigma = np.sqrt(np.diag(out.joint)[6 * len(noisy.centres) :])
+    e = np.concatenate([*error, -out.state.lens[out.free] / sigma])
+    assert 0.2 < e @ np.linalg.solve(joint.covariance, e) / len(e) < 2.5
 
 
 def test_the_mounting_of_the_camera_is_found(noisy: Scene) -> None:

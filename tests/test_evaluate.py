@@ -16,7 +16,7 @@ from alight.evaluation import evaluate, flight, nmad, photos
 from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.outputs import write_run
-from alight.records import ElevationMap, Flag, HazardMap, InputError, Motion, RunResult, Sites, Terrain
+from alight.records import Datum, ElevationMap, Flag, HazardMap, InputError, Motion, RunResult, Sites, Terrain
 
 CELL = 0.1
 GRID = Grid(-20.0, 20.0, CELL, 401, 401)
@@ -140,6 +140,33 @@ def test_acceptance_wrong_cells_and_coverage(found: Evaluation) -> None:
     assert number(found, "ground within 1 sigma, %, registered") == pytest.approx(68.3 * right, abs=1.0)
     assert number(found, "ground within 1.96 sigma, %, registered") == pytest.approx(95 * right, abs=1.0)
     assert number(found, name) > number(found, f"{name}, registered")  # the box's edges are elsewhere
+
+
+def test_coverage_with_the_common_tilt(truth: Path, tmp_path: Path) -> None:
+    """A map that leans by 4 mrad and says 4 mrad: its own sigma covers little of it, both together enough."""
+    result = a_run()
+    assert result.elevation is not None
+    e, _ = np.meshgrid(*result.elevation.grid.xy())
+    lean = (4e-3 * e).astype(np.float32)
+    gauge = Datum(0.0, 0.0, np.diag([1.0, 4e-3, 4e-3]) ** 2)
+    sigma = np.full(lean.shape, 0.5 * NOISE, np.float32)
+    leaning = replace(result.elevation, height=result.elevation.height + lean, sigma=sigma, gauge=gauge)
+    write_run(replace(result, elevation=leaning), tmp_path)
+    found = evaluate(tmp_path, truth)
+    alone = number(found, "ground within 1.96 sigma, %, registered")
+    both = number(found, "ground within 1.96 sigma and common tilt, %, registered")
+    assert alone < 65 < 75 < both
+
+
+def test_a_map_is_registered_by_its_own_heights(truth: Path, tmp_path: Path) -> None:
+    """A path that is off otherwise than the map; over one slope only the sum of all three shows in the heights."""
+    result = a_run()
+    path = tuple(replace(m, world_from_body=Pose(np.eye(3), [k, 0.0, 31.0])) for k, m in enumerate(result.motions))
+    write_run(replace(result, motions=path), tmp_path)
+    found = evaluate(tmp_path, truth)
+    assert number(found, "ground offset (median), m, registered") == pytest.approx(-0.54, abs=0.01)
+    assert number(found, "ground offset (median), m, registered by its heights") == pytest.approx(0.0, abs=0.005)
+    assert number(found, "ground NMAD, m, registered by its heights") == pytest.approx(NOISE, rel=0.1)
 
 
 def test_the_decision_as_it_is_and_registered(found: Evaluation) -> None:

@@ -369,18 +369,22 @@ def test_ground_that_nobody_could_measure_is_not_safe_and_what_nobody_saw_even_l
 
 
 def test_a_map_that_may_lean_makes_a_slope_near_the_limit_less_sure() -> None:
-    """The gauge's tilt takes the place of a smaller `tilt_sigma`, and never of a larger one."""
+    """Exact poses make no tilt, those of the map do, and what the user says comes on top."""
     near = ground(plane(81, 81, math.tan(math.radians(9.6)), 0.0))
     level = Datum(0.0, 0.0, np.diag([0.1, 1e-3, 1e-3]) ** 2)
     leaning = replace(level, covariance=np.diag([0.1, 5e-3, 20e-3]) ** 2)
     assert leaning.tilt_sigma == pytest.approx(20e-3)
-    settings = HazardsSettings(tilt_sigma=0.003, smoothed=False)
-    p = [
-        float(assess(replace(near, gauge=g), None, Lander(radius=1.0), settings).p_safe[MID])
-        for g in (None, level, leaning)
-    ]
-    assert p[1] == p[0] > 0.9
-    assert 0.55 < p[2] < 0.75  # the limit is 0.35 of its sigma away
+
+    def p(gauge: Datum | None, said: float = 0.0) -> float:
+        settings = HazardsSettings(tilt_sigma=said, smoothed=False)
+        return float(assess(replace(near, gauge=gauge), None, Lander(radius=1.0), settings).p_safe[MID])
+
+    assert p(None) >= p(level) > p(leaning)
+    assert p(level) > 0.999
+    assert 0.55 < p(leaning) < 0.75  # the limit is 0.35 of its sigma away
+    assert p(None, 20e-3) == pytest.approx(p(leaning), abs=1e-3)
+    both = replace(level, covariance=np.diag([0.1, 5e-3, 25e-3]) ** 2)
+    assert p(leaning, 15e-3) == pytest.approx(p(both), abs=1e-3)
 
 
 def test_clearance_has_the_same_bits_whatever_else_the_machine_does() -> None:

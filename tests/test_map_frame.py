@@ -41,7 +41,7 @@ def test_a_motion_knows_where_its_frame_lies() -> None:
     second = own.copy()
     second[:3, :3] += np.outer(OFFSET, OFFSET)
     pose = Pose(np.eye(3), np.array([3.0, 2.0, 1.0]))
-    motion = Motion(5, pose, (pose,), second, offset_world=OFFSET, map=2)
+    motion = Motion(5, pose, (pose,), second, offset_world=OFFSET, frame_id=2)
     frame = MapFrame.of(motion)
     assert frame.frame_id == 2
     assert_allclose(frame.covariance, own[:3, :3], atol=1e-12)
@@ -103,9 +103,9 @@ def test_a_site_in_reserve_is_moved_where_its_clearance_covers_the_tie() -> None
 
 def test_the_place_of_the_map_stands_in_the_files() -> None:
     covariance = np.diag([0.25, 0.04, 0.09])
-    tags = rasters.dem_raster(replace(elevation(), position_covariance=covariance), LOCAL).tags
+    tags = rasters.dem_raster(replace(elevation(), position_covariance=covariance), LOCAL).file_tags
     assert tags["POSITION_SIGMA_M"] == "0.5000,0.2000,0.3000"
-    assert "POSITION_SIGMA_M" not in rasters.dem_raster(elevation(), LOCAL).tags
+    assert "POSITION_SIGMA_M" not in rasters.dem_raster(elevation(), LOCAL).file_tags
     found: dict[str, Any] = vectors.sites_geojson(some_run().sites, LOCAL, covariance)
     assert found["accuracy"] == {"horizontal_m": 0.5, "vertical_m": 0.3}
     assert "accuracy" not in vectors.sites_geojson(some_run().sites, LOCAL)
@@ -146,7 +146,7 @@ def _in_frame(motion: Motion, frame_id: int, offset: np.ndarray, own: np.ndarray
     cams = tuple(back(c) for c in motion.world_from_cams)
     return replace(
         motion, world_from_body=back(motion.world_from_body), world_from_cams=cams, covariance=covariance,
-        offset_world=offset, map=frame_id,
+        offset_world=offset, frame_id=frame_id,
     )  # fmt: skip
 
 
@@ -257,7 +257,7 @@ def test_a_late_exposure_of_the_old_frame_drops_nothing() -> None:
     fed = [n for e in events if (n := lane.feed(e)) is not None]
     late = fed.pop(20)
     fed.insert(30, late)
-    mapper = RecursiveMapper(f.rig, settings_of(*SETTINGS), None, Timings(), history=True)
+    mapper = RecursiveMapper(f.rig, settings_of(*SETTINGS).stages(), None, Timings(), history=True)
     updates = [mapper.feed(n) for n in fed]
     assert updates[30] is None
     assert late.frame.t_ns not in {k.frame.t_ns for k in mapper.store.keyframes}

@@ -61,7 +61,7 @@ def test_an_ins_heading_10_degrees_off() -> None:
     o = fly(TURNED, length=8.0)
     assert o.states(6.0, 8.0) == {GOOD}
     assert o.turned(5.0) < np.radians(1.5)
-    assert o.motions[-1].map == 0
+    assert o.motions[-1].frame_id == 0
 
 
 def test_gps_silent_for_30_s() -> None:
@@ -100,10 +100,10 @@ def test_blind_and_without_gps_is_lost_and_found_again_in_another_map() -> None:
 
     estimator, motions = run(damaged(f.events, cut))  # type: ignore[arg-type]
     assert {m.state for m in motions if 4.1 < seconds(m) < 6.0} == {LOST}
-    assert {m.map for m in motions if seconds(m) < 6.0} == {0}
-    assert motions[-1].map == 1
+    assert {m.frame_id for m in motions if seconds(m) < 6.0} == {0}
+    assert motions[-1].frame_id == 1
     assert {m.state for m in motions if seconds(m) > 7.0} == {GOOD}
-    assert {m.map for m in estimator.posterior().motions} == {1}
+    assert {m.frame_id for m in estimator.posterior().motions} == {1}
     assert max(nees(m, f.truth(m.t_ns)) for m in motions if seconds(m) > 7.0) < 30.0
 
 

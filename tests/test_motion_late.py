@@ -157,4 +157,4 @@ def test_a_restored_filter_goes_on_as_it_was() -> None:
         assert b is not None
         assert a.world_from_body.matrix.tobytes() == b.world_from_body.matrix.tobytes()
         assert a.covariance.tobytes() == b.covariance.tobytes()
-        assert (a.state, a.map, a.tracks) == (b.state, b.map, b.tracks)
+        assert (a.state, a.frame_id, a.tracks) == (b.state, b.frame_id, b.tracks)

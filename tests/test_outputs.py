@@ -7,6 +7,7 @@ import resource
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -18,7 +19,7 @@ from some_run import CELL, GRID, LOCAL, elevation, site, some_run
 from alight import outputs
 from alight.outputs import FILES, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
-from alight.records import Flag, InputError, OutputError, Sites, Terrain
+from alight.records import Datum, Flag, InputError, OutputError, Sites, Terrain
 from alight.settings import Settings
 
 
@@ -77,6 +78,32 @@ def test_dem_is_above_the_ellipsoid_and_empty_where_refused(out: Path) -> None:
     truth = LOCAL.to_geodetic([east[c], north[r], float(e.height[r, c])])[2]
     assert height[r, c] == pytest.approx(float(truth), abs=5e-5)
     assert np.isfinite(height[30, 45])  # a step is doubtful, not refused
+
+
+def test_what_the_whole_map_shares_stands_in_tags_and_run_json(tmp_path: Path) -> None:
+    """Offset and tilt of the poses; nothing where the poses came without covariance."""
+    gauge = Datum(3.0, -4.0, np.array([[1.21, 0, 0], [0, 4e-6, 1e-6], [0, 1e-6, 9e-6]]))
+    warp = np.full(GRID.shape, 0.04, np.float32)
+    write_run(some_run(elevation=replace(elevation(), gauge=gauge, warp=warp)), tmp_path)
+    with rasterio.open(tmp_path / "dem.tif") as d:
+        tags, sigma = d.tags(), d.read(2)
+    assert float(tags["COMMON_OFFSET_SIGMA_M"]) == pytest.approx(1.1)
+    assert [float(v) for v in tags["COMMON_TILT_SIGMA_RAD"].split(",")] == pytest.approx([2e-3, 3e-3])
+    assert [float(v) for v in tags["COMMON_CENTRE_M"].split(",")] == pytest.approx([3.0, -4.0])
+    covariance = np.array([float(v) for v in tags["COMMON_COVARIANCE"].split(",")]).reshape(3, 3)
+    np.testing.assert_allclose(covariance, gauge.covariance, rtol=1e-5)
+    assert np.nanmax(sigma) == pytest.approx(0.05)  # 0.03 of the match, 0.04 of what the poses bend
+    common = loaded(tmp_path / "run.json")["common_error"]
+    assert common["offset_sigma_m"] == pytest.approx(1.1)
+    assert common["tilt_sigma_rad"] == pytest.approx([2e-3, 3e-3])
+    assert common["centre_m"] == [3.0, -4.0]
+    np.testing.assert_allclose(common["covariance"], gauge.covariance, rtol=1e-5)
+
+
+def test_exact_poses_share_nothing(out: Path) -> None:
+    with rasterio.open(out / "dem.tif") as d:
+        assert not [t for t in d.tags() if t.startswith("COMMON")]
+    assert loaded(out / "run.json")["common_error"] is None
 
 
 def test_the_curvature_term_agrees_with_geodesy_far_from_the_origin() -> None:

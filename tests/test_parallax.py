@@ -52,7 +52,8 @@ def box_views() -> tuple[View, ...]:
 def heights(views: list[View] | tuple[View, ...], low: float = LOW, high: float = HIGH) -> Heights:
     found = match_tile(Images(list(views), CELL, 0.0), GRID, low, high, ParallaxSettings())
     assert found is not None
-    return found
+    assert {v.t_ns for v in found.views} <= {v.t_ns for v in views}
+    return found.heights
 
 
 def trusted(found: Heights) -> np.ndarray:
@@ -122,8 +123,9 @@ def seeing(grid: Grid, margin: float) -> np.ndarray:
 def test_what_no_two_views_see_stays_unknown() -> None:
     """A grid that reaches far beyond the pictures: NaN and UNSEEN there, never filled from the neighbours."""
     wide = Grid(-29.9, 4.5, CELL, 46, 300)
-    found = match_tile(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, ParallaxSettings())
-    assert found is not None
+    matched = match_tile(Images(level_views(), CELL, 0.0), wide, LOW, HIGH, ParallaxSettings())
+    assert matched is not None
+    found = matched.heights
     count, about = seeing(wide, 0.0), seeing(wide, 2.0)
     nobody = count == 0
     assert nobody.mean() > 0.1

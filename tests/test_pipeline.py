@@ -18,7 +18,7 @@ from alight.pipeline.mapping.view_geometry import nice_cell
 from alight.pipeline.navigation import FilterLane, GivenLane, Trajectory
 from alight.pipeline.timing import Timings
 from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
-from alight.settings import Settings, load_settings
+from alight.settings import Settings, StageSettings, load_settings
 from alight.settings.tuning import MappingTuning
 from alight_sim import SimulatedFlight, default_rig, fly
 from alight_sim.faults import Faults
@@ -88,13 +88,13 @@ def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | No
     return Mapped(found, most_bytes, most_keyframes)
 
 
-def batch_mapper(settings: Settings) -> BatchMapper:
+def batch_mapper(settings: StageSettings) -> BatchMapper:
     return BatchMapper(flight()[0].rig, settings, None, Timings())
 
 
 def brief_mapper() -> RecursiveMapper:
     """Of a flight that may last for ever."""
-    settings = settings_of("parallax.method=ring")
+    settings = settings_of("parallax.method=ring").stages()
     return RecursiveMapper(flight()[0].rig, settings, NullStore(), Timings(), history=False)
 
 
@@ -202,8 +202,8 @@ def test_a_height_among_refused_ones_is_refused() -> None:
 def test_a_full_store_bounds_memory_and_loses_no_ground() -> None:
     """Ten frames fit: the older half is mapped before it is forgotten, tiles that both halves see included."""
     frame = 160 * 120 * 3
-    s = settings_of()
-    small = s.model_copy(update={"parallax": s.parallax.model_copy(update={"store_mb": 10 * frame / 1e6})})
+    s = settings_of().stages()
+    small = replace(s, parallax=s.parallax.model_copy(update={"store_mb": 10 * frame / 1e6}))
     whole, bounded = mapped(batch_mapper(s)), mapped(batch_mapper(small))
     assert whole.most_bytes > 20 * frame
     assert bounded.most_bytes <= 11 * frame
@@ -237,8 +237,8 @@ def test_a_flight_without_history_makes_the_same_map_and_holds_little() -> None:
 
 def test_a_full_store_of_a_flight_forgets_the_oldest() -> None:
     """Pixels of five frames fit: no more are held, and the map is the same, which has used them already."""
-    frame, s = 160 * 120 * 3, settings_of("parallax.method=ring")
-    small = s.model_copy(update={"parallax": s.parallax.model_copy(update={"store_mb": 12 * frame / 1e6})})
+    frame, s = 160 * 120 * 3, settings_of("parallax.method=ring").stages()
+    small = replace(s, parallax=s.parallax.model_copy(update={"store_mb": 12 * frame / 1e6}))
     found = mapped(RecursiveMapper(flight()[0].rig, small, None, Timings(), history=True))
     whole = mapped(RecursiveMapper(flight()[0].rig, s, None, Timings(), history=True))
     assert whole.most_bytes > 20 * frame
@@ -453,5 +453,7 @@ def test_what_could_not_be_refined_together_is_said() -> None:
             break
     found = lane.finish(lambda share: None)
     assert len(found.motions) == 2
+    assert found.joint is not None  # off as one body, as the last of them claims
+    np.testing.assert_array_equal(found.joint.covariance[-6:, -6:], found.motions[-1].covariance)
     assert any("could not be refined" in w for w in found.warnings)
     assert "as it was in flight" in str(found.notes["motion"])

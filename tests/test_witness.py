@@ -109,7 +109,8 @@ def found(method: str, moving: bool) -> Heights:
     """The grid by the ring, or by the batch."""
     shots = rig(moving)
     if method == "batch":
-        heights = match_tile(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
+        found = match_tile(Images([v for s in shots for v in s], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
+        heights = found.heights if found else None
     else:
         ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
         empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan)
@@ -136,7 +137,8 @@ def test_a_rig_tells_waves_from_ground(method: str) -> None:
 
 
 def test_one_camera_has_no_witness() -> None:
-    heights = match_tile(Images([s[0] for s in rig(moving=True)], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
-    assert heights is not None
+    found = match_tile(Images([s[0] for s in rig(moving=True)], CELL, 0.0), GRID, -1.5, 2.5, ParallaxSettings())
+    assert found is not None
+    heights = found.heights
     inner = (np.abs(NORTH) < 3.0) & (EAST < -2.5) & (EAST > -5.0)
     assert ((heights.flags[inner] & np.uint16(Flag.MOVING)) != 0).mean() < 0.5

@@ -141,15 +141,28 @@ class Motion:
     tracks: int = 0  # features that supported it
     offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
     why: str = ""  # it is not GOOD
-    map: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
+    frame_id: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframePosterior:
-    """The last keyframes from one posterior: poses that agree with each other, and how far they may be off together."""
+    """Exposures from one posterior: poses that agree with each other, and how far they may be off together.
+
+    In flight the last keyframes, in their map; of a recording exposures of the whole of it, in the world. `lenses`
+    holds the camera once for each of L lens numbers that were estimated with the poses, that number off by one unit.
+    """
 
     motions: tuple[Motion, ...]  # K, oldest first
-    covariance: F64  # (6K, 6K) of the cameras' rig in the map: position [m], rotation vector in the world [rad] a pose
+    covariance: F64  # (6K + L, 6K + L): a pose of the rig is position [m], rotation vector in the world [rad]
+    lenses: tuple[Camera, ...] = ()  # L
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedMotions:
+    """The motions of a whole recording, and how their errors go together."""
+
+    motions: tuple[Motion, ...]
+    joint: KeyframePosterior | None  # of some or all of them; None: the poses are exact, or their errors are not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +172,11 @@ class Datum:
     east: float  # metres, of the centre about which it tilts
     north: float
     covariance: F64  # (3, 3): offset up [m], rise per metre towards east and towards north [rad]
+
+    @property
+    def offset_sigma(self) -> float:
+        """Of the height of the centre, metres."""
+        return float(np.sqrt(self.covariance[0, 0]))
 
     @property
     def tilt_sigma(self) -> float:
@@ -260,8 +278,9 @@ class ElevationMap:
     rgb: U8
     residual: F32
     gauge: Datum | None = None
+    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from what the poses bend and turn beside the gauge
     fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
-    frame_id: int = 0  # of the poses that it was made with (`Motion.map`)
+    frame_id: int = 0  # of the poses that it was made with (`Motion.frame_id`)
     position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's place on Earth; None: not known
 
     @property
@@ -269,6 +288,11 @@ class ElevationMap:
         """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
         picture = self.rgb if self.fine is None else self.fine
         return picture, picture.shape[0] // self.grid.rows
+
+    @property
+    def relative_sigma(self) -> F32:
+        """(R, C) metres, 1-sigma of a height relative to the map's plane: of the match, and of what the poses bend."""
+        return self.sigma if self.warp is None else np.hypot(self.sigma, self.warp)
 
     @property
     def trusted(self) -> NDArray[np.bool_]:

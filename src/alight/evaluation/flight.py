@@ -26,6 +26,8 @@ from alight_sim.truth import safe_mask
 GROUND = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)
 NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE)
 BAD = 0.5  # metres: a height that wrong must be flagged
+_REGISTRATIONS, _REWEIGHINGS = 6, 8
+_LEAST_TO_REGISTER = 100  # ground cells
 NEAR = 0.3  # metres: what is declared safe this near to truly safe ground is an edge drawn elsewhere, not a mistake
 
 
@@ -93,6 +95,7 @@ def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, 
     above = float(run.info.get("height_above_ground_m") or np.nan)
     middle = float(np.median(g))
     sigma = run.sigma[given & ground]
+    total = np.hypot(sigma, tilted(run, e[given & ground], n[given & ground]))
     wrong = given & (np.abs(error - middle) > BAD)
     rows = {
         "ground NMAD, m": nmad(g),
@@ -103,6 +106,7 @@ def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, 
         "ground accepted of seen, %": share(given & ground, seen & ground),
         "ground within 1 sigma, %": 100 * float(np.mean(np.abs(g - middle) < sigma)),
         "ground within 1.96 sigma, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * sigma)),
+        "ground within 1.96 sigma and common tilt, %": 100 * float(np.mean(np.abs(g - middle) < 1.96 * total)),
         f"given out and off by more than {BAD} m, % of given out": share(wrong, given),
     }
     for t in (Terrain.WATER, Terrain.TREE, Terrain.TALL_VEGETATION):
@@ -110,6 +114,48 @@ def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, 
         rows[name] = share(wrong & (kind == t), given)
     for name, value in rows.items():
         out.put(name + suffix, value)
+
+
+def tilted(run: Run, east: F64, north: F64) -> F64:
+    """1-sigma of the height that the common tilt of the map makes at each place, metres; 0 without covariance."""
+    common = run.info.get("common_error")
+    if common is None:
+        return np.zeros(np.shape(east))
+    arm = np.stack([east - common["centre_m"][0], north - common["centre_m"][1]], axis=-1)
+    tilt = np.array(common["covariance"], dtype=np.float64)[1:, 1:]
+    return np.asarray(np.sqrt(np.maximum(((arm @ tilt) * arm).sum(axis=-1), 0.0)))
+
+
+def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
+    """The one constant offset of the map, (3,) metres east, north and up, that its own heights show.
+
+    Robust least squares of the height error on the slope of the map and a constant (Nuth and Kaab 2011, eqs. 1 to 3,
+    solved directly), from the offset of the path on. A map of a flight in progress is not where the smoothed path is.
+    """
+    if run.height is None or run.grid is None or run.flags is None:
+        return offset
+    e, n = np.meshgrid(*run.grid.xy())
+    south, east = (np.asarray(rise) for rise in np.gradient(run.height.astype(np.float64), run.grid.cell))
+    known = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(east) & np.isfinite(south)
+    for _ in range(_REGISTRATIONS):
+        error = run.height - offset[2] - at(truth.dem, truth.grid, e - offset[0], n - offset[1])
+        kind = at(truth.label, truth.grid, e - offset[0], n - offset[1])
+        use = known & np.isfinite(error) & np.isin(kind, GROUND)
+        if use.sum() < _LEAST_TO_REGISTER:
+            return offset
+        offset = np.add(offset, robust(np.column_stack([-east[use], south[use], np.ones(use.sum())]), error[use]))
+    return offset
+
+
+def robust(A: F64, y: F64) -> F64:
+    """Least squares of A x = y with Cauchy weights at twice the NMAD."""
+    x: F64 = np.zeros(A.shape[1])
+    weight: F64 = np.ones(len(y))
+    for _ in range(_REWEIGHINGS):
+        x = np.asarray(np.linalg.lstsq(A * weight[:, None], y * weight, rcond=None)[0])
+        left = y - A @ x
+        weight = 1.0 / np.sqrt(1.0 + (left / max(2.0 * nmad(left), 1e-6)) ** 2)
+    return np.asarray(x)
 
 
 def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
@@ -189,7 +235,8 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
 
     Estimated poses carry the drift of the GPS. A map whose path is off by a metre is off by the same metre, so its
     heights as they are compare different places. Rows that end in `, registered` have the constant offset of the
-    path (mean position error, three numbers) taken out of map and sites, and nothing else.
+    path (mean position error, three numbers) taken out of map and sites, and nothing else. Rows that end in
+    `, registered by its heights` have the constant offset taken out that the heights themselves show.
 
     Raises:
         InputError: the flight has no truth, or is not the flight of the run.
@@ -212,4 +259,7 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
             trajectory(d, r, out)
             compare_heights(run, truth, out, d.mean(0), ", registered")
             decision(run, truth, safe, out, d.mean(0), ", registered")
+            offset = placed(run, truth, d.mean(0))
+            out.put("offset of the map (east, north, up), m", " ".join(f"{v:.3f}" for v in offset))
+            compare_heights(run, truth, out, offset, ", registered by its heights")
     return out

@@ -88,6 +88,12 @@ def _spare(sigma: F32) -> float:
     return 5.0 * float(np.quantile(known, 0.9)) if known.size else 0.0
 
 
+def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
+    """1-sigma of the tilt that all cells share, rad: from the poses of the map, and what the user says besides."""
+    poses = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+    return float(np.hypot(poses, settings.tilt_sigma))
+
+
 def _probability(
     elevation: ElevationMap,
     terrain: TerrainMap | None,
@@ -98,7 +104,8 @@ def _probability(
 ) -> F32:
     """P(safe) from the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
     cell = elevation.grid.cell
-    tilt, rise = margins_over_sigma(TouchdownGeometry(f.footprint, f.slope, f.rise, sigma), lander, settings, cell)
+    margins = TouchdownGeometry(f.footprint, f.slope, f.rise, sigma, common_tilt(elevation, settings))
+    tilt, rise = margins_over_sigma(margins, lander, settings, cell)
     if not settings.smoothed:
         return safe_probability(tilt, rise, f.footprint.unknown, settings)
     level = safe_probability(tilt, np.full_like(tilt, CERTAIN), np.zeros_like(tilt), settings)
@@ -173,8 +180,6 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     """
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
-    if elevation.gauge is not None:  # never below what is set: lens and mounting have no part in it
-        settings = settings.model_copy(update={"tilt_sigma": max(settings.tilt_sigma, elevation.gauge.tilt_sigma)})
     cell = elevation.grid.cell
     height = usable_height(elevation, lander, settings)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))

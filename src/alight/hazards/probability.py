@@ -23,13 +23,13 @@ def _over(margin: F32, sigma: F32) -> F32:
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
 
-def slope_sigma(footprint: Footprint, sigma: F32, cell: float, settings: HazardsSettings) -> F32:
+def slope_sigma(footprint: Footprint, sigma: F32, common_tilt: float, cell: float, settings: HazardsSettings) -> F32:
     """1-sigma of the footprint's slope, rad: cell noise shared over `noise_length`, and the map's common tilt (G8)."""
     shared = max(1.0, (settings.noise_length / cell) ** 2)
     independent = np.maximum(footprint.count / shared, 3.0)
     spread = footprint.count * np.float32(cell**2) / np.float32(4 * math.pi)  # mean x^2 of a disc: area / 4 pi
     from_cells = sigma**2 / (independent * spread)
-    out: F32 = np.sqrt(from_cells + np.float32(settings.tilt_sigma**2)).astype(np.float32)
+    out: F32 = np.sqrt(from_cells + np.float32(common_tilt**2)).astype(np.float32)
     return out
 
 
@@ -52,10 +52,10 @@ def _independent_heights(lander: Lander, cell: float, settings: HazardsSettings)
     return max(1.0, math.pi * lander.foot_radius**2 / max(settings.noise_length, cell) ** 2)
 
 
-def gear_sigma(sigma: F32, lander: Lander, cell: float, settings: HazardsSettings) -> F32:
+def gear_sigma(sigma: F32, common_tilt: float, lander: Lander, cell: float, settings: HazardsSettings) -> F32:
     """1-sigma of the tilt of feet or skids, rad (G8b)."""
     lever = np.float32(gear_lever(lander, cell, settings))
-    out: F32 = np.sqrt((lever * sigma) ** 2 + np.float32(settings.tilt_sigma**2)).astype(np.float32)
+    out: F32 = np.sqrt((lever * sigma) ** 2 + np.float32(common_tilt**2)).astype(np.float32)
     return out
 
 
@@ -67,15 +67,16 @@ class TouchdownGeometry:
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
     sigma: F32  # metres, root mean square height sigma in the footprint
+    common_tilt: float  # rad, 1-sigma of the tilt that the whole map shares
 
 
 def margins_over_sigma(m: TouchdownGeometry, lander: Lander, settings: HazardsSettings, cell: float) -> tuple[F32, F32]:
     """Margins to the limits of tilt, and of rise or deviation, in sigmas (G7 to G9)."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
-        tilt_sigma = gear_sigma(local, lander, cell, settings)
+        tilt_sigma = gear_sigma(local, m.common_tilt, lander, cell, settings)
     else:
-        tilt_sigma = slope_sigma(m.footprint, m.sigma, cell, settings)
+        tilt_sigma = slope_sigma(m.footprint, m.sigma, m.common_tilt, cell, settings)
     tilt = _over(lander.max_slope - m.slope, tilt_sigma)
     if m.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local

@@ -15,7 +15,7 @@ from alight import __version__, report
 from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
-from alight.records import OutputError, RunResult
+from alight.records import ElevationMap, OutputError, RunResult
 
 log = logging.getLogger(__name__)
 
@@ -126,11 +126,26 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
         "answer": {"sites": sites, "reason": result.sites.reason},
         "height_above_ground_m": None if height is None else vectors.number(height, 3),
         "counts": vectors.plain(result.counts),
+        "common_error": common_error(result.elevation),
         "notes": vectors.plain(result.notes),
         "warnings": report.warnings(result),
         "time": timing_summary(result.timings),
         "not_written": dict(missing),
         "settings": result.settings.model_dump(mode="json"),
+    }
+
+
+def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
+    """What all heights of the map share, as in dem.tif's tags; None: the poses came without covariance."""
+    if elevation is None or elevation.gauge is None:
+        return None
+    g = elevation.gauge
+    offset, east, north = np.sqrt(np.diag(g.covariance))
+    return {
+        "offset_sigma_m": vectors.number(float(offset), 4),
+        "tilt_sigma_rad": [vectors.number(float(v), 6) for v in (east, north)],
+        "centre_m": [vectors.number(v, 3) for v in (g.east, g.north)],
+        "covariance": [[float(f"{v:.6g}") for v in row] for row in g.covariance],
     }
 
 

@@ -15,7 +15,7 @@ from rasterio.io import MemoryFile
 
 from alight.arrays import F32
 from alight.geometry import Grid, LocalFrame
-from alight.records import REFUSED, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
+from alight.records import REFUSED, Datum, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
 from alight.report.words import FLAGS
 
@@ -32,6 +32,7 @@ class RasterFile:
     unit: str = ""
     nodata: float | None = None
     tags: Mapping[str, str] = field(default_factory=dict)  # of the first band
+    file_tags: Mapping[str, str] = field(default_factory=dict)  # of all bands
     colours: Mapping[int, tuple[int, int, int, int]] | None = None
     resampling: str = "AVERAGE"  # of the overviews
     mask: NDArray[np.bool_] | None = None  # (R, C): False = transparent
@@ -63,15 +64,32 @@ def world_up(height: NDArray[np.floating[Any]], grid: Grid, local: LocalFrame) -
 def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
     """Height and sigma, NaN where no height may be given out."""
     height = ellipsoidal_height(elevation, local)
-    sigma = np.where(elevation.trusted, elevation.sigma, np.nan).astype(np.float32)
+    sigma = np.where(elevation.trusted, elevation.relative_sigma, np.nan).astype(np.float32)
     tags = {
         "height_reference": "WGS84 ellipsoid",
         "refused_flags": ",".join(f.name.lower() for f in Flag if f in REFUSED and f.name),
     }
+    common = common_tags(elevation.gauge)
     if elevation.position_covariance is not None:
         sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
-        tags["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
-    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags)
+        common["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
+    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags, common)
+
+
+def common_tags(gauge: Datum | None) -> dict[str, str]:
+    """The part of the error that all cells share: sigma of offset and tilt, and the covariance about its centre.
+
+    Nothing where the poses came without covariance.
+    """
+    if gauge is None:
+        return {}
+    offset, east, north = np.sqrt(np.diag(gauge.covariance))
+    return {
+        "COMMON_OFFSET_SIGMA_M": f"{offset:.4f}",
+        "COMMON_TILT_SIGMA_RAD": f"{east:.6f},{north:.6f}",
+        "COMMON_CENTRE_M": f"{gauge.east:.3f},{gauge.north:.3f}",
+        "COMMON_COVARIANCE": ",".join(f"{v:.6g}" for v in gauge.covariance.ravel()),
+    }
 
 
 def flags_raster(elevation: ElevationMap) -> RasterFile:
@@ -104,6 +122,7 @@ def _fill(raster: RasterFile, dataset: Any) -> None:
     dataset.descriptions = tuple(raster.names)
     dataset.units = (raster.unit,) * len(raster.names)
     dataset.update_tags(1, **raster.tags)
+    dataset.update_tags(**raster.file_tags)
     if raster.colours is not None:
         dataset.write_colormap(1, raster.colours)
     if raster.mask is not None:

@@ -1,9 +1,14 @@
 """Planar parallax on the world grid: posed views -> heights with sigma and flags."""
 
 from alight.parallax.batch import Images, match_tile
+from alight.parallax.datum import with_datum
 from alight.parallax.orthophoto import orthophoto
+from alight.parallax.pose_error import Matched
 from alight.parallax.recursive import RecursiveParallax
 from alight.parallax.sparse_points import find_points, height_range
 from alight.parallax.views import ground_sampling
 
-__all__ = ["Images", "RecursiveParallax", "find_points", "ground_sampling", "height_range", "match_tile", "orthophoto"]
+__all__ = [
+    "Images", "Matched", "RecursiveParallax", "find_points", "ground_sampling", "height_range", "match_tile",
+    "orthophoto", "with_datum",
+]  # fmt: skip

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -55,7 +56,14 @@ class Images:
         return self._ready[index]
 
 
-def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> Heights | None:
+class Match(NamedTuple):
+    """Heights, and the views that they were matched with."""
+
+    heights: Heights
+    views: list[View]
+
+
+def match_tile(images: Images, grid: Grid, low: float, high: float, settings: ParallaxSettings) -> Match | None:
     """Estimate the heights of one grid from the views that see it (docs/method/parallax.md).
 
     Args:
@@ -64,7 +72,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
         low, high: heights searched, metres above the origin.
 
     Returns:
-        The heights, or None where fewer than two views see the grid.
+        The heights with their views, or None where fewer than two views see the grid.
     """
     plan = settings.sweep
     chosen = choose_views(images.views, grid, 0.5 * (low + high), settings.views, plan.max_tangent)
@@ -88,7 +96,8 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     rgb = colour(views, fine, grid, fit.height, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
     heights = judged(fine, grid, fit, ratio, (low, high), rgb, settings.uncertainty)
-    return replace(heights, flags=heights.flags | _moves(images, chosen, fit, grid, settings.consistency))
+    flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
+    return Match(replace(heights, flags=flags), views)
 
 
 def _moves(images: Images, chosen: Sequence[int], fit: refine.Fit, grid: Grid, tuning: ConsistencyTuning) -> U16:

@@ -36,7 +36,7 @@ class Tie:
 class MapFrame:
     """Where a map frame lies in the world."""
 
-    frame_id: int  # `Motion.map` of the poses that belong to it
+    frame_id: int  # `Motion.frame_id` of the poses that belong to it
     offset_world: F64  # (3,) metres, to add to positions of the map
     covariance: F64  # (3, 3) m^2, of the map's place in the world once the offset is applied
 
@@ -44,7 +44,7 @@ class MapFrame:
     def of(cls, motion: Motion) -> MapFrame:
         """As the motion of one exposure knows it: its covariance is the second moment with the offset not applied."""
         offset = np.zeros(3) if motion.offset_world is None else motion.offset_world
-        return cls(motion.map, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
+        return cls(motion.frame_id, offset, motion.covariance[:3, :3] - np.outer(offset, offset))
 
     def tie(self, other: MapFrame) -> Tie:
         """From this frame to another one; what is not known of their places adds up."""

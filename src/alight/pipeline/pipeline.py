@@ -67,16 +67,13 @@ class Pipeline:
             navigation = self._navigation.feed(event)  # features, motion: docs/method/motion.md
         if navigation is None:
             return None
-        seen = self.map(navigation)
-        if seen is not None:
+        if (seen := self.map(navigation)) is not None:
             self.judge(seen)
         return navigation.motion
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
         """Improve the map with an exposure; the map as it is then, where it is to be judged."""
-        if not self._turns.maps(navigation):
-            return None
-        update = self._mapping.feed(navigation)  # planar parallax: docs/method/parallax.md
+        update = self._mapping.feed(navigation) if self._turns.maps(navigation) else None  # docs/method/parallax.md
         return self._mapping.snapshot() if update is not None and self._turns.judges(update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
@@ -109,7 +106,6 @@ class Pipeline:
             return Decision.none(trajectory, found.reason, *found.warnings)
         tell("judging", 0.2)
         verdict = self.judge(found.snapshot)
-        tell("judging", 0.9)
         way = self._route(verdict, found.snapshot)
         tell("judging", 1.0)
         warnings, notes = (*found.warnings, *self._judging.warnings), self._judging.notes(verdict)

@@ -115,7 +115,11 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
     facts = [("cell size", words.metres(e.grid.cell)), ("ground seen", f"{seen.sum() * e.grid.cell**2:,.0f} m²")]
     facts.append(("of it with a trusted height", words.percent(accepted)))
     if e.trusted.any():
-        facts.append(("height 1-sigma, median", words.metres(float(np.median(e.sigma[e.trusted])))))
+        sigma = float(np.median(e.relative_sigma[e.trusted]))
+        facts.append(("height 1-sigma within the map, median", words.metres(sigma)))
+    if e.gauge is not None:
+        facts.append(("height 1-sigma of the whole map", words.metres(e.gauge.offset_sigma)))
+        facts.append(("tilt 1-sigma of the whole map", f"{1e3 * e.gauge.tilt_sigma:.1f} mrad"))
     return facts
 
 

@@ -10,9 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from alight.arrays import F64, I64
-from alight.geometry import Pose
+from alight.geometry import Pose, skew
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -37,7 +38,7 @@ from alight.motion.bundle.solver import (
     triangulate_bundle,
 )
 from alight.motion.bundle.summary import LEAST_SEEN, FirstPoses, Solved, bundle_warnings, notes_of, why_no_motion
-from alight.records import Frame, InputError, Motion, NavSample, Rig
+from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, Rig
 from alight.settings import BundleSettings
 
 log = logging.getLogger(__name__)
@@ -60,6 +61,7 @@ class BundleResult:
     points_world: F64  # (N, 3) metres
     warnings: list[str]
     notes: dict[str, object]
+    joint: KeyframePosterior | None = None  # covariance of the poses registered, and of the lens where it is free
 
 
 def adjust(
@@ -131,12 +133,12 @@ def solve_bundle(
     sigma = max(_LEAST_SIGMA, 1.4826 * float(np.median(np.abs(residuals(state, used, priors)))))
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
-    covariance = last.covariance(state)
+    joint = last.covariance(state)
     state, every = retriangulate(state, obs, priors, 4.0, 2.0)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
     registered = np.intersect1d(photos, np.flatnonzero(seen >= LEAST_SEEN))
     free = priors.sigma_lens > 0
-    return Solved(state, registered, every, covariance, sigma, first, placed, free)
+    return Solved(state, registered, every, joint, sigma, first, placed, free)
 
 
 def _coarse_rounds(
@@ -269,4 +271,28 @@ def _result(
     kept, old = obs.keep(use)
     warnings = solved.first.warnings + bundle_warnings(frames, features, motions, priors, solved)
     notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
-    return BundleResult(motions, refined, state.points[old], warnings, notes)
+    joint = joint_of([m for m in motions if m is not None], priors, solved)
+    return BundleResult(motions, refined, state.points[old], warnings, notes, joint)
+
+
+def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:
+    """The joint covariance of the registered poses and the free lens numbers, each in units of its own sigma."""
+    rows = (6 * solved.registered[:, None] + np.arange(6)).ravel()
+    free = np.flatnonzero(solved.free)
+    start = 6 * len(priors.centres)
+    sigma = np.sqrt(np.diag(solved.joint)[start:])
+    move = block_diag(*(_about_body(m) for m in motions), np.diag(1.0 / sigma))
+    rows = np.concatenate([rows, start + np.arange(len(free))])
+    off = [solved.state.lens + s * np.eye(len(solved.state.lens))[k] for k, s in zip(free, sigma, strict=True)]
+    covariance = move @ solved.joint[np.ix_(rows, rows)] @ move.T
+    order = np.argsort([m.t_ns for m in motions], kind="stable")
+    rows = np.concatenate([(6 * order[:, None] + np.arange(6)).ravel(), np.arange(6 * len(order), len(covariance))])
+    lenses = tuple(lens_camera(priors.camera, lens) for lens in off)
+    return KeyframePosterior(tuple(motions[i] for i in order), covariance[np.ix_(rows, rows)], lenses)
+
+
+def _about_body(motion: Motion) -> F64:
+    """(6, 6): the error of the body's pose from that of the camera's, whose place the adjustment knows."""
+    out = np.eye(6)
+    out[:3, 3:] = -skew(motion.world_from_body.translation - motion.world_from_cams[0].translation)
+    return out

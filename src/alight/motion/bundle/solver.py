@@ -253,11 +253,15 @@ class Adjustment:
         return state
 
     def covariance(self, state: BundleState) -> F64:
-        """Return (n, 6, 6) of position and rotation, lens, mounting and points marginalised (eq. 9)."""
+        """Return (6 n + k, 6 n + k) of poses (position, rotation) and free lens numbers (eq. 9).
+
+        Mounting and points are marginalised.
+        """
         self.linearise(state)
         S = self.reduce(0.0)[0]
         C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
-        return np.array([C[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i in range(self.photos)])
+        stop = 6 * self.photos + len(self.free)
+        return np.asarray(C[:stop, :stop])
 
 
 def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:

@@ -38,11 +38,18 @@ class Solved:
     state: BundleState
     registered: I64
     observations: BundleObservations  # of `state.points`, outliers removed
-    covariance: F64  # (n, 6, 6)
+    joint: F64  # (6 n + k, 6 n + k) of the poses of all photos and the k lens numbers that are free
     pixel_sigma: float
     first: FirstPoses
     placed: I64  # photos whose GPS was ignored and which were placed by resection
     free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...
+
+    @property
+    def covariance(self) -> F64:
+        """(n, 6, 6) of each photo's position and rotation."""
+        n = (len(self.joint) - int(self.free.sum())) // 6
+        at = 6 * np.arange(n)[:, None] + np.arange(6)
+        return np.asarray(self.joint[at[:, :, None], at[:, None, :]])
 
 
 def why_no_motion(features: Sequence[PhotoFeatures | None], priors: Priors) -> str:

@@ -56,7 +56,17 @@ from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_me
 from alight.motion.preintegration import Preintegral
 from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
-from alight.records import ImuSample, KeyframePosterior, Motion, MotionState, NavSample, Prediction, Rig, Tracks
+from alight.records import (
+    ImuSample,
+    KeyframePosterior,
+    Motion,
+    MotionState,
+    NavSample,
+    Prediction,
+    RefinedMotions,
+    Rig,
+    Tracks,
+)
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
@@ -183,7 +193,7 @@ class MotionFilter:
         covariance = s.in_world(refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows])
         offset = s.core[OFFSET].copy()
         cams = tuple(rig @ x for x in self._cams)
-        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, map=self._memory.map_number)
+        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, frame_id=self._memory.map_number)
 
     def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
         """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
@@ -199,11 +209,15 @@ class MotionFilter:
         return MotionPredictor.of(state, self._cams, self._memory.inertial, self._settings)
 
     def smoothed(self) -> list[Motion]:
-        """The motions of all exposures so far, refined together (docs/method/smoother.md, M18-M22).
+        """The motions of `refined` alone."""
+        return list(self.refined().motions)
+
+    def refined(self) -> RefinedMotions:
+        """All exposures so far, refined together, with their joint covariance (docs/method/smoother.md, M18-M22b).
 
         Empty when `smooth` is off in the settings, and where a batch is not possible.
         """
-        return smooth_flight(self._recording) if self._recording else []
+        return smooth_flight(self._recording) if self._recording else RefinedMotions((), None)
 
     @property
     def time_ns(self) -> int:

@@ -14,6 +14,7 @@ from alight.motion.elimination import PoseConstraint, marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
+from alight.records import KeyframePosterior, Motion
 from alight.settings import FilterSettings
 
 _ITERATIONS = 2
@@ -50,9 +51,23 @@ def refine_keyframes(
         gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
         error = P @ gain @ (b + A @ error)
         poses = _moved(clones, error)
-    inflation = _relative_inflation(poses.p, max(1.0, settings.pixel_repeat * median))
+    inflation = relative_inflation(poses.p, max(1.0, settings.pixel_repeat * median))
     cross = gain.T @ state.P[rows, OFFSET]
     return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
+
+
+def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
+    """Joint posterior of poses that are off together as one rigid body, as far as the last one claims; None of none.
+
+    For motions that were given out one by one: the covariance of the poses relative to each other is lost.
+    """
+    if not motions:
+        return None
+    p = np.array([m.world_from_body.translation for m in motions])
+    by_last = np.tile(np.eye(CLONE), (len(motions), 1, 1))  # (position, rotation): how each pose moves with the last
+    by_last[:, :3, 3:] = -skew(p - p[-1])
+    F = by_last.reshape(-1, CLONE)
+    return KeyframePosterior(tuple(motions), F @ motions[-1].covariance @ F.T)
 
 
 def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
@@ -62,13 +77,20 @@ def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: f
     return np.asarray(well_known & (constraint.freedom > 0))
 
 
-def _relative_inflation(p: F64, factor: float) -> F64:
-    """Return the (6K, 6K) map that multiplies the variance of poses relative to the last one, which it leaves."""
+def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
+    """Return the (6K, 6K) map that multiplies the variance of poses relative to the reference, which it leaves.
+
+    Args:
+        p: (K, 3) metres, positions; each pose is (rotation, position).
+        reference: index of the pose that keeps its covariance.
+    """
     root, k = np.sqrt(factor), len(p)
-    by_last = np.tile(np.eye(CLONE), (k, 1, 1))  # how each pose moves when the last one moves and all are rigid
-    by_last[:, 3:, :3] = -skew(p - p[-1])
+    reference %= k
+    by_reference = np.tile(np.eye(CLONE), (k, 1, 1))  # how each pose moves when that one moves and all are rigid
+    by_reference[:, 3:, :3] = -skew(p - p[reference])
     out = root * np.eye(CLONE * k)
-    out[:, -CLONE:] += (1.0 - root) * by_last.reshape(CLONE * k, CLONE)
+    columns = slice(CLONE * reference, CLONE * (reference + 1))
+    out[:, columns] += (1.0 - root) * by_reference.reshape(CLONE * k, CLONE)
     return np.asarray(out)
 
 

@@ -9,7 +9,7 @@ from alight.motion.ekf.filter import MotionFilter
 from alight.motion.ekf.memory import Snapshot
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import FilterState
-from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, Prediction, Rig, Tracks
+from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, Prediction, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 _MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must lie after its stamp for the IMU to be waited for
@@ -111,3 +111,7 @@ class RollbackFilter:
     def smoothed(self) -> list[Motion]:
         """Return the motions of all exposures so far, smoothed together (M18-M22)."""
         return self._filter.smoothed()
+
+    def refined(self) -> RefinedMotions:
+        """Return the same motions with their joint covariance (M22b)."""
+        return self._filter.refined()

@@ -74,3 +74,18 @@ class Factors:
             if b < len(self._gains):
                 out[b] += self._gains[b] @ out[b + 1] @ self._gains[b].T
         return out
+
+    def joint(self, rows: NDArray[np.int64], own: F64) -> F64:
+        """(m, m): the inverse of A at the unknowns `rows`, in ascending order; `own` is what `covariance` gave.
+
+        Backward over the blocks: the cross covariance of block b with any later unknown is that of block b + 1, times
+        minus the gain. Memory is that of the answer and of `size` times m numbers.
+        """
+        size, m = self._g.shape[1], len(rows)
+        out, later = np.zeros((m, m)), np.empty((size, 0))  # `later`: of block b + 1 with the rows from it on
+        for b in reversed(range(len(self._factors))):
+            here = np.flatnonzero(rows // size == b)
+            local, stop = rows[here] - b * size, m - later.shape[1]
+            later = np.hstack([own[b][:, local], -self._gains[b] @ later if b < len(self._gains) else later])
+            out[stop - len(here) : stop, stop - len(here) :] = later[local]
+        return np.asarray(np.triu(out) + np.triu(out, 1).T)

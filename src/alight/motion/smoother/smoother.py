@@ -23,6 +23,7 @@ from alight.motion.dynamics import (
     inertial_transition,
     nav_decay,
 )
+from alight.motion.ekf.keyframe_posterior import relative_inflation
 from alight.motion.ekf.prediction import instant
 from alight.motion.ekf.state import (
     ACC,
@@ -40,11 +41,11 @@ from alight.motion.ekf.state import (
 )
 from alight.motion.gps_ins import ATTITUDE_ROWS, POSITION_ROWS, VELOCITY_ROWS, sigmas, whites
 from alight.motion.preintegration import Preintegral, corrected, preintegrate, segments
-from alight.motion.projection import observation_sigma
+from alight.motion.projection import POSITION_FIRST, observation_sigma
 from alight.motion.robust import cauchy
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal, Factors
 from alight.motion.smoother.track_segments import TrackSegments
-from alight.records import ImuSample, Motion, NavSample, Rig, Tracks
+from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 log = logging.getLogger(__name__)
@@ -57,6 +58,7 @@ _MIN_VARIANCE = 1e-14  # added to the noise of the motion model, so that it has 
 _ITERATIONS = 12
 _LONG = 1500  # exposures; longer flights get shorter pieces of tracks, so that memory (0.6 MB each) stays bounded
 _SHORTEST = 5  # exposures in a piece
+_MOST_JOINT = 240  # exposures whose joint covariance is handed out: 17 MB; between them errors are interpolated
 _ENOUGH = np.repeat([5e-5, 1e-3], 3)  # rad, m: steps of all poses below which it has converged
 
 
@@ -71,14 +73,14 @@ class RecordedFlight:
     exposures: list[tuple[Motion, Tracks, F64]] = field(default_factory=list)  # motion, tracks, core of the state
 
 
-def smooth_flight(recording: RecordedFlight) -> list[Motion]:
+def smooth_flight(recording: RecordedFlight) -> RefinedMotions:
     """Smooth all exposures; an empty result where that is not possible (fewer than three, no solution)."""
     if len(recording.exposures) < 3:
-        return []
+        return RefinedMotions((), None)
     try:
         return _Batch(recording).run()
     except np.linalg.LinAlgError:
-        return []
+        return RefinedMotions((), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ class _Batch:
         dt = (sample.t_ns - self._t[k]) * 1e-9
         return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns) if imu else None, sample, white)
 
-    def run(self) -> list[Motion]:
+    def run(self) -> RefinedMotions:
         """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""
         self._segments.triangulate(*self._rigs())
         for i in range(_ITERATIONS):
@@ -140,7 +142,23 @@ class _Batch:
             if (np.abs(step[:, :_POSE]) < _ENOUGH).all():
                 break
         covariance, span = factors.covariance(), self._span
-        return [self._motion(k, _own(covariance, k, span)) for k in range(len(self._t))]
+        motions = tuple(self._motion(k, _own(covariance, k, span)) for k in range(len(self._t)))
+        return RefinedMotions(motions, self._joint(motions, factors, covariance))
+
+    def _joint(self, motions: tuple[Motion, ...], factors: Factors, own: F64) -> KeyframePosterior:
+        """Joint posterior of the exposures, or of `_MOST_JOINT` of them, evenly spaced (M22b).
+
+        As in the keyframe posterior (M23), tracking errors are correlated: the covariance of the poses relative to the
+        middle one is inflated by the median residual and by `smoother_repeat`; the middle one keeps its own.
+        """
+        K = len(motions)
+        some = np.unique(np.linspace(0, K - 1, min(K, _MOST_JOINT)).round().astype(int))
+        rows = (some[:, None] * _SIZE + np.arange(_POSE)).ravel()
+        order = (_POSE * np.arange(len(some))[:, None] + POSITION_FIRST).ravel()
+        factor = max(1.0, self._settings.smoother_repeat * self._segments.median_misfit(*self._rigs()))
+        inflation = relative_inflation(self._x[some, POS], factor, len(some) // 2)
+        covariance = inflation @ factors.joint(rows, own) @ inflation.T
+        return KeyframePosterior(tuple(motions[k] for k in some), covariance[np.ix_(order, order)])
 
     def _rigs(self) -> tuple[F64, F64]:
         return self._R @ self._mount, self._x[:, POS]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from alight.elevation import TileStore
 from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
-from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, Vehicle
+from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
 from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.timing import Timings
 from alight.records import Rig
@@ -15,7 +15,7 @@ from alight.settings import StageSettings
 
 __all__ = [
     "BatchMapper", "FinishedMap", "MapSnapshot", "MapUpdate", "MappingLane", "PhotoMapper", "RecursiveMapper",
-    "Vehicle", "mapping_lane",
+    "VehiclePosition", "mapping_lane",
 ]  # fmt: skip
 
 

@@ -80,7 +80,7 @@ class BatchMapper:
         with self._timings.of("heights"):
             self._map.match_tiles(views, progress)
         with self._timings.of("map"):
-            elevation = self._map.snapshot()
+            elevation = self._map.snapshot(trajectory.joint)
         if elevation is None:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place

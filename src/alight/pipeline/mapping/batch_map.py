@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from alight.elevation import FIELDS
 from alight.geometry import Grid
-from alight.parallax import Images, ground_sampling, match_tile
+from alight.parallax import Images, Matched, ground_sampling, match_tile, with_datum
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import Heights, View
+from alight.records import ElevationMap, Heights, KeyframePosterior, View
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
@@ -30,6 +30,8 @@ def core(heights: Heights, margin: int) -> Heights:
 @dataclass(eq=False)
 class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
+
+    _matched: list[Matched] = field(default_factory=list)  # each tile with its views
 
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
@@ -69,10 +71,17 @@ class BatchMap(GroundMap):
         for n, key in enumerate(keys):
             grid = self.elevation.tile_grid(key, MARGIN, level)
             if only(grid):
-                heights = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
-                if heights is not None:
-                    self.elevation.add(core(self._without_doubtful(heights, camera - self.ground), MARGIN))
+                found = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
+                if found is not None:
+                    heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
+                    self.elevation.add(heights)
+                    self._matched.append(Matched.of(heights.grid, found.views))
                     self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
                     done += 1
             progress((n + 1) / len(keys))
         return done
+
+    def snapshot(self, joint: KeyframePosterior | None = None) -> ElevationMap | None:
+        """The whole map so far, with its datum by the joint posterior of the poses; None: the poses are exact."""
+        found = super().snapshot()
+        return found if found is None or joint is None else with_datum(found, self._matched, joint)

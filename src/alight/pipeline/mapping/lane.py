@@ -25,7 +25,7 @@ class MapUpdate:
 
 
 @dataclass(frozen=True, eq=False)
-class Vehicle:
+class VehiclePosition:
     """Where the vehicle is."""
 
     position: F64  # (3,) metres
@@ -39,7 +39,7 @@ class MapSnapshot:
     step: int  # as of `MapUpdate`; 0 for the map of a recording
     elevation: ElevationMap
     views: tuple[View, ...]  # that look down on it
-    vehicle: Vehicle
+    vehicle: VehiclePosition
     frame: MapFrame
 
 
@@ -65,8 +65,8 @@ class MappingLane(Protocol):
         """The map of the whole recording."""
 
 
-def vehicle_at_end(trajectory: Trajectory, ground: float | None, frame: MapFrame) -> Vehicle:
+def vehicle_at_end(trajectory: Trajectory, ground: float | None, frame: MapFrame) -> VehiclePosition:
     """Where a recording ends, in the map's frame, and how high above the ground the vehicle usually was."""
     ups = [m.world_from_body.translation[2] for m in trajectory.usable.values()]
     above = float(np.median(ups) - frame.offset_world[2] - (ground or 0))
-    return Vehicle(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)
+    return VehiclePosition(trajectory.motions[-1].world_from_body.translation - frame.offset_world, above)

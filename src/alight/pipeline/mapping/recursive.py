@@ -10,7 +10,7 @@ import numpy as np
 from alight.elevation import TileStore
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
-from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, Vehicle, vehicle_at_end
+from alight.pipeline.mapping.lane import FinishedMap, MapSnapshot, MapUpdate, Progress, VehiclePosition, vehicle_at_end
 from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import looking_down
@@ -122,7 +122,7 @@ class RecursiveMapper:
         if elevation is None or self._frame is None:
             return None
         centre = views[-1].centre
-        vehicle = Vehicle(centre, float(centre[2] - (self._map.ground_below or 0.0)))
+        vehicle = VehiclePosition(centre, float(centre[2] - (self._map.ground_below or 0.0)))
         return MapSnapshot(self._step, elevation, tuple(views), vehicle, self._frame)
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:

@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from alight.motion import RollbackFilter
+from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory
-from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, Rig, Tracks
+from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
+from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
 from alight.settings import StageSettings
 from alight.tracks import Tracker
 
@@ -163,14 +164,14 @@ class FilterHalf:
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
         return Navigation(tracked.frame, motion, self._filter.posterior())
 
-    def smoothed(self) -> list[Motion]:
+    def refined(self) -> RefinedMotions:
         """The motions refined together; empty where that is not asked for or not possible."""
-        return self._filter.smoothed()
+        return self._filter.refined()
 
     def online(self) -> list[Motion]:
         """The motions as they were given out, in order of time; each frame in the world by its newest offset."""
-        newest = {m.map: MapFrame.of(m) for m in self._motions}
-        return sorted((newest[m.map].motion(m) for m in self._motions), key=lambda m: m.t_ns)
+        newest = {m.frame_id: MapFrame.of(m) for m in self._motions}
+        return sorted((newest[m.frame_id].motion(m) for m in self._motions), key=lambda m: m.t_ns)
 
     def warnings(self, motions: Sequence[Motion], smoothed: bool) -> list[str]:
         """What went wrong, in sentences."""
@@ -179,7 +180,7 @@ class FilterHalf:
             out.append(_left_out(self._filter.too_late, "came late"))
         if self._lost:
             out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
-        if anew := max((m.map for m in motions), default=0):
+        if anew := max((m.frame_id for m in motions), default=0):
             out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
         if self._settings.smooth and motions and not smoothed:
             out.append("motion: the exposures could not be refined together; the poses are those of the flight")
@@ -238,10 +239,12 @@ class FilterLane:
     def finish(self, progress: Progress) -> Trajectory:
         """The smoothed motions; a warning where the filter was lost."""
         self.hear(self._batcher.rest())
-        smoothed = self._filtering.smoothed()
-        motions = smoothed or self._filtering.online()
+        refined = self._filtering.refined()
+        smoothed = bool(refined.motions)
+        motions = refined.motions or tuple(self._filtering.online())
+        joint = refined.joint or rigid_posterior(sparse(motions))
         repeated = self._batcher.repeated
         warnings = [_left_out(repeated, "have the stamp of an earlier one")] if repeated else []
-        warnings += self._filtering.warnings(motions, bool(smoothed))
+        warnings += self._filtering.warnings(motions, smoothed)
         note = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
-        return Trajectory(tuple(motions), self._rig, tuple(warnings), {"motion": note})
+        return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint)

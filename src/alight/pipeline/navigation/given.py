@@ -6,9 +6,10 @@ import bisect
 from collections import deque
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from alight.geometry import Pose
-from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Trajectory
+from alight.pipeline.navigation.lane import Navigation, Progress, TimedPoses, Trajectory, sparse
 from alight.records import Event, Frame, KeyframePosterior, Motion, Rig
 from alight.settings import MotionSettings
 
@@ -55,6 +56,12 @@ class GivenLane:
         return Navigation(event, motion, None if self._exact else KeyframePosterior((motion,), self._covariance))
 
     def finish(self, progress: Progress) -> Trajectory:
-        """The motions given out before."""
+        """The motions given out before; their errors are independent."""
         warnings = (f"poses: none for {self._missed} exposures, which are not used",) if self._missed else ()
-        return Trajectory(tuple(self._motions), self._rig, warnings, {"motion": "given poses, not estimated"})
+        motions, notes = tuple(self._motions), {"motion": "given poses, not estimated"}
+        return Trajectory(motions, self._rig, warnings, notes, None if self._exact else _independent(sparse(motions)))
+
+
+def _independent(motions: tuple[Motion, ...]) -> KeyframePosterior | None:
+    """Joint posterior of poses with independent errors; None of none."""
+    return KeyframePosterior(motions, block_diag(*(m.covariance for m in motions))) if motions else None

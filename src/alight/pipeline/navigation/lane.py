@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,6 +15,7 @@ from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState,
 
 Progress = Callable[[float], None]
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
+_MOST_JOINT = 240  # poses of a joint posterior that no estimator gave; between them errors are interpolated
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Trajectory:
     rig: Rig  # with the lens as the estimator left it
     warnings: tuple[str, ...] = ()
     notes: Mapping[str, object] = field(default_factory=dict)
+    joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
 
     @property
     def usable(self) -> dict[int, Motion]:
@@ -46,13 +48,18 @@ class Trajectory:
     def place(self) -> MapFrame:
         """The place of all motions in the world: no offset is left, and the best known one limits what they share."""
         best = min(self.usable.values(), key=lambda m: float(np.trace(m.covariance[:3, :3])))
-        return MapFrame(self.motions[-1].map, np.zeros(3), best.covariance[:3, :3])
+        return MapFrame(self.motions[-1].frame_id, np.zeros(3), best.covariance[:3, :3])
 
     @property
     def reason(self) -> str:
         """Why there is no motion at all."""
         otherwise = "there is no GPS/INS to start from (nav0), or no picture could be placed"
         return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
+
+
+def sparse(motions: Sequence[Motion]) -> tuple[Motion, ...]:
+    """Evenly spaced motions, so many that their joint covariance has a bounded size."""
+    return tuple(motions[:: max(1, len(motions) // _MOST_JOINT)])
 
 
 class NavigationLane(Protocol):

@@ -20,6 +20,9 @@ class FilterTuning(FrozenModel):
         description="Observations counted as one when the keyframe covariance is inflated: tracking errors are "
         "correlated in time and between neighbouring features",
     )
+    smoother_repeat: Positive = Field(
+        20.0, description="The same for the joint covariance of a smoothed flight (docs/lab/map-covariance.md)"
+    )
     texture_reference: Positive = Field(
         1.3e-3, description="Shi-Tomasi response of short grass; the sigma of a track grows as 1 / sqrt(texture)"
     )

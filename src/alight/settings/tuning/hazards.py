@@ -32,7 +32,8 @@ class HazardsTuning(FrozenModel):
         0.2, description="Least probability of landable ground; below it the cell is refused, above it P weighs it"
     )
     tilt_sigma: NonNegative = Field(
-        0.008, description="Least 1-sigma of the common tilt of the map, rad, where the poses do not give a larger one"
+        0.0,
+        description="1-sigma of a common tilt of the map, rad, added to that of its poses: for maps from elsewhere",
     )
     noise_length: NonNegative = Field(0.6, description="Distance over which neighbouring heights share their noise, m")
     smoothed: bool = Field(

@@ -1,0 +1,115 @@
+"""How the errors of the views' poses move the heights that were matched with them (docs/method/uncertainty.md).
+
+A view whose pose is wrong carries the ground that it sees along with its body. Where the views of a place carry it to
+different places, the match is the point nearest to all of them. So height and place are linear in the poses' errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F64
+from alight.geometry import Camera, Grid, Pose, skew
+from alight.records import KeyframePosterior, View
+
+_LEAST = 2  # views that make a height
+_REGULAR = 1e-9  # of the normal equations, so that a point seen along one ray has an answer
+
+
+class PosedCamera(NamedTuple):
+    """A view without its picture."""
+
+    t_ns: int
+    camera: Camera
+    world_from_cam: Pose
+
+
+class Matched(NamedTuple):
+    """The views that the heights of a tile were matched with."""
+
+    grid: Grid
+    cameras: tuple[PosedCamera, ...]
+
+    @classmethod
+    def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
+        """Those of views."""
+        return cls(grid, tuple(PosedCamera(v.t_ns, v.camera, v.world_from_cam) for v in views))
+
+    def holds(self, east: F64, north: F64) -> NDArray[np.bool_]:
+        """Which places lie in the tile."""
+        row, col = self.grid.index(east, north)
+        inside = (row >= -0.5) & (row < self.grid.rows - 0.5) & (col >= -0.5) & (col < self.grid.cols - 0.5)
+        return np.asarray(inside)
+
+
+def sensitivity(points: F64, cameras: Sequence[PosedCamera], joint: KeyframePosterior) -> F64:
+    """By how much matched points move with the errors of the poses and the lens.
+
+    The displacement is the least-squares intersection of the displaced rays, each measured on the ground as the
+    matching measures it: of view i with ray `r`, `T_i = [I | -r_xy / r_z]`, and `dX = (sum T'T)^-1 sum T'T d_i`.
+
+    Args:
+        points: (S, 3) metres, the ground.
+        cameras: those of the views.
+        joint: whose errors; an exposure between two of its own has their errors, interpolated in time.
+
+    Returns:
+        (S, 3, 6K + L) metres a metre, a radian or a unit of the lens; NaN where fewer than two views see a point.
+    """
+    S, M = len(points), len(joint.covariance)
+    normal, out, count = np.zeros((S, 3, 3)), np.zeros((S, 3, M)), np.zeros(S, np.int64)
+    for view in cameras:
+        ray = points - view.world_from_cam.translation
+        seen = _sees(view, points)
+        T = np.zeros((S, 2, 3))
+        T[:, 0, 0] = T[:, 1, 1] = 1.0
+        T[:, :, 2] = -ray[:, :2] / np.where(np.abs(ray[:, 2:]) > 1e-6, ray[:, 2:], -1e-6)
+        W = np.where(seen[:, None, None], T.transpose(0, 2, 1) @ T, 0.0)
+        normal += W
+        count += seen
+        for k, share in _shares(view.t_ns, joint):
+            out[:, :, 6 * k : 6 * k + 6] += share * (W @ _carried(points, joint.motions[k].world_from_body.translation))
+        for n, lens in enumerate(joint.lenses):
+            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens, points)[..., None])[..., 0]
+    found = np.linalg.solve(normal + _REGULAR * np.eye(3), out)
+    return np.asarray(np.where(count[:, None, None] >= _LEAST, found, np.nan))
+
+
+def _sees(view: PosedCamera, points: F64) -> NDArray[np.bool_]:
+    in_cam = view.world_from_cam.inverse.apply(points)
+    uv = view.camera.project(in_cam)
+    inside = (uv >= 0).all(axis=1) & (uv[:, 0] <= view.camera.width - 1) & (uv[:, 1] <= view.camera.height - 1)
+    return np.asarray(inside & (in_cam[:, 2] > 0))
+
+
+def _carried(points: F64, body: F64) -> F64:
+    """(S, 3, 6): by how much the ground goes with a body that is moved and turned; the error is what must be added."""
+    out = np.zeros((len(points), 3, 6))
+    out[:, :, :3] = -np.eye(3)
+    out[:, :, 3:] = np.array([skew(p - body) for p in points])
+    return out
+
+
+def _bent(view: PosedCamera, lens: Camera, points: F64) -> F64:
+    """(S, 3): by how much the ground goes with the pixels of a lens that is one unit off."""
+    in_cam = view.world_from_cam.inverse.apply(points)
+    pixels = view.camera.project(in_cam)
+    ray, true = view.camera.rays(pixels), lens.rays(pixels)
+    off = (ray / ray[:, 2:] - true / true[:, 2:]) * in_cam[:, 2:]
+    return np.asarray(off @ view.world_from_cam.rotation.T)
+
+
+def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
+    """Which exposures of the joint covariance stand for that at a time, and how much of it each is."""
+    times = np.array([m.t_ns for m in joint.motions], np.int64)
+    k = int(np.searchsorted(times, t_ns))
+    if k == len(times):
+        return [(k - 1, 1.0)]
+    if k == 0 or times[k] == t_ns:
+        return [(k, 1.0)]
+    share = float(t_ns - times[k - 1]) / float(times[k] - times[k - 1])
+    return [(k - 1, 1.0 - share), (k, share)]
