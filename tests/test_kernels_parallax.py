@@ -453,11 +453,11 @@ CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
     "template": lambda: run_template(stack("holes", WIDE)),
     "normal_equations": lambda: run_normal_equations(stack("random", WIDE), heights("step", WIDE)),
     "baseline": lambda: run_baseline(stack("holes")),
-    "solve": lambda: run_solve(heights("holes", WIDE)),
+    "solve_window": lambda: run_solve(heights("holes", WIDE)),
     "plane_prior": lambda: run_prior(heights("holes", WIDE)),
     "block_tops": lambda: run_block_tops(heights("step", WIDE)),
     "visibility": lambda: run_visibility(heights("step")),
-    "project": lambda: run_project(
+    "project_grid": lambda: run_project(
         LENSES["equidistant"], heights("random"), Grid(0.0, 0.0, CELL, ROWS, COLS), Pose(DOWN, np.array([1.0, 2, 9]))
     ),
 }

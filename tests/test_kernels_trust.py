@@ -168,7 +168,7 @@ def test_fuse() -> None:
 # -- threads
 
 CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
-    "pool": run_pool, "sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
+    "pool": run_pool, "height_sigma": run_sigma, "flag": run_flag, "veil": run_veil, "fuse": run_fuse,
 }  # fmt: skip
 
 

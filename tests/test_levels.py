@@ -307,7 +307,7 @@ def test_poses_of_another_frame_do_not_mix() -> None:
 
 def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:
     far: dict[tuple[int, int, int], bytes] = {}
-    lane = RecursiveMap(load_settings("", SMALL), far)
+    lane = RecursiveMap(load_settings("", SMALL).stages(), far)
     assert lane.find_ground(list(level()[:8]))
     steps(lane, level_flight(40, UP, share=0.2))
     assert far

@@ -14,7 +14,7 @@ from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.parallax import with_datum
 from alight.parallax.datum import shared_error, steepness
 from alight.parallax.pose_error import Matched, PosedCamera, sensitivity
-from alight.parallax.pose_refinement.gaussian import moved
+from alight.parallax.pose_refinement.gaussian import corrected_pose
 from alight.records import F64, ElevationMap, Flag, KeyframePosterior, Motion
 
 CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
@@ -51,7 +51,7 @@ def matched(motions: tuple[Motion, ...], error: F64, points: F64, true: Camera =
     """Where the rays of the estimated poses to true points agree best, in height and place: the twin, ray by ray."""
     rays = []
     for m, e in zip(motions, error.reshape(-1, 6), strict=True):
-        body = moved(m.world_from_body, e)
+        body = corrected_pose(m.world_from_body, e)
         pixels = true.project((body @ BODY_FROM_CAM).inverse.apply(points))
         rays.append(CAMERA.rays(pixels) @ m.world_from_cams[0].rotation.T)
     out = np.empty_like(points)
