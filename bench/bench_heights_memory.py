@@ -25,11 +25,12 @@ import cv2
 import numpy as np
 from heights_table import Row, head, kept
 
+from alight.arrays import U8
 from alight.elevation import NullStore, TileStore
 from alight.geometry import Camera, Pose
 from alight.outputs import FileStore
 from alight.pipeline import Pipeline
-from alight.records import U8, Event, Frame, ImuSample, NavSample, Rig, RigCamera
+from alight.records import Event, Frame, ImuSample, NavSample, Rig, RigCamera
 from alight.settings import Settings
 
 UP, SPEED = 40.0, 4.0  # metres, m/s: 0.8 m between exposures, 2 % of the height

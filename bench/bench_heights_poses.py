@@ -22,14 +22,15 @@ from bench_steps import texture, view
 from heights_points import Points, points_of
 from heights_step import REPEATS, SPACING, Flight, cpu, lone_step, one_thread
 from heights_table import Row, head, kept
+from ladder import rung
 from true_views import exposures
 
+from alight.arrays import F64
 from alight.evaluation.report import nmad
 from alight.geometry import Pose, so3_exp
 from alight.pipeline.mapping.recursive_map import RecursiveMap
-from alight.records import F64, ElevationMap, KeyframePosterior, Motion, View
+from alight.records import ElevationMap, KeyframePosterior, Motion, View
 from alight.settings import Settings
-from alight_sim.ladder import rung
 
 RUNGS = ("meadow/40m/test-1", "farmland/40m/test-1", "village/40m/test-1", "quarry/40m/test-1")
 COUNT = 20  # exposures

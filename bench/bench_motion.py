@@ -27,8 +27,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
+import ladder
 from motion_common import DATA, SECOND, Row, errors, fly, interpolated, recording, relative_px, ring_px, say
 from motion_ladder import part_ladder
 from motion_scenarios import ALL, DEGRADED, GOOD, OUTAGE, Outcome
@@ -41,7 +42,6 @@ from alight.records import Frame, InputError, Motion, MotionState, NavSample
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.tracks import Tracker
-from alight_sim import ladder
 
 # -- flights without images ----------------------------------------------------------------------------------------
 

@@ -15,9 +15,9 @@ from collections.abc import Callable
 import cv2
 import numba
 import numpy as np
+from exactness import LENSES, errors
 
 import alight_sim as simulate
-from alight_sim.exactness import LENSES, errors
 from alight_sim.flight import SimulatedFlight
 
 SCENE = "meadow"

@@ -17,7 +17,8 @@ from ground_flights import FRESH
 from ground_maps import judgeable
 
 from alight import terrain
-from alight.records import LANDABLE, U8, ElevationMap, Terrain
+from alight.arrays import U8
+from alight.records import LANDABLE, ElevationMap, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
 from alight.terrain.appearance import seen

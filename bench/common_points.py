@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F64, View
+from alight.arrays import F64
+from alight.records import View
 
 FEATURES = 4000
 RATIO = 0.8

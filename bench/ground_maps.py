@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from ladder import rung
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from alight.arrays import F32, F64, U8
 from alight.elevation import FIELDS
 from alight.evaluation.flight import NEAR, FlightTruth, at, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
-from alight.records import F32, F64, U8, Datum, ElevationMap, Flag, Motion
+from alight.records import Datum, ElevationMap, Flag, Motion
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight_sim import SimulatedFlight
-from alight_sim.ladder import rung
 
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]

@@ -11,9 +11,8 @@ import numpy as np
 from heights_matchers import MATCHERS
 from heights_points import compare, points_of
 from heights_table import Row, kept
+from ladder import rung
 from true_views import exposures
-
-from alight_sim.ladder import rung
 
 COUNTS = (10, 20)  # exposures
 MIDDLE = 40  # metres: where everything is asked

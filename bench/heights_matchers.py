@@ -13,12 +13,13 @@ import numpy as np
 from heights_points import Answer, Mask, Points
 from matchers import by_pair, map_of_pair
 
+from alight.arrays import F64
 from alight.parallax import ground_sampling
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import nice_cell
-from alight.records import F64, ElevationMap, View
+from alight.records import ElevationMap, View
 from alight.settings import Settings
 
 M = TypeVar("M", bound=GroundMap)

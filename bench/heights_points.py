@@ -10,8 +10,9 @@ import numpy as np
 from matchers import inside, stands_clear
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.evaluation.report import nmad
-from alight.records import F64, Terrain, View
+from alight.records import Terrain, View
 from alight_sim import SimulatedFlight
 
 POINTS = 20_000

@@ -17,9 +17,10 @@ from matchers import by_pair, inside
 from scipy.spatial import cKDTree
 from subjects import Subject, flight, photos
 
+from alight.arrays import F64
 from alight.evaluation.photos import interpolated, plane_of
 from alight.evaluation.report import nmad
-from alight.records import F64, ElevationMap, Flag, View
+from alight.records import ElevationMap, Flag, View
 from alight.settings import Settings
 
 DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))

@@ -16,16 +16,17 @@ import numpy as np
 from heights_matchers import mapped
 from heights_points import OPEN, Mask
 from heights_table import Row, kept
+from ladder import MOST_SEEDS, rung
 from numpy.typing import NDArray
 from true_views import exposures
 
 import alight_sim as simulate
+from alight.arrays import F32
 from alight.geometry import Grid
 from alight.pipeline import without_water
-from alight.records import F32, ElevationMap, Flag, Terrain, View
+from alight.records import ElevationMap, Flag, Terrain, View
 from alight.settings import TerrainSettings
 from alight.terrain import classify
-from alight_sim.ladder import MOST_SEEDS, rung
 
 SCENES = Path(__file__).parent / "scenes"
 WRONG, DEEP = 0.25, 0.5  # metres: a height that must be flagged; the same on water whose bed shows

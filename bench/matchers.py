@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from subjects import Points, Subject
 
+from alight.arrays import F32, F64
 from alight.evaluation.report import nmad
 from alight.geometry import Grid
-from alight.records import F32, F64, ElevationMap, Flag, Terrain, View
+from alight.records import ElevationMap, Flag, Terrain, View
 from alight.runner import replay
 
 WRONG = 0.01  # of the height above ground

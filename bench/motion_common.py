@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
 
 from point_flight import error
 
+from alight.arrays import F64
 from alight.geometry import Pose
 from alight.pipeline.navigation import FilterLane
-from alight.records import F64, Motion, Rig
+from alight.records import Motion, Rig
 from alight.settings import Settings
 from alight.sources import Source, open_source
 from alight_sim.flight import SimulatedFlight

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
+import ladder
 import numpy as np
 from motion_common import SECOND, Flown, Row, errors, fly, ring_px, say
 
 from alight.motion import MotionFilter
 from alight.records import ImuSample, MotionState, NavSample, Tracks
 from alight.settings import FilterSettings, load_settings
-from alight_sim import ladder
 from alight_sim.flight import SimulatedFlight
 
 

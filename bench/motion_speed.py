@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from motion_common import DATA, Row, recording, say
 
+from alight.arrays import U8
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
-from alight.records import U8
 from alight.runner.mailbox import Closed, Mailbox
 from alight.settings import load_settings
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import F32, U8
+from alight.arrays import F32, U8
 
 PATCH = 256  # px, of the spectrum
 OCTAVES = 6  # periods of 2 to 128 px

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 import alight_sim as simulate
-from alight.records import U8
+from alight.arrays import U8
 from alight_sim.keys import reference
 from alight_sim.scene import FOLDER, built_in
 

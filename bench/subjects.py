@@ -12,10 +12,11 @@ from common_points import common_points
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth, read_flight_truth
 from alight.evaluation.photos import LEAST_TRACK, MOST_ERROR
 from alight.geometry import LocalFrame, Pose
-from alight.records import F64, Frame, Terrain, View
+from alight.records import Frame, Terrain, View
 from alight.settings import Settings
 from alight.sources import Source, open_source
 

@@ -212,7 +212,7 @@ cli.main()
 
 
 def test_ctrl_c_in_a_process_leaves_whole_files_and_no_traceback(tmp_path: Path) -> None:
-    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    paths = [str(Path(__file__).parent / "helpers"), os.environ.get("PYTHONPATH", "")]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
     command = [sys.executable, "-c", SLOW, "run", "any", "--out", str(tmp_path / "out")]
     pipe = subprocess.PIPE

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import ladder as steps
 import numpy as np
 import pytest
+from ladder import HEIGHTS, SCENES, Rung, ladder, rung
 
 from alight.records import InputError
-from alight_sim import ladder as steps
-from alight_sim.ladder import HEIGHTS, SCENES, Rung, ladder, rung
 from alight_sim.scene import built_in, read_scene
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from point_flight import NOISE, PointFlight, run
 
+from alight.arrays import F64
 from alight.geometry import Camera, Grid, Pose, skew, so3_exp
 from alight.motion.ekf.keyframe_posterior import relative_inflation, rigid_posterior
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
@@ -15,7 +16,7 @@ from alight.parallax import with_datum
 from alight.parallax.datum import shared_error, steepness
 from alight.parallax.pose_error import Matched, PosedCamera, sensitivity
 from alight.parallax.pose_refinement.gaussian import corrected_pose
-from alight.records import F64, ElevationMap, Flag, KeyframePosterior, Motion
+from alight.records import ElevationMap, Flag, KeyframePosterior, Motion
 
 CAMERA = Camera(640, 480, 480.0, 480.0, 319.5, 239.5)
 BODY_FROM_CAM = Pose(so3_exp([0.02, 0.01, 0.0]) @ np.array([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]]), [0.3, 0.1, -0.1])

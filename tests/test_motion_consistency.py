@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from point_flight import DOWN, NOISE, PointFlight, error, nees, run
 from scipy.stats import chi2
 
+from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp, so3_log
 from alight.motion.ekf.keyframe_posterior import refine_keyframes
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
@@ -21,7 +22,7 @@ from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import project
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
-from alight.records import F64, Motion, NavSample, Tracks
+from alight.records import Motion, NavSample, Tracks
 
 FLIGHTS = 50
 BAND = chi2.ppf([0.025, 0.975], 6 * FLIGHTS) / FLIGHTS  # of the mean over the flights, 6 expected

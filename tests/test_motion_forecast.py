@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from point_flight import NOISE, RIG, PointFlight, fed
 
+from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import POS, VEL
-from alight.records import F64, Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
+from alight.records import Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
 from alight.tracks import Tracker
 from alight.tracks.search_region import inside_search_region, pixel_covariance

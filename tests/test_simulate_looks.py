@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from exactness import LENSES, errors
 
 from alight.geometry import Camera, Grid, Pose
 from alight.records import InputError, Terrain
 from alight_sim import cameras, coarser
 from alight_sim.cameras import Eye, Shutter, rays_in_pixel
-from alight_sim.exactness import LENSES, errors
 from alight_sim.kernels import block, texture
 from alight_sim.kernels.boxes import hit_box
 from alight_sim.kernels.noise import gradient_noise, noise32, seed32

@@ -15,19 +15,20 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+from ladder import rung
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from true_views import exposures
 
 import alight_sim as simulate
+from alight.arrays import F32, F64
 from alight.parallax import uncertainty as trust
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.raster import upsample
-from alight.records import F32, F64, Flag, Heights, Terrain
+from alight.records import Flag, Heights, Terrain
 from alight.settings import Settings
 from alight.settings.tuning.parallax import UncertaintyTuning
-from alight_sim.ladder import rung
 
 FLIGHTS = (
     "meadow/20m/tuning-1", "yard/20m/tuning-1", "village/50m/tuning-1", "quarry/50m/tuning-1", "forest/50m/tuning-1",

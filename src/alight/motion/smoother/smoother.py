@@ -155,7 +155,8 @@ class _Batch:
         some = np.unique(np.linspace(0, K - 1, min(K, _MOST_JOINT)).round().astype(int))
         rows = (some[:, None] * _SIZE + np.arange(_POSE)).ravel()
         order = (_POSE * np.arange(len(some))[:, None] + POSITION_FIRST).ravel()
-        factor = max(1.0, self._settings.smoother_repeat * self._segments.median_misfit(*self._rigs()))
+        misfit = self._segments.median_misfit(*self._rigs())  # infinite without observations: nothing to inflate
+        factor = max(1.0, self._settings.smoother_repeat * misfit) if np.isfinite(misfit) else 1.0
         inflation = relative_inflation(self._x[some, POS], factor, len(some) // 2)
         covariance = inflation @ factors.joint(rows, own) @ inflation.T
         return KeyframePosterior(tuple(motions[k] for k in some), covariance[np.ix_(order, order)])

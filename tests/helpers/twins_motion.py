@@ -8,10 +8,9 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from alight.arrays import I64
+from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera, Pose, skew
 from alight.motion.observations import WindowObservations, WindowPoses
-from alight.records import F32, F64, U8
 
 NEAR, REGULAR = 0.1, 1e-9  # m, 1/m^2
 

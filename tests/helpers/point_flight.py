@@ -12,9 +12,10 @@ from functools import cached_property
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion import MotionFilter, RollbackFilter
-from alight.records import F64, Event, ImuSample, Motion, NavSample, Rig, RigCamera, Tracks
+from alight.records import Event, ImuSample, Motion, NavSample, Rig, RigCamera, Tracks
 from alight.settings import FilterSettings
 
 START = 1_700_000_000_000_000_000

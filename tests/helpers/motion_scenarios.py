@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 from point_flight import PointFlight, best, blind, error, run, seconds
 
+from alight.arrays import F64
 from alight.geometry import so3_exp
 from alight.motion import MotionFilter
-from alight.records import F64, Event, Motion, MotionState, NavSample, Tracks
+from alight.records import Event, Motion, MotionState, NavSample, Tracks
 
 Sample = Event | Tracks
 GOOD, DEGRADED, LOST = MotionState.GOOD, MotionState.DEGRADED, MotionState.LOST

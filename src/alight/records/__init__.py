@@ -1,0 +1,59 @@
+"""What goes between the stages: frozen records, and the errors a user can mend.
+
+World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is NaN, reasons are flag bits.
+"""
+
+from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
+from alight.records.events import Event, Frame, ImuSample, NavSample, Prediction, Rig, RigCamera, Tracks
+from alight.records.landing import Hazard, HazardMap, NextView, Route, Site, Sites, Waypoint
+from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
+from alight.records.result import RunResult
+from alight.records.surface import (
+    LANDABLE,
+    REFUSED,
+    Datum,
+    ElevationMap,
+    Flag,
+    Heights,
+    Terrain,
+    TerrainMap,
+    is_trusted,
+)
+
+__all__ = [
+    "LANDABLE",
+    "REFUSED",
+    "AlightError",
+    "Datum",
+    "ElevationMap",
+    "Event",
+    "Flag",
+    "Frame",
+    "Hazard",
+    "HazardMap",
+    "Heights",
+    "ImuSample",
+    "InputError",
+    "KeyframePosterior",
+    "MissingExtraError",
+    "Motion",
+    "MotionState",
+    "NavSample",
+    "NextView",
+    "OutputError",
+    "Prediction",
+    "RefinedMotions",
+    "Rig",
+    "RigCamera",
+    "Route",
+    "RunResult",
+    "SettingsError",
+    "Site",
+    "Sites",
+    "Terrain",
+    "TerrainMap",
+    "Tracks",
+    "View",
+    "Waypoint",
+    "is_trusted",
+]

@@ -1,0 +1,86 @@
+"""What sources give: cameras, frames, GPS/INS and inertial samples; and feature tracks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F64, U8
+from alight.geometry import Camera, Pose
+
+
+@dataclass(frozen=True, eq=False)
+class RigCamera:
+    """One camera of a rig: its lens and where it sits."""
+
+    name: str
+    camera: Camera
+    body_from_cam: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """The cameras that expose together; index 0 is the left or only one."""
+
+    cameras: tuple[RigCamera, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure of the whole rig. An image that was dropped or unreadable is None."""
+
+    t_ns: int
+    images: tuple[U8 | None, ...]  # one a camera, (H, W) grey or (H, W, 3) RGB
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class NavSample:
+    """One row of the GPS/INS navigation solution; None is 'not measured'."""
+
+    t_ns: int
+    position_world: F64 | None  # (3,) metres
+    world_from_body: F64 | None  # (3, 3) rotation
+    velocity_world: F64 | None = None  # (3,) m/s
+    angular_velocity_body: F64 | None = None  # (3,) rad/s
+    sigma_position: F64 | None = None  # (3,) metres, east north up
+    sigma_attitude: F64 | None = None  # (3,) rad, roll pitch yaw
+    sigma_velocity: F64 | None = None  # (3,) m/s, east north up
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSample:
+    """One raw inertial measurement, body frame."""
+
+    t_ns: int
+    angular_velocity_body: F64  # (3,) rad/s
+    specific_force_body: F64  # (3,) m/s^2
+
+
+Event = Frame | NavSample | ImuSample
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Where the tracked features are in one exposure. Row i of every array is the feature `ids[i]`."""
+
+    t_ns: int
+    ids: NDArray[np.int64]  # (N,) one number a feature, never used again
+    pixels: F64  # (N, cameras, 2) pixels as the image has them; NaN = not seen by that camera
+    normalised: F64  # (N, cameras, 2) x/z, y/z with the lens taken out; NaN = not seen by that camera
+    texture: F64 | None = None  # (N,) Shi-Tomasi response a pixel over the SSD window, grey range 1; None: unknown
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Where the cameras will be at an exposure as the motion lets expect it, and how well that is known.
+
+    What tells how features move is the change of the pose, and that is known far better than the pose: both poses are
+    of one estimate, with the covariance of the one as seen from the other.
+    """
+
+    world_from_cams: tuple[Pose, ...]
+    earlier: tuple[Pose, ...] | None = None  # world_from_cam at the exposure before; None: no longer known
+    covariance: F64 | None = None  # (6, 6) of earlier points in camera 0 now: turned by [rad], then moved by [m]

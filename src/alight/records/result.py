@@ -1,0 +1,38 @@
+"""Everything one run found out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from alight.geometry import LocalFrame
+from alight.records.landing import HazardMap, Route, Sites
+from alight.records.motion import Motion
+from alight.records.surface import ElevationMap, TerrainMap
+from alight.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """Everything one run found out: what the output folder and the report are made of.
+
+    Whatever a run could not make is None or empty; `not_written` then says why, by file name.
+    """
+
+    source_name: str  # the folder or file, as a person would call it
+    source_kind: str  # photos | flight log | ...
+    local: LocalFrame
+    georeferenced: bool  # False: `local` is a stand-in and the world has no place on Earth
+    settings: Settings
+    sites: Sites
+    elevation: ElevationMap | None = None
+    terrain: TerrainMap | None = None
+    hazards: HazardMap | None = None
+    route: Route | None = None
+    motions: Sequence[Motion] = ()
+    height_above_ground: float | None = None  # metres, median over the exposures
+    counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
+    notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
+    warnings: Sequence[str] = ()
+    timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
+    not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why

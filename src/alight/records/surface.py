@@ -1,0 +1,142 @@
+"""Heights and land cover on a grid, with the reasons where one is missing or doubtful."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F16, F32, F64, U8, U16
+from alight.geometry import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class Datum:
+    """What all heights of a map share: how far its plane may be off, beside the sigma of each cell."""
+
+    east: float  # metres, of the centre about which it tilts
+    north: float
+    covariance: F64  # (3, 3): offset up [m], rise per metre towards east and towards north [rad]
+
+    @property
+    def offset_sigma(self) -> float:
+        """Of the height of the centre, metres."""
+        return float(np.sqrt(self.covariance[0, 0]))
+
+    @property
+    def tilt_sigma(self) -> float:
+        """Of the tilt towards where it is known worst, rad."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1]))
+
+
+class Flag(IntFlag):
+    """Why a height is missing or doubtful; bits of flags.tif."""
+
+    UNSEEN = 1  # fewer than two views see the cell
+    TEXTURE = 2  # too little texture to match
+    AMBIGUOUS = 4  # a second height fits nearly as well
+    SATURATED = 8  # the pixels are at an end of their range
+    MOVING = 16  # the views disagree although the geometry fits: water, swaying plants, moving shadow
+    STEP = 32  # within a window of a height step: the height may be that of the neighbour
+    INCONSISTENT = 64  # fewer than two of the views that see the cell agree on what is there
+    RANGE = 128  # the height is at an end of the searched range
+    UNSURE = 256  # the evidence together makes a wrong match likely
+    FEW = 512  # seen by two views only: a note, not a reason
+    WATER = 1024  # water: what was matched is the bed, below the surface
+
+
+# a height that carries one of these is not given out (NaN in dem.tif)
+REFUSED = (
+    Flag.UNSEEN
+    | Flag.TEXTURE
+    | Flag.AMBIGUOUS
+    | Flag.SATURATED
+    | Flag.MOVING
+    | Flag.INCONSISTENT
+    | Flag.RANGE
+    | Flag.UNSURE
+    | Flag.WATER
+)
+
+
+def is_trusted(flags: U16) -> NDArray[np.bool_]:
+    """Where no flag refuses the height."""
+    return np.asarray((flags & np.uint16(REFUSED)) == 0)
+
+
+class Terrain(IntEnum):
+    """Class codes of terrain.tif and of a flight's truth."""
+
+    UNKNOWN = 0
+    BARE = 1
+    SHORT_GRASS = 2
+    TALL_VEGETATION = 3
+    TREE = 4
+    WATER = 5
+    ROCK = 6
+    PAVED = 7
+    STRUCTURE = 8
+
+
+LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
+
+
+@dataclass(frozen=True, eq=False)
+class Heights:
+    """What one parallax step found on one grid."""
+
+    grid: Grid
+    height: F32  # (R, C) metres above the origin (world up); NaN = unseen
+    sigma: F32  # (R, C) metres, 1-sigma relative to the map
+    flags: U16  # (R, C) bits of Flag
+    views: U8  # (R, C) views that saw the cell
+    rgb: U8  # (R, C, 3) what the cameras saw
+    residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
+    gauge: Datum | None = None  # None: not known, as for poses that came without covariance
+
+
+@dataclass(frozen=True, eq=False)
+class ElevationMap:
+    """One map of the ground, fused from many steps. Fields as in `Heights`."""
+
+    grid: Grid
+    height: F32
+    sigma: F32
+    flags: U16
+    views: U8
+    rgb: U8
+    residual: F32
+    gauge: Datum | None = None
+    warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from what the poses bend and turn beside the gauge
+    fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
+    frame_id: int = 0  # of the poses that it was made with (`Motion.frame_id`)
+    position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's place on Earth; None: not known
+
+    @property
+    def finest(self) -> tuple[U8, int]:
+        """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
+        picture = self.rgb if self.fine is None else self.fine
+        return picture, picture.shape[0] // self.grid.rows
+
+    @property
+    def relative_sigma(self) -> F32:
+        """(R, C) metres, 1-sigma of a height relative to the map's plane: of the match, and of what the poses bend."""
+        return self.sigma if self.warp is None else np.hypot(self.sigma, self.warp)
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(R, C): cells whose height may be given out."""
+        trusted: NDArray[np.bool_] = np.isfinite(self.height) & is_trusted(self.flags)
+        return trusted
+
+
+@dataclass(frozen=True, eq=False)
+class TerrainMap:
+    """What covers the ground."""
+
+    grid: Grid
+    label: U8  # (R, C) Terrain codes
+    landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
+    probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
