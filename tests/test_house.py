@@ -93,3 +93,26 @@ def test_the_architecture_page_names_every_module() -> None:
     modules = {p.stem if p.is_file() else p.name for p in PACKAGE.iterdir() if p.suffix == ".py" or p.is_dir()}
     modules -= {"__init__", "__pycache__"}
     assert not [m for m in sorted(modules) if f"`{m}`" not in text]
+
+
+def public_names() -> Iterator[tuple[str, Path]]:
+    """Public classes and module-level functions, outside the command line."""
+    for path in SOURCES:
+        if "cli" in path.parts or path.name == "__init__.py":
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+                yield node.name, path
+
+
+def test_no_public_name_stands_twice() -> None:
+    where: dict[str, set[Path]] = {}
+    for name, path in public_names():
+        where.setdefault(name, set()).add(path)
+    assert not {n: sorted(map(name_of, paths)) for n, paths in where.items() if len(paths) > 1}
+
+
+def test_the_pipeline_reads_like_the_method() -> None:
+    text = (PACKAGE / "pipeline" / "pipeline.py").read_text(encoding="utf-8")
+    assert text.count("\n") <= 120
+    assert "isinstance" not in text
