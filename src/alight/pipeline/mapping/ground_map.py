@@ -18,6 +18,8 @@ from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
+NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
+
 
 def lone(given: NDArray[np.bool_], tuning: MappingTuning) -> NDArray[np.bool_]:
     """Which of the heights that are given out, (R, C), have too few about them that are."""
@@ -43,15 +45,16 @@ class GroundMap:
         `least`: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
         """
         down = looking_down(views)
-        if len(down) < 2:
+        if not down:
             self.reason = "no camera looks down: a site is sought below the aircraft, within 75 degrees of the vertical"
+            return False
+        if len(down) < 2:
+            self.reason = NO_PARALLAX
             return False
         points = find_points(down, self.settings.parallax.points)
         below = points[points[:, 2] < min(v.centre[2] for v in down)]
         if len(below) < self.settings.mapping.least_points:
-            self.reason = (
-                "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
-            )
+            self.reason = NO_PARALLAX
             return False
         centres = np.array([v.centre for v in down])
         if np.linalg.norm(np.ptp(centres, axis=0)) < least * (centres[-1, 2] - np.median(below[:, 2])):
