@@ -194,18 +194,9 @@ def train_appearance(folder: str | Path, out: str | Path, sampling: float = 0.05
     Raises:
         AlightError: the pictures cannot be used, or the file cannot be written.
     """
-    from alight.outputs.atomic_write import write_whole
-    from alight.records import InputError
-    from alight.sources.library import model_bytes, read_library
-    from alight.training.train import train
+    from alight.runner.appearance import train_to_file
 
-    patches = read_library(Path(folder), sampling)
-    try:
-        model, _ = train(patches, lambda share: progress("training", share))
-    except ValueError as e:
-        raise InputError(f"{folder}: {e}") from e
-    write_whole(Path(out), model_bytes(model))
-    return model.provenance
+    return train_to_file(Path(folder), Path(out), sampling, progress).model.provenance
 
 
 def evaluate_appearance(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from alight.cli.app import VerboseOption, app, progress_bar, say
-from alight.records import InputError, OutputError
+from alight.records import InputError
 
 if TYPE_CHECKING:
     from alight.training.confusion import Confusion
@@ -29,21 +29,12 @@ def make(
     verbose: VerboseOption = False,
 ) -> None:
     """Train a model on your own pictures, and test it on each site with that site left out."""
-    from alight.outputs.atomic_write import write_whole
-    from alight.sources.library import model_bytes, read_library
-    from alight.training.train import train
+    from alight.runner.appearance import train_to_file
 
-    if out.is_dir() or not out.parent.is_dir():
-        raise OutputError(f"{out}: not a file in a folder that exists; name one such as model.npz")
-    patches = read_library(folder, sampling)
     with progress_bar() as tell:
-        try:
-            model, left_out = train(patches, lambda share: tell("training", share))
-        except ValueError as e:
-            raise InputError(f"{folder}: {e}") from e
-    write_whole(out, model_bytes(model))
-    say(model.provenance)
-    if left_out is None:
+        found = train_to_file(folder, out, sampling, tell)
+    say(found.model.provenance)
+    if found.left_out is None:
         say("tested on nothing: all pictures are of one site; put those of another place into a folder of their own")
     say(f"model: {out}")
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from enum import StrEnum
 
 BANDS = 4  # octaves of detail of a channel, fine to coarse
-CHANNELS = ("light", "red", "blue")  # log brightness, log red over green, log blue over green
-POWER_BANDS = {"light": (0, 1, 2, 3), "red": (0, 2), "blue": (0, 2)}  # whose strength is a term
+# log brightness, log red over green, log blue over green: bands whose strength is a term
+POWER_BANDS = {"light": (0, 1, 2, 3), "red": (0, 2), "blue": (0, 2)}
 RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the frame
 
 

@@ -1,0 +1,44 @@
+"""Train a model of appearance on a folder of pictures, and write it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from alight.outputs.atomic_write import write_whole
+from alight.records import InputError, OutputError
+from alight.sources.library import model_bytes, read_library
+from alight.terrain import Model
+from alight.training.confusion import Confusion
+from alight.training.train import train
+
+
+class TrainedAppearance(NamedTuple):
+    """A model, and its test."""
+
+    model: Model
+    left_out: Confusion | None  # each site judged without itself; None: all pictures are of one site
+
+
+def train_to_file(
+    folder: Path, out: Path, sampling: float, progress: Callable[[str, float], None]
+) -> TrainedAppearance:
+    """Train on pictures by class, once `out` is known to be a file that can be written, and write the model.
+
+    Args:
+        sampling: metres a pixel, where no index.csv says it.
+
+    Raises:
+        InputError: the pictures cannot be used.
+        OutputError: the file cannot be written.
+    """
+    if out.is_dir() or not out.parent.is_dir():
+        raise OutputError(f"{out}: not a file in a folder that exists; name one such as model.npz")
+    patches = read_library(folder, sampling)
+    try:
+        found = TrainedAppearance(*train(patches, lambda share: progress("training", share)))
+    except ValueError as e:
+        raise InputError(f"{folder}: {e}") from e
+    write_whole(out, model_bytes(found.model))
+    return found
