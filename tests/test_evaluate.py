@@ -72,7 +72,7 @@ def a_run() -> RunResult:
     views, rgb = np.full(grid.shape, 9, np.uint8), np.zeros((*grid.shape, 3), np.uint8)
     elevation = ElevationMap(grid, height, full, flags, views, rgb, full)
     p_safe = np.where(label == Terrain.STRUCTURE, 0.0, 1.0).astype(np.float32)
-    hazards = HazardMap(grid, full, full, full, full, p_safe, full, np.zeros(grid.shape, np.uint8))
+    hazards = HazardMap(grid, *[full] * 4, p_safe, *[full] * 6, np.zeros(grid.shape, np.uint8))
     turn = so3_exp([0.002, 0.0, 0.0])
     poses = [Pose(turn, np.array([k, 0.0, 30.0]) + OFFSET) for k in range(6)]
     motions = [Motion(T0 + k * STEP, p, (p,), np.eye(6) * 1e-4) for k, p in enumerate(poses)]

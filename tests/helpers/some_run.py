@@ -70,7 +70,9 @@ def hazards() -> HazardMap:
         return np.full(GRID.shape, value, np.float32)
 
     clearance = np.where(bad, 0.0, 3.0).astype(np.float32)
-    return HazardMap(GRID, field(0.02), field(0.03), field(0.02), clearance, p_safe, field(-0.2), reasons)
+    p = p_safe, field(0.99), field(0.99), field(0.99)
+    seen = field(0.1), field(0.02)
+    return HazardMap(GRID, field(0.02), field(0.03), field(0.02), clearance, *p, *seen, field(-0.2), reasons)
 
 
 def site(rank: int = 1, east: float = 5.0, north: float = -2.0) -> Site:

@@ -35,7 +35,12 @@ class HazardMap:
     roughness: F32  # (R, C) metres, largest deviation from that plane
     step: F32  # (R, C) metres, largest rise between neighbouring cells in the footprint
     clearance: F32  # (R, C) metres to the nearest cell where a touchdown is refused
-    p_safe: F32  # (R, C) probability that a touchdown here meets every limit
+    p_safe: F32  # (R, C) probability that a touchdown here meets every limit: the product of the three factors
+    p_relief: F32  # (R, C) probability that slope and relief keep their limits, by the heights
+    p_obstacle: F32  # (R, C) probability that nothing stands there that heights and pictures are too coarse to show
+    p_ground: F32  # (R, C) probability that the ground bears and is dry
+    resolved: F32  # (R, C) metres, height of the smallest obstacle that would have been found with 95 %
+    settles_at: F32  # (R, C) metres, size of the pixel on the ground by which the doubt would be settled; NaN: never
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: NDArray[np.uint8]  # (R, C) bits of Hazard; 0 = safe
 
