@@ -58,7 +58,7 @@ def as_map(height: NDArray[np.float32], cell: float, sigma: NDArray[np.float32])
     none = np.zeros(height.shape, np.float32)
     grey = np.full((*height.shape, 3), 128, np.uint8)
     grid = Grid(0.0, cell * (height.shape[0] - 1), cell, *height.shape)
-    return ElevationMap(grid, height, sigma, none.astype(np.uint16), none.astype(np.uint8) + 9, grey, none)
+    return ElevationMap(grid, height, sigma, none.astype(np.uint16), none.astype(np.uint8) + 9, grey, none, none + cell)
 
 
 def judge(fine: ElevationMap, settings: HazardsSettings = SURVEY) -> tuple[HazardMap, slice]:

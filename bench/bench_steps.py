@@ -70,7 +70,7 @@ def main() -> None:
     yardstick = seconds(lambda: sgbm.compute(views[1].image, views[0].image))
     heights = step(views)
     assert heights is not None
-    fields = {k: getattr(heights, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual")}
+    fields = {k: getattr(heights, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual", "sampling")}
     elevation = ElevationMap(GRID, **fields)
     steps = {
         "parallax, batch of 12 views": lambda: step(views),

@@ -20,6 +20,7 @@ from alight.elevation import FIELDS
 from alight.evaluation.flight import NEAR, FlightTruth, at, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
+from alight.pipeline.judging import as_judged
 from alight.records import Datum, ElevationMap, Flag, Motion
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
@@ -28,7 +29,6 @@ from alight_sim import SimulatedFlight
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]
 HOWS: tuple[How, ...] = ("batch", "ring")
-NOT_WATER = np.uint16(0xFFFF & ~int(Flag.WATER))  # the cover's verdict is made anew
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +83,7 @@ def _write(path: Path, e: ElevationMap, truth: FlightTruth) -> None:
     np.savez_compressed(
         path,
         grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
-        fine=np.zeros(0, np.uint8) if e.fine is None else e.fine, truth_grid=_numbers(truth.grid),
+        fine=e.fine, fine_sampling=e.fine_sampling, truth_grid=_numbers(truth.grid),
         dem=truth.dem, label=truth.label,
         **{k: getattr(e, k) for k in FIELDS},
     )  # fmt: skip
@@ -101,8 +101,8 @@ def _read(path: Path, name: str) -> Judgeable:
     with np.load(path) as z:
         g = z["gauge"]
         gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
-        fine = z["fine"] if z["fine"].size else None
-        e = ElevationMap(_grid(z["grid"]), **{k: z[k] for k in FIELDS}, gauge=gauge, fine=fine)
+        fields = {k: z[k] for k in (*FIELDS, "fine", "fine_sampling")}
+        e = ElevationMap(_grid(z["grid"]), **fields, gauge=gauge)
         return Judgeable(name, e, FlightTruth(z["dem"], z["label"], _grid(z["truth_grid"])))
 
 
@@ -132,14 +132,15 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
         assert isinstance(source, SimulatedFlight)
         true = FlightTruth(source.truth.height, source.truth.label, source.truth.grid)
     for how, lane in lanes.items():
-        found = lane.finish()
-        if found.elevation is None:
-            print(f"{name}, {how}: {found.sites.reason}", flush=True)
+        trajectory = lane._navigation.finish(lambda _: None)
+        seen = lane._mapping.finish(trajectory, lambda _: None).snapshot if trajectory.usable else None
+        if seen is None:
+            print(f"{name}, {how}: no map", flush=True)
             continue
-        off = _drift(found.motions, source)
+        off = _drift(list(trajectory.motions), source)
         grid = replace(true.grid, east=true.grid.east + off[0], north=true.grid.north + off[1])
         moved = FlightTruth((true.dem + off[2]).astype(np.float32), true.label, grid)
-        _write(paths[how], replace(found.elevation, flags=found.elevation.flags & NOT_WATER), moved)
+        _write(paths[how], seen.frame.elevation(as_judged(seen, Settings().lander)), moved)
 
 
 def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) -> Judgeable | None:

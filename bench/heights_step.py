@@ -114,12 +114,13 @@ class Flight:
 def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap, buffers: Buffers) -> None:
     """What a step is made of but for first looks at new cells and the map: preparation, Gauss-Newton, sigma, flags."""
     fine = [*kept, prepare_view(newest, CELL, 0.0)]
-    per_px = refine.enlarged(refine.view_geometry(fine, grid, known.height).metres_per_px, grid, refine.SEEN_BLOCK)
+    seen = refine.view_geometry(fine, grid, known.height)
+    per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
     t = ParallaxSettings()
     visible = refine.visible_from(fine, grid, known.height, per_px, t.refinement.occlusion_px)
     fit = refine.gauss_newton(fine, grid, known.height, per_px, visible, t.recursive.steps, t.refinement, buffers)
     ratio = np.full((grid.rows // 2, grid.cols // 2), t.recursive.unknown_ratio, np.float32)
-    judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), known.rgb, t.uncertainty)
+    judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), seen, known.rgb, t.uncertainty)
 
 
 def lone_step(flight: Flight) -> Callable[[], None]:

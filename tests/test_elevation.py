@@ -37,6 +37,7 @@ def heights(grid: Grid, seed: int = 0, **changes: Any) -> Heights:
         "views": rng.integers(2, 12, shape, dtype=np.uint8),
         "rgb": rng.integers(0, 255, (*shape, 3), dtype=np.uint8),
         "residual": rng.uniform(0, 1, shape).astype(np.float32),
+        "sampling": rng.uniform(0.05, 0.2, shape).astype(np.float32),
     }
     for k, v in changes.items():
         fields[k] = np.broadcast_to(np.asarray(v, FIELDS[k][0]), fields[k].shape).copy()
@@ -307,6 +308,7 @@ def test_a_coarse_cell_is_the_mean_of_what_is_trusted_in_it(col: int, row: int, 
         assert got.views[0, 0] == max(fine.views[k] for k in used)
         assert got.flags[0, 0] == np.bitwise_or.reduce([fine.flags[k] for k in used])
         assert got.residual[0, 0] == pytest.approx(np.mean([fine.residual[k] for k in used]), abs=1e-6)
+        assert got.sampling[0, 0] == max(fine.sampling[k] for k in used)
         assert_allclose(got.rgb[0, 0], np.mean([fine.rgb[k] for k in used], axis=0), atol=0.51)
 
 

@@ -70,7 +70,7 @@ def a_run() -> RunResult:
     flags[:150, 150:] = np.uint16(Flag.TEXTURE)
     full = np.full(grid.shape, NOISE, np.float32)
     views, rgb = np.full(grid.shape, 9, np.uint8), np.zeros((*grid.shape, 3), np.uint8)
-    elevation = ElevationMap(grid, height, full, flags, views, rgb, full)
+    elevation = ElevationMap(grid, height, full, flags, views, rgb, full, full)
     p_safe = np.where(label == Terrain.STRUCTURE, 0.0, 1.0).astype(np.float32)
     hazards = HazardMap(grid, *[full] * 4, p_safe, *[full] * 6, np.zeros(grid.shape, np.uint8))
     turn = so3_exp([0.002, 0.0, 0.0])

@@ -364,7 +364,7 @@ def test_pictures_of_nothing_change_nothing() -> None:
 def test_the_map_leans_where_it_is_held() -> None:
     elevation = TiledElevation(CELL, 64)
     found = flown(NOTHING, refine=False)
-    fields = {k: getattr(found, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual")}
+    fields = {k: getattr(found, k) for k in ("height", "sigma", "flags", "views", "rgb", "residual", "sampling")}
     elevation.add(Heights(GRID, **fields), replace_all=True)
     before = elevation.read(GRID).height
     by, about = np.array([0.2, 0.01, -0.02]), np.array([1.0, 2.0])

@@ -87,6 +87,7 @@ def fuse_input() -> tuple[list[np.ndarray], list[np.ndarray]]:
         whole(32, 9, np.uint16),
         whole(33, 9),
         numbers(34, 0, 1),
+        numbers(35, 0.05, 0.2),
     ]
     old = [
         numbers(40, -0.2, 0.2, 0.3),
@@ -94,6 +95,7 @@ def fuse_input() -> tuple[list[np.ndarray], list[np.ndarray]]:
         whole(42, 9, np.uint16),
         whole(43, 9),
         numbers(44, 0, 1),
+        numbers(45, 0.05, 0.2),
     ]
     return new, old
 
@@ -152,17 +154,17 @@ def test_veil_hides_views_unless_only_one_would_be_left() -> None:
 
 def test_fuse() -> None:
     """Eq. 16, the four cases apart: new cell, worse look, agreement, contradiction."""
-    (h, s, f, v, e), (h0, s0, f0, v0, e0) = fuse_input()
+    (h, s, f, v, e, g), (h0, s0, f0, v0, e0, g0) = fuse_input()
     got = run_fuse()
     for i in np.ndindex(ROWS, COLS):
         if not np.isnan(h0[i]) and (np.isnan(h[i]) or not s[i] < 1.5 * s0[i]):
-            want = (h0[i], s0[i], f0[i], v0[i], e0[i])
+            want = (h0[i], s0[i], f0[i], v0[i], e0[i], g0[i])
         elif not np.isnan(h0[i]) and abs(h[i] - h0[i]) < 3 * np.hypot(s[i], s0[i]):
             a, b = 1 / s0[i] ** 2, 1 / s[i] ** 2
-            want = ((a * h0[i] + b * h[i]) / (a + b), max((a + b) ** -0.5, 0.95 * s[i]), f[i], v[i], e[i])
+            want = ((a * h0[i] + b * h[i]) / (a + b), max((a + b) ** -0.5, 0.95 * s[i]), f[i], v[i], e[i], g[i])
         else:
-            want = (h[i], s[i], f[i], v[i], e[i])
-        assert_allclose([float(g[i]) for g in got], want, rtol=2e-5, atol=1e-6, equal_nan=True)
+            want = (h[i], s[i], f[i], v[i], e[i], g[i])
+        assert_allclose([float(a[i]) for a in got], want, rtol=2e-5, atol=1e-6, equal_nan=True)
 
 
 # -- threads

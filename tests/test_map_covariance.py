@@ -131,7 +131,8 @@ def a_map(slope: float = 0.0) -> ElevationMap:
     few = np.zeros(GRID.shape, np.uint16)
     few[:4] = np.uint16(Flag.UNSEEN)
     rgb = np.zeros((*GRID.shape, 3), np.uint8)
-    return ElevationMap(GRID, (slope * e).astype(np.float32), full, few, np.full(GRID.shape, 6, np.uint8), rgb, full)
+    six = np.full(GRID.shape, 6, np.uint8)
+    return ElevationMap(GRID, (slope * e).astype(np.float32), full, few, six, rgb, full, full)
 
 
 def datum_of(covariance: F64, slope: float = 0.0) -> ElevationMap:

@@ -113,10 +113,10 @@ def found(method: str, moving: bool) -> Heights:
         heights = found.heights if found else None
     else:
         ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
-        empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan)
-        kinds = (np.float32, np.float32, np.uint16, np.uint8, np.float32)
-        h, s, f, v, e = (np.full(GRID.shape, a, t) for a, t in zip(empty, kinds, strict=True))
-        known = ElevationMap(GRID, h, s, f, v, np.zeros((*GRID.shape, 3), np.uint8), e)
+        empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan, np.nan)
+        kinds = (np.float32, np.float32, np.uint16, np.uint8, np.float32, np.float32)
+        h, s, f, v, e, g = (np.full(GRID.shape, a, t) for a, t in zip(empty, kinds, strict=True))
+        known = ElevationMap(GRID, h, s, f, v, np.zeros((*GRID.shape, 3), np.uint8), e, g)
         for shot in shots:
             ring.push(shot)
             heights = ring.step(GRID, known, -1.5, 2.5)

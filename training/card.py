@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from alight.learned import Net, net_bytes, table_path
+from alight.learned import table_path
 
 
 def version() -> str:
@@ -31,10 +31,10 @@ def with_sections(card: str, sections: Mapping[str, str]) -> str:
     return card.rstrip() + "\n"
 
 
-def write_table(name: str, net: Net, sections: Mapping[str, str]) -> None:
+def write_table(name: str, content: bytes, sections: Mapping[str, str]) -> None:
     """Write `learned/NAME.npz` and the named sections of `learned/NAME.md`; the other sections stay as they are."""
     path = table_path(name)
     card = path.with_suffix(".md")
     text = with_sections(card.read_text(encoding="utf-8"), sections)
-    path.write_bytes(net_bytes(net))
+    path.write_bytes(content)
     card.write_text(text, encoding="utf-8")

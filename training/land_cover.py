@@ -23,7 +23,7 @@ from scipy.ndimage import distance_transform_edt
 from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8
-from alight.learned import CLIP, AffineLayer, Net
+from alight.learned import CLIP, AffineLayer, Net, net_bytes
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
 from alight.terrain import evidence
@@ -143,7 +143,9 @@ def main() -> None:
     )
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"
-    write_table("land_cover", fit_net(joined(parts)), {"Fitted on": fitted, "Made by": made, "Metrics": measure})
+    write_table(
+        "land_cover", net_bytes(fit_net(joined(parts))), {"Fitted on": fitted, "Made by": made, "Metrics": measure}
+    )
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ def ground(
     flags = np.where(unseen, np.uint16(Flag.UNSEEN), np.uint16(0))
     views = np.where(unseen, 0, 9).astype(np.uint8)
     grid = Grid(0.0, (h.shape[0] - 1) * cell, cell, *h.shape)
-    return ElevationMap(grid, h, np.full(h.shape, sigma, np.float32), flags, views, colour, np.zeros_like(h))
+    sigmas, samplings = (np.full(h.shape, v, np.float32) for v in (sigma, cell))
+    return ElevationMap(grid, h, sigmas, flags, views, colour, np.zeros_like(h), samplings)
 
 
 def plane(rows: int, cols: int, east_slope: float, north_slope: float, cell: float = 0.1) -> NDArray[np.float64]:

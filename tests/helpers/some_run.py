@@ -45,7 +45,8 @@ def elevation() -> ElevationMap:
     rgb = rng.integers(90, 140, (*GRID.shape, 3), dtype=np.uint8)
     rgb[:10, :10] = 0
     sigma = np.full(GRID.shape, 0.03, np.float32)
-    return ElevationMap(GRID, height, sigma, flags, views, rgb, np.full(GRID.shape, 0.1, np.float32))
+    residual, sampling = (np.full(GRID.shape, v, np.float32) for v in (0.1, GRID.cell))
+    return ElevationMap(GRID, height, sigma, flags, views, rgb, residual, sampling)
 
 
 def terrain() -> TerrainMap:

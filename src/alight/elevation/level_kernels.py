@@ -10,13 +10,15 @@ from alight.compiled import kernel
 
 @kernel
 def halve(
-    height: F32, sigma: F32, flags: U16, views: U8, rgb: U8, residual: F32, unseen: int, refused: int, whole: int,
-    enough: int, height2: F32, sigma2: F32, flags2: U16, views2: U8, rgb2: U8, residual2: F32,
+    height: F32, sigma: F32, flags: U16, views: U8, rgb: U8, residual: F32, sampling: F32,
+    unseen: int, refused: int, whole: int, enough: int,
+    height2: F32, sigma2: F32, flags2: U16, views2: U8, rgb2: U8, residual2: F32, sampling2: F32,
 ) -> None:  # fmt: skip
     """Fill (R / 2, C / 2) arrays, which say `unseen` before, with means over 2 x 2 cells of (R, C) ones.
 
     Cells whose flags hold `unseen` do not count, and those with a bit of `refused` only where fewer than `enough` have
-    none. Fewer than `whole` seen cells leave the coarse one unseen. Variances are averaged, not divided.
+    none. Fewer than `whole` seen cells leave the coarse one unseen. Variances are averaged, not divided; the coarsest
+    sampling is kept.
     """
     for r in range(height2.shape[0]):
         for c in range(height2.shape[1]):
@@ -30,6 +32,7 @@ def halve(
             without = refused if good >= enough else unseen
             n, bits, most = 0, np.uint16(0), np.uint8(0)
             h, v, e, red, green, blue = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            coarsest = np.float32(0)
             for k in range(4):
                 i, j = 2 * r + k // 2, 2 * c + k % 2
                 if (flags[i, j] & without) == 0:
@@ -42,8 +45,9 @@ def halve(
                     blue += rgb[i, j, 2]
                     bits |= flags[i, j]
                     most = max(most, views[i, j])
+                    coarsest = max(coarsest, sampling[i, j])
             height2[r, c], sigma2[r, c], residual2[r, c] = h / n, np.sqrt(v / n), e / n
             rgb2[r, c, 0] = np.uint8(red / n + 0.5)
             rgb2[r, c, 1] = np.uint8(green / n + 0.5)
             rgb2[r, c, 2] = np.uint8(blue / n + 0.5)
-            flags2[r, c], views2[r, c] = bits, most
+            flags2[r, c], views2[r, c], sampling2[r, c] = bits, most, coarsest

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from alight.elevation.level_kernels import halve
 from alight.elevation.tiles import FIELDS, Fields, is_seen, nothing
 from alight.raster import upsample
-from alight.records import REFUSED, Flag, is_trusted
+from alight.records import REFUSED, ElevationMap, Flag, is_trusted
 
 MIN_SEEN = 3  # of four cells that make the coarse cell seen
 MIN_TRUSTED = 2  # of four cells that make the coarse cell trusted
@@ -42,3 +44,22 @@ def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
     whole = cv2.resize(is_seen(coarse["flags"]).astype(np.float32), shape, interpolation=cv2.INTER_LINEAR) == 1
     np.copyto(near["rgb"], mixed, where=whole[..., None])
     return near
+
+
+def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
+    """The map on the largest cells that are its own doubled again and again and not above `cell` metres.
+
+    The last row and column may reach beyond the map. Pictures on finer pixels are left out.
+    """
+    while 2 * elevation.grid.cell <= cell * (1 + 1e-6):
+        rows, cols = elevation.grid.shape
+        padded = nothing((rows + rows % 2, cols + cols % 2))
+        for k, field in padded.items():
+            field[:rows, :cols] = getattr(elevation, k)
+        warp = elevation.warp
+        if warp is not None:
+            warp = np.pad(warp, ((0, rows % 2), (0, cols % 2)), mode="edge")[::2, ::2].copy()
+        fields = halve_fields(padded)
+        grid = elevation.grid.coarser(2)
+        elevation = replace(elevation, grid=grid, warp=warp, fine=None, fine_sampling=None, **fields)  # type: ignore[arg-type]
+    return elevation

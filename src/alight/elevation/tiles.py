@@ -26,6 +26,7 @@ FIELDS = {
     "views": (np.uint8, 0),
     "rgb": (np.uint8, 0),
     "residual": (np.float32, np.nan),
+    "sampling": (np.float32, np.nan),
 }
 
 

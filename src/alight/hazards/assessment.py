@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from alight.arrays import F32, U8, Mask
 from alight.hazards.contact import (
@@ -14,10 +15,10 @@ from alight.hazards.contact import (
     rotor_rise,
     step_of,
 )
-from alight.hazards.evidence import FootprintShape, hazard_terms, unresolved
-from alight.hazards.evidence_probability import evidence_probability
-from alight.hazards.probability import CERTAIN, TouchdownGeometry, margins_over_sigma, safe_probability
+from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms
+from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.hazards.usable_heights import smoothed_height, usable_height
+from alight.learned import read_rate
 from alight.raster import disc_any, disc_crosses_edge, disc_mean, disc_share, distance_to
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -94,27 +95,57 @@ def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
     return float(np.hypot(poses, settings.tilt_sigma))
 
 
-def _probability(
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What P(safe) of every footprint rests on where image matching may have smoothed obstacles away."""
+
+    tilt: F32  # (R, C) P that the tilt keeps its limit
+    discs: Discs  # the cells of the terms
+    obstacle: dict[str, F32]  # terms of `obstacle_rate`
+    ground: dict[str, F32]  # terms of `ground_rate`
+
+
+def _evidence(elevation: ElevationMap, terrain: TerrainMap | None, f: _Findings, tilt: F32, lander: Lander) -> Evidence:
+    shape = FootprintShape(f.footprint, f.roughness_smooth, f.roughness_trend)
+    discs = Discs(elevation, lander.radius)
+    obstacle = obstacle_terms(elevation, shape, lander, discs)
+    ground = ground_terms(elevation, terrain, discs)
+    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, ground)
+
+
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Factors of P(safe), (R, C) each."""
+
+    relief: F32
+    obstacle: F32
+    ground: F32
+
+
+def _factors(
     elevation: ElevationMap,
     terrain: TerrainMap | None,
     f: _Findings,
     sigma: F32,
     lander: Lander,
     settings: HazardsSettings,
-) -> F32:
-    """P(safe) from the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
+) -> _Factors:
+    """From the margins alone, or from all evidence where image matching may have smoothed obstacles away (G7, G7b)."""
     cell = elevation.grid.cell
     margins = TouchdownGeometry(f.footprint, f.slope, f.rise, sigma, common_tilt(elevation, settings))
     tilt, rise = margins_over_sigma(margins, lander, settings, cell)
     if not settings.smoothed:
-        return safe_probability(tilt, rise, f.footprint.unknown, settings)
-    level = safe_probability(tilt, np.full_like(tilt, CERTAIN), np.zeros_like(tilt), settings)
-    level = level * np.float32(1 - unresolved(elevation, lander, settings))
-    return level * evidence_probability(
-        hazard_terms(
-            elevation, terrain, FootprintShape(f.footprint, f.roughness_smooth, f.roughness_trend, rise), lander
-        )
-    )
+        certain = np.ones_like(tilt)
+        return _Factors(safe_probability(tilt, rise, f.footprint.unknown, settings), certain, certain)
+    found = _evidence(elevation, terrain, f, tilt, lander)
+    obstacle = read_rate("obstacle_rate").log_rate(found.obstacle)
+    ground = read_rate("ground_rate").log_rate(found.ground)
+    return _Factors(found.tilt, *(_none_of(found.discs.fine(r)) for r in (obstacle, ground)))
+
+
+def _none_of(log_rate: F32) -> F32:
+    """P(none) of a Poisson number of hazards."""
+    return np.asarray(np.exp(-np.exp(log_rate)), np.float32)
 
 
 def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings) -> U8:
@@ -164,6 +195,30 @@ def clearance_of(safe: Mask, cell: float) -> F32:
     return out
 
 
+def _measure(
+    elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
+) -> tuple[_Findings, F32, U8]:
+    """Every footprint's geometry, root mean square sigma (metres), and the limits that it breaks."""
+    cell = elevation.grid.cell
+    height = usable_height(elevation, lander, settings)
+    variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
+    sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
+    unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
+    found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
+    reasons = _reasons(found, sigma, lander, settings)
+    return found, sigma, reasons
+
+
+def evidence(
+    elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
+) -> tuple[Evidence, U8]:
+    """What P(safe) rests on, and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
+    found, sigma, reasons = _measure(elevation, terrain, lander, settings)
+    margins = TouchdownGeometry(found.footprint, found.slope, found.rise, sigma, common_tilt(elevation, settings))
+    tilt = margins_over_sigma(margins, lander, settings, elevation.grid.cell)[0]
+    return _evidence(elevation, terrain, found, tilt, lander), reasons
+
+
 def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings) -> HazardMap:
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
@@ -180,29 +235,24 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     """
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
-    cell = elevation.grid.cell
-    height = usable_height(elevation, lander, settings)
-    variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
-    sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
-    unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
-    found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
-    reasons = _reasons(found, sigma, lander, settings)
-    p = _probability(elevation, terrain, found, sigma, lander, settings)
+    found, sigma, reasons = _measure(elevation, terrain, lander, settings)
+    factors = _factors(elevation, terrain, found, sigma, lander, settings)
     judged = ~(found.edge | found.unknown)
-    p = np.where(judged, np.where(reasons == 0, p, np.float32(0)), np.float32(np.nan))
+    relief, obstacle, ground = (np.where(judged, v, np.float32(np.nan)) for v in vars(factors).values())
+    p = np.where(judged & (reasons != 0), np.float32(0), relief * obstacle * ground)
     reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))
     return HazardMap(
         grid=elevation.grid,
         slope=found.slope,
         roughness=found.footprint.roughness,
         step=found.step,
-        clearance=clearance_of(reasons == 0, cell),
+        clearance=clearance_of(reasons == 0, elevation.grid.cell),
         p_safe=p,
-        p_relief=p,
-        p_obstacle=np.where(judged, np.float32(1), np.float32(np.nan)),
-        p_ground=np.where(judged, np.float32(1), np.float32(np.nan)),
-        resolved=np.full(p.shape, np.float32(2 * cell)),
+        p_relief=relief,
+        p_obstacle=obstacle,
+        p_ground=ground,
+        resolved=np.full(p.shape, np.float32(2 * elevation.grid.cell)),
         settles_at=np.full(p.shape, np.float32(lander.max_roughness / 6)),
-        quality=_quality(found, terrain, sigma, lander, settings, cell),
+        quality=_quality(found, terrain, sigma, lander, settings, elevation.grid.cell),
         reasons=reasons,
     )

@@ -1,8 +1,11 @@
-"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/hazards.md, G7b)."""
+"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/hazards.md, G7b).
+
+Lengths are in units of the height that the lander just stands. So what is learned with one lander, one camera and one
+height above ground is said of what can be seen, not of metres.
+"""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,17 +13,20 @@ import numpy as np
 from scipy.special import logit
 
 from alight.arrays import F32
-from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.contact import Footprint
-from alight.learned.terms import HazardTerm
-from alight.raster import disc_max, disc_mean, log_at_least
+from alight.hazards.picture_spots import picture_spots
+from alight.learned.terms import GroundTerm, ObstacleTerm
+from alight.raster import block_max, block_mean, disc_max, disc_mean, gaussian_mean, log_at_least, nearest_known
 from alight.records import ElevationMap, TerrainMap
-from alight.settings import HazardsSettings, Lander
+from alight.settings import Lander
 
 RIM = 0.25  # metres; an object this near to the rim may as well lie outside
 BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are more
+AROUND = 4.0  # metres, 1-sigma of the surroundings: ground with obstacles has more of them
+NARROW, WIDE = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
+PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are gathered
+COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 MIN_PROBABILITY = 1e-4  # keeps log odds finite
-MIN_TINT_CONTRAST = 0.01  # log ratio; keeps the ratio to the footprint's mean bounded
 CERTAIN = np.float32(9.2)  # log odds of landable ground where no land cover was given
 
 
@@ -31,11 +37,99 @@ class FootprintShape:
     footprint: Footprint
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
-    rise_margin: F32  # (limit - deviation or rise) / sigma
 
 
-def _in_sigmas(excess: F32, sigma: F32) -> F32:
-    return np.asarray(excess / np.maximum(sigma, np.float32(0.005)), np.float32)
+class Discs:
+    """Statistics over the footprint and beyond, on cells of twice the size."""
+
+    def __init__(self, elevation: ElevationMap, radius: float) -> None:
+        self._shape, self._cell, self._radius = elevation.grid.shape, elevation.grid.cell * COARSER, radius
+        self._inner = radius - min(RIM, radius / 4)
+        self.grid = elevation.grid.coarser(COARSER)
+
+    def _padded(self, values: F32) -> F32:
+        rows, cols = self._shape
+        return np.pad(values, ((0, rows % COARSER), (0, cols % COARSER)), mode="edge")
+
+    def coarse(self, values: F32) -> F32:
+        """Means of the coarse cells."""
+        return block_mean(self._padded(values), COARSER)
+
+    def largest(self, values: F32) -> F32:
+        """Maxima of the coarse cells."""
+        return block_max(self._padded(values), COARSER)
+
+    def worst(self, coarse: F32, beyond: float | None = None) -> F32:
+        """Largest value of the footprint less its rim, or of the footprint and `beyond` metres about it."""
+        return disc_max(coarse, self._inner if beyond is None else self._radius + beyond, self._cell)
+
+    def mean(self, coarse: F32, beyond: float = 0.0) -> F32:
+        """Mean over the footprint and `beyond` metres about it."""
+        return disc_mean(coarse, self._radius + beyond, self._cell)
+
+    def around(self, coarse: F32) -> F32:
+        """Mean of the surroundings."""
+        return gaussian_mean(coarse, AROUND / self._cell)
+
+    def fine(self, coarse: F32) -> F32:
+        """Back on the cells of the map, (R, C)."""
+        rows, cols = self._shape
+        size = (coarse.shape[1] * COARSER, coarse.shape[0] * COARSER)
+        return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR)[:rows, :cols], np.float32)
+
+
+def relief_power(elevation: ElevationMap, limit: float) -> F32:
+    """Mean square relief as wide as an obstacle of height `limit` (metres), over that height, (R, C)."""
+    cell, known = elevation.grid.cell, np.isfinite(elevation.height)
+    middle = np.float32(np.median(elevation.height[known])) if known.any() else np.float32(0)
+    height = np.nan_to_num(nearest_known(elevation.height - middle, known)) / np.float32(limit)
+    bumps = gaussian_mean(height, NARROW * limit / cell) - gaussian_mean(height, WIDE * limit / cell)
+    return gaussian_mean(bumps * bumps, PATCH * limit / cell)
+
+
+def spot_power(elevation: ElevationMap, limit: float) -> F32:
+    """Mean square contrast of spots as wide as an obstacle of height `limit` (metres), log brightness, (R, C)."""
+    return gaussian_mean(picture_spots(elevation, limit).power, PATCH * limit / elevation.grid.cell)
+
+
+def _log_rms(power: F32, floor: float) -> F32:
+    return log_at_least(np.sqrt(np.maximum(power, 0)), floor)
+
+
+def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
+    """Evidence that something stands there which heights and pictures do not show, on the cells of `discs`."""
+    cell, limit = elevation.grid.cell, lander.tallest_obstacle
+    relief = discs.coarse(relief_power(elevation, limit))
+    spots = picture_spots(elevation, limit)
+    spot = discs.coarse(gaussian_mean(spots.power, PATCH * limit / cell))
+    residual = np.nan_to_num(elevation.residual)
+    sampling, pixel = (
+        discs.largest(log_at_least(np.where(np.isfinite(v), v, 2 * limit) / np.float32(limit), 1e-3))
+        for v in (np.maximum(elevation.sampling, np.float32(cell)), elevation.picture_sampling)
+    )
+    smooth, trend = (
+        discs.largest(log_at_least(v / np.float32(lander.max_roughness), 0.03))
+        for v in (shape.roughness_smooth, shape.roughness_trend)
+    )
+    sigma = discs.coarse(np.nan_to_num(elevation.sigma, nan=1.0)) / np.float32(limit)
+    return {
+        ObstacleTerm.SAMPLING: discs.mean(sampling),
+        ObstacleTerm.PIXEL: discs.mean(pixel),
+        ObstacleTerm.RELIEF_WORST: _log_rms(discs.worst(relief), 0.02),
+        ObstacleTerm.RELIEF_MEAN: _log_rms(discs.mean(relief), 0.02),
+        ObstacleTerm.RELIEF_AROUND: _log_rms(discs.around(relief), 0.02),
+        ObstacleTerm.SPOT_WORST: _log_rms(discs.worst(spot), 0.005),
+        ObstacleTerm.SPOT_MEAN: _log_rms(discs.mean(spot), 0.005),
+        ObstacleTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
+        ObstacleTerm.DARK: discs.worst(discs.largest(spots.dark)),
+        ObstacleTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
+        ObstacleTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
+        ObstacleTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
+        ObstacleTerm.SIGMA: log_at_least(discs.mean(sigma), 0.02),
+        ObstacleTerm.ROUGHNESS_SMOOTH: smooth,
+        ObstacleTerm.ROUGHNESS_TREND: trend,
+        ObstacleTerm.UNKNOWN: discs.largest(shape.footprint.unknown),
+    }
 
 
 def hazard_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
@@ -46,48 +140,16 @@ def hazard_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
     return np.asarray(-logit(landable.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
 
 
-def coarseness(elevation: ElevationMap, lander: Lander) -> float:
-    """Log of the finest pixel that there is over the height that matters."""
-    factor = elevation.finest[1]
-    limit = lander.max_roughness if lander.belly_clearance is None else lander.belly_clearance
-    return math.log(elevation.grid.cell / factor / limit)
-
-
-def unresolved(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> float:
-    """P(an obstacle above the limit is below the resolution): 0 up to `resolved_share`, at most `hidden_hazard`."""
-    excess = coarseness(elevation, lander) - math.log(settings.resolved_share)
-    return settings.hidden_hazard * min(max(excess / math.log(4.0), 0.0), 1.0)
-
-
-def hazard_terms(
-    elevation: ElevationMap, land_cover: TerrainMap | None, shape: FootprintShape, lander: Lander
-) -> dict[str, F32]:
-    """Evidence against every footprint, (R, C) each, in the order of `HazardTerm`."""
-    cell, radius, limit = elevation.grid.cell, lander.radius, lander.max_roughness
-    inner = radius - min(RIM, radius / 4)
+def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: Discs) -> dict[str, F32]:
+    """Evidence against ground that bears and is dry, on the cells of `discs`."""
     odds = hazard_odds(land_cover, elevation.grid.shape)
-    odds_smooth = np.asarray(cv2.GaussianBlur(odds, (0, 0), max(0.2 / cell, 0.5)), np.float32)
-    sigma = np.nan_to_num(elevation.sigma, nan=1.0)
-    blobs = blob_contrast(elevation)
-    tint_mean = disc_mean(blobs["tint"], radius, cell) + np.float32(MIN_TINT_CONTRAST)
-    residual = np.nan_to_num(elevation.residual)
+    smooth = discs.coarse(gaussian_mean(odds, 0.2 / elevation.grid.cell))
+    mean = discs.coarse(odds)
     return {
-        HazardTerm.COARSENESS: np.full(elevation.grid.shape, coarseness(elevation, lander), np.float32),
-        HazardTerm.DEVIATION_SIGMAS: -shape.rise_margin,
-        HazardTerm.ROUGHNESS_SMOOTH: log_at_least(shape.roughness_smooth / np.float32(limit), 0.03),
-        HazardTerm.ROUGHNESS_TREND: log_at_least(shape.roughness_trend / np.float32(limit), 0.03),
-        HazardTerm.EXCESS_SIGMAS: _in_sigmas(
-            shape.roughness_smooth - np.float32(limit), disc_mean(sigma, radius, cell)
-        ),
-        HazardTerm.UNKNOWN: shape.footprint.unknown,
-        HazardTerm.RESIDUAL_MEAN: disc_mean(residual, radius, cell),
-        HazardTerm.RESIDUAL_WORST: disc_max(cv2.GaussianBlur(residual, (0, 0), 1.0), inner, cell),
-        HazardTerm.COVER_WORST: disc_max(odds, inner, cell),
-        HazardTerm.COVER_WORST_SMOOTH: disc_max(odds_smooth, inner, cell),
-        HazardTerm.COVER_MEAN: disc_mean(odds, radius, cell),
-        HazardTerm.COVER_WORST_BEYOND: disc_max(odds_smooth, radius + BEYOND, cell),
-        HazardTerm.COVER_MEAN_BEYOND: disc_mean(odds_smooth, radius + 3 * BEYOND, cell),
-        HazardTerm.BLOB_DARK: disc_max(blobs["dark"], inner, cell),
-        HazardTerm.BLOB_BRIGHT: disc_max(blobs["bright"], inner, cell),
-        HazardTerm.BLOB_TINT: np.log(disc_max(blobs["tint"], inner, cell) / tint_mean + np.float32(0.1)),
+        GroundTerm.WORST: discs.worst(discs.largest(odds)),
+        GroundTerm.WORST_SMOOTH: discs.worst(smooth),
+        GroundTerm.MEAN: discs.mean(mean),
+        GroundTerm.WORST_BEYOND: discs.worst(smooth, BEYOND),
+        GroundTerm.MEAN_BEYOND: discs.mean(mean, 3 * BEYOND),
+        GroundTerm.AROUND: discs.around(mean),
     }

@@ -1,17 +1,22 @@
 """Fitted tables, each an `.npz` with a card beside it, and the evaluators of the nets in them."""
 
 from alight.learned.net import CLIP, AffineLayer, Net, monotone_costs, monotone_net, relu_net
+from alight.learned.rates import Rate, rate_bytes, rate_of, read_rate
 from alight.learned.tables import net_bytes, net_of, read_net, table_path
 
 __all__ = [
     "CLIP",
     "AffineLayer",
     "Net",
+    "Rate",
     "monotone_costs",
     "monotone_net",
     "net_bytes",
     "net_of",
+    "rate_bytes",
+    "rate_of",
     "read_net",
+    "read_rate",
     "relu_net",
     "table_path",
 ]

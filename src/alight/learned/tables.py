@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32
 from alight.learned.net import AffineLayer, Net
-from alight.learned.terms import HAZARD_TERMS, LAND_COVER_TERMS
+from alight.learned.terms import LAND_COVER_TERMS
 
-TERMS_OF = {"p_safe": HAZARD_TERMS, "land_cover": LAND_COVER_TERMS}
+TERMS_OF = {"land_cover": LAND_COVER_TERMS}
 
 
 def table_path(name: str) -> Path:

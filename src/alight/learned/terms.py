@@ -7,105 +7,103 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-BANDS = 4  # octaves of detail of a channel, fine to coarse
-# log brightness, log red over green, log blue over green: bands whose strength is a term
-POWER_BANDS = {"light": (0, 1, 2, 3), "red": (0, 2), "blue": (0, 2)}
+BANDS = 5  # octaves of detail of the picture, from 0.05 m
 RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the frame
 
 
-class HazardTerm(StrEnum):
-    """Evidence against a footprint (docs/method/hazards.md, G7b); each is larger where it is less likely safe."""
+class ObstacleTerm(StrEnum):
+    """Evidence that something stands in a footprint unseen (docs/method/hazards.md, G7b).
 
-    COARSENESS = "coarseness"  # log of the finest pixel over the height that matters
-    DEVIATION_SIGMAS = "deviation_sigmas"  # how far deviation or rise exceeds its limit, sigmas
+    Each is larger where it is less likely safe. Lengths are over the height that the lander just stands.
+    """
+
+    SAMPLING = "sampling"  # log of what a sample of the match covers
+    PIXEL = "pixel"  # log of what a pixel of the picture covers
+    RELIEF_WORST = "relief_worst"  # log root mean square relief as wide as an obstacle: of the worst patch
+    RELIEF_MEAN = "relief_mean"
+    RELIEF_AROUND = "relief_around"
+    SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle: of the worst patch
+    SPOT_MEAN = "spot_mean"
+    SPOT_AROUND = "spot_around"
+    DARK = "dark"  # contrast of the darkest spot
+    BRIGHT = "bright"
+    RESIDUAL_MEAN = "residual_mean"  # of the matches
+    RESIDUAL_WORST = "residual_worst"
+    SIGMA = "sigma"  # log of the sigma of the heights
     ROUGHNESS_SMOOTH = "roughness_smooth"  # log of the roughness of heights smoothed by 0.2 m, over its limit
     ROUGHNESS_TREND = "roughness_trend"  # the same of heights smoothed by 0.45 m
-    EXCESS_SIGMAS = "excess_sigmas"  # smooth roughness over its limit, sigmas of the footprint
     UNKNOWN = "unknown"  # share of the footprint without a height
-    RESIDUAL_MEAN = "residual_mean"  # of the matches in the footprint
-    RESIDUAL_WORST = "residual_worst"
-    COVER_WORST = "cover_worst"  # log odds against landable ground: the worst cell
-    COVER_WORST_SMOOTH = "cover_worst_smooth"  # the worst mean over 0.2 m
-    COVER_MEAN = "cover_mean"
-    COVER_WORST_BEYOND = "cover_worst_beyond"  # the worst to 1 m beyond the rim
-    COVER_MEAN_BEYOND = "cover_mean_beyond"  # the mean to 3 m beyond the rim
-    BLOB_DARK = "blob_dark"  # log contrast of the darkest spot
-    BLOB_BRIGHT = "blob_bright"
-    BLOB_TINT = "blob_tint"
+
+
+class GroundTerm(StrEnum):
+    """Evidence against ground that bears and is dry (G7c): log odds against landable ground of a footprint."""
+
+    WORST = "worst"
+    WORST_SMOOTH = "worst_smooth"  # of means over 0.2 m
+    MEAN = "mean"
+    WORST_BEYOND = "worst_beyond"  # to 1 m beyond the rim
+    MEAN_BEYOND = "mean_beyond"  # to 3 m beyond the rim
+    AROUND = "around"
 
 
 class SurfaceTerm(StrEnum):
     """Evidence for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
 
-    ROUGH_03 = "rough_0.3m"
-    ROUGH_10 = "rough_1m"
+    ROUGH_02 = "rough_0.2m"  # log root mean square height against 0.2 m about it
+    ROUGH_05 = "rough_0.5m"
+    ROUGH_15 = "rough_1.5m"
     HEIGHT_ABOVE_GROUND = "height_above_ground"
     HEIGHT_ABOVE_BED = "height_above_bed"  # doubtful heights count
-    RESIDUAL = "residual"
-    RESIDUAL_RELATIVE = "residual" + RELATIVE
-    RESIDUAL_2M = "residual_2m"
-    SIGMA = "sigma"
-    MOVING_2M = "moving_2m"
-    UNSURE = "unsure"
-    REFUSED_2M = "refused_2m"
-    TEXTURE = "texture"
-    TEXTURE_RELATIVE = "texture" + RELATIVE
-    PLANTS = "plants"
-
-
-class DetailTerm(StrEnum):
-    """Evidence for the land cover from what is small and near (T1b), besides the bands of the channels."""
-
-    DARKEST_NEAR = "darkest_near"
-    BRIGHTEST_NEAR = "brightest_near"
     HEIGHT_LOCAL = "height_local"
     HEIGHT_BROAD = "height_broad"
     HIGHEST_NEAR = "highest_near"
     LOWEST_NEAR = "lowest_near"
     STEEP = "steep"
-    RESIDUAL_SPOT = "residual_spot"
-    AMBIGUOUS = "ambiguous"
+    RESIDUAL = "residual"
+    RESIDUAL_2M = "residual_2m"
+    SIGMA = "sigma"
     MOVING = "moving"
-    STEP = "step"
-    SATURATED = "saturated"
+    MOVING_2M = "moving_2m"
+    UNSURE = "unsure"
+    REFUSED_2M = "refused_2m"
     TEXTURELESS = "textureless"
+    SATURATED = "saturated"
+    PLANTS = "plants"
+    SAMPLING = "sampling"  # log of what a sample of the match covers
+    PIXEL = "pixel"  # log of what a pixel of the picture covers
 
 
-def band(channel: str, octave: int, what: str = "") -> str:
-    """Identifier of a band of a channel: itself, its `max` or `min` in a cell, its strength `near` or `wide`."""
-    return f"{channel}_{octave}" + (f"_{what}" if what else "")
+class PictureTerm(StrEnum):
+    """Evidence for the land cover from detail of the picture, besides its bands (T1b)."""
+
+    BELOW = "light_below"
+    DARK = "dark_near"
+    BRIGHT = "bright_near"
+    TINT = "tint"
+    TINT_2M = "tint_2m"
+    LOCAL = "light_local"
+    BROAD = "light_broad"
 
 
-def _channel(channel: str) -> list[str]:
-    out = [band(channel, 0, "max"), band(channel, 0, "min")]
-    for octave in range(BANDS):
-        out += [band(channel, octave)] if octave else []
-        if octave in POWER_BANDS[channel]:
-            for width in ("near", "wide"):
-                out += [band(channel, octave, width), band(channel, octave, width) + RELATIVE]
-    return [*out, f"{channel}_local", f"{channel}_broad"]
+def band(octave: int) -> str:
+    """Identifier of the strength of a band of log brightness."""
+    return f"light_{octave}"
 
 
-def _with_relative(terms: tuple[DetailTerm, ...]) -> list[str]:
-    return [name for t in terms for name in (t.value, t.value + RELATIVE)]
-
-
-HAZARD_TERMS: tuple[str, ...] = tuple(t.value for t in HazardTerm)
+OBSTACLE_TERMS: tuple[str, ...] = tuple(t.value for t in ObstacleTerm)
+GROUND_TERMS: tuple[str, ...] = tuple(t.value for t in GroundTerm)
+FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame is a term as well
+    SurfaceTerm.ROUGH_02,
+    SurfaceTerm.ROUGH_05,
+    SurfaceTerm.RESIDUAL,
+    *(band(octave) for octave in range(BANDS)),
+    PictureTerm.DARK,
+    PictureTerm.BRIGHT,
+    PictureTerm.TINT,
+)
 LAND_COVER_TERMS: tuple[str, ...] = (
     *(t.value for t in SurfaceTerm),
-    *_channel("light"),
-    *_with_relative((DetailTerm.DARKEST_NEAR, DetailTerm.BRIGHTEST_NEAR)),
-    *_channel("red"),
-    *_channel("blue"),
-    *(band("height", octave) for octave in range(BANDS)),
-    DetailTerm.HEIGHT_LOCAL,
-    DetailTerm.HEIGHT_BROAD,
-    *_with_relative((DetailTerm.HIGHEST_NEAR, DetailTerm.LOWEST_NEAR)),
-    DetailTerm.STEEP,
-    DetailTerm.RESIDUAL_SPOT,
-    DetailTerm.AMBIGUOUS,
-    DetailTerm.MOVING,
-    DetailTerm.STEP,
-    DetailTerm.SATURATED,
-    DetailTerm.TEXTURELESS,
+    *(band(octave) for octave in range(BANDS)),
+    *(t.value for t in PictureTerm),
+    *(name + RELATIVE for name in FRAME_TERMS),
 )

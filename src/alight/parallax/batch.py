@@ -90,12 +90,13 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None
-    per_px = refine.enlarged(refine.view_geometry(fine, grid, start).metres_per_px, grid, refine.SEEN_BLOCK)
+    seen = refine.view_geometry(fine, grid, start)
+    per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
     visible = refine.visible_from(fine, grid, start, per_px, settings.refinement.occlusion_px)
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)
     rgb = colour(views, fine, grid, fit.height, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
-    heights = judged(fine, grid, fit, ratio, (low, high), rgb, settings.uncertainty)
+    heights = judged(fine, grid, fit, ratio, (low, high), seen, rgb, settings.uncertainty)
     flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
     return Match(replace(heights, flags=flags), views)
 
@@ -118,12 +119,14 @@ def judged(
     fit: refine.Fit,
     ratio: F32,
     searched: tuple[float, float],
+    seen: refine.ViewGeometry,
     rgb: U8,
     tuning: UncertaintyTuning,
 ) -> Heights:
     """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
     sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
-    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual)
+    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
+    return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)
 
 
 def colour(

@@ -56,6 +56,7 @@ class ViewGeometry:
     baseline: F32  # metres between the outermost views that see it
     count: NDArray[np.uint8]  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
+    sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
@@ -72,7 +73,20 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
     baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
     view_kernels.baseline(seen, centres, baseline, count)
     drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
-    return ViewGeometry(baseline, count, np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop))
+    per_px = np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop)
+    return ViewGeometry(baseline, count, per_px, _sampling(prepared, wide, level, np.isfinite(seen), grid.cell))
+
+
+def _sampling(prepared: list[Prepared], wide: Grid, level: F32, seen: NDArray[np.bool_], cell: float) -> F32:
+    """The second finest pixel on the ground of the views that see a block, metres: it takes two for a height."""
+    xs, ys = (v.astype(np.float32) for v in wide.xy())
+    pixels = np.full(seen.shape, np.inf, np.float32)
+    for k, p in enumerate(prepared):
+        e, n, u = p.centre.astype(np.float32)
+        distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + (level - u) ** 2)
+        np.divide(distance, np.float32(p.camera.fu), out=pixels[k], where=seen[k])
+    second = np.partition(pixels, 1, axis=0)[1] if len(pixels) > 1 else pixels[0]
+    return np.where(np.isfinite(second), np.maximum(second, np.float32(cell)), np.float32(np.nan))
 
 
 def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:

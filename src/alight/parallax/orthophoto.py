@@ -6,6 +6,7 @@ shows them in its noise, the mean of five does not have it (docs/method/hazards.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import cv2
@@ -13,13 +14,14 @@ import numpy as np
 
 from alight.arrays import F32, U8
 from alight.geometry import Grid, ground_projection
-from alight.parallax.views import project_cells, radius2_limit, rgb_of
+from alight.parallax.views import ground_sampling, project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
-FACTOR = 2  # fine pixels a cell, each way: cells are 1.8 pixels wide
+MOST = 4  # fine pixels a cell, each way
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
+COARSER = 1.5  # a view whose pixel is larger than that of the finest by this factor does not count beside it
 
 
 def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
@@ -39,17 +41,31 @@ def _seen_by(view: View, grid: Grid, height: F32) -> F32:
     return seen
 
 
-def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32]:
-    """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first, and their number."""
+def _pixel_of(view: View, grid: Grid, height: float) -> F32:
+    """Metres of ground that a pixel of the view covers, (R, C), on level ground."""
+    xs, ys = (v.astype(np.float32) for v in grid.xy())
+    e, n, u = view.centre.astype(np.float32)
+    distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + np.float32((height - u) ** 2))
+    return np.asarray(distance / np.float32(view.camera.fu), np.float32)
+
+
+def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32, F32]:
+    """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first.
+
+    Beside it their number, and the pixel on the ground of the first, metres. A view with much coarser pixels than the
+    first does not count.
+    """
     xs, ys = grid.xy()
-    middle = np.array([xs.mean(), ys.mean(), float(np.median(height))])
-    away = [np.linalg.norm(v.centre - middle) for v in views]
+    level = float(np.median(height))
+    middle = np.array([xs.mean(), ys.mean(), level])
+    away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     total, number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
+    finest = np.full(grid.shape, np.inf, np.float32)
     for i in np.argsort(away, kind="stable"):
         if (number >= count).all():
             break
-        seen = _seen_by(views[i], grid, height)
-        use = np.isfinite(seen[..., 0]) & (number < count)
+        seen, pixel = _seen_by(views[i], grid, height), _pixel_of(views[i], grid, level)
+        use = np.isfinite(seen[..., 0]) & (number < count) & (pixel <= np.float32(COARSER) * finest)
         if not use.any():
             continue
         both = use & (number > 0)
@@ -58,10 +74,18 @@ def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[
             seen *= before / np.maximum(seen[both].mean(axis=0), 1.0)
         total[use] += seen[use]
         number += use
-    return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number
+        finest = np.where(use, np.minimum(finest, pixel), finest)
+    return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
 
 
-def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -> U8:
+def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
+    """Fine pixels a cell, each way, that show all that the views show: a power of two, `MOST` at most."""
+    level = float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
+    finest = min((ground_sampling(v, level) for v in views), default=elevation.grid.cell)
+    return int(np.clip(2 ** math.ceil(math.log2(max(0.95 * elevation.grid.cell / finest, 1e-3))), 1, MOST))
+
+
+def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -> tuple[U8, F32]:
     """Look at the ground of a map on its views' own pixels.
 
     Args:
@@ -70,18 +94,21 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
         count: views whose mean is taken.
 
     Returns:
-        (2 R, 2 C, 3); the map's own colours where none of the views looks, black where nothing was seen.
+        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black where nothing was seen.
+        Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
-    grid, factor = elevation.grid, FACTOR
+    grid, factor = elevation.grid, pixels_a_cell(views, elevation)
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
-    out = upsample(elevation.rgb, factor)
+    out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
     for rows, cols, part in _blocks(grid):
         if not unseen[rows, cols].all():
             fine = part.finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
-            mean, number = _block(views, fine, up, count)
+            mean, number, pixel = _block(views, fine, up, count)
             seen = (number > 0) & ~upsample(unseen[rows, cols], factor)
             out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
-    return out
+            middle = (slice(factor // 2, None, factor),) * 2
+            np.copyto(sampling[rows, cols], pixel[middle], where=seen[middle])
+    return out, sampling

@@ -27,7 +27,7 @@ from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
 from alight.records import ElevationMap, Heights, KeyframePosterior, View
 from alight.settings import ParallaxSettings
 
-FUSED = ("height", "sigma", "flags", "views", "residual")
+FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
 
 
 class RecursiveParallax:
@@ -126,7 +126,7 @@ class RecursiveParallax:
         ratio = trust.half_resolution(np.where(np.isnan(ratio) | np.isnan(start), self._unswept, ratio))
         if wrong.any():
             known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
-        found = judged(fine[-1:], grid, fit, ratio, (low, high), rgb, self._settings.uncertainty)
+        found = judged(fine[-1:], grid, fit, ratio, (low, high), seen, rgb, self._settings.uncertainty)
         samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
         pairs, consistency = witness.instants([v for v, _, _ in views]), self._settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)

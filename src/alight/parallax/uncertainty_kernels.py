@@ -203,8 +203,8 @@ def _keep_row(keep: F32, new: F32, old: F32) -> None:
 
 @parallel_kernel
 def fuse(
-    height: F32, sigma: F32, flags: U16, views: U8, residual: F32,
-    height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, worse: float,
+    height: F32, sigma: F32, flags: U16, views: U8, residual: F32, sampling: F32,
+    height0: F32, sigma0: F32, flags0: U16, views0: U8, residual0: F32, sampling0: F32, worse: float,
 ) -> None:  # fmt: skip
     """Weigh a step (changed in place) against the map before it (`...0`) (eq. 16).
 
@@ -217,3 +217,4 @@ def fuse(
         _keep_row(keep, flags[r], flags0[r])
         _keep_row(keep, views[r], views0[r])
         _keep_row(keep, residual[r], residual0[r])
+        _keep_row(keep, sampling[r], sampling0[r])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight import hazards, terrain
+from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.next_view import next_view
 from alight.landing.reserve import Reserve
@@ -14,8 +15,9 @@ from alight.parallax import orthophoto
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.timing import Timings
+from alight.raster import upsample
 from alight.records import ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap
-from alight.settings import StageSettings
+from alight.settings import Lander, StageSettings
 
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
@@ -64,12 +66,12 @@ class JudgingLane:
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: what covers it, the hazards, the sites, and a view that would help where there is none."""
-        s, elevation, frame = self._settings, seen.elevation, seen.frame
+        s, frame = self._settings, seen.frame
         self._follow(frame)
+        with self._timings.of("finer pixels"):
+            elevation = as_judged(seen, s.lander)
         cover = None
         if s.terrain.enabled:
-            with self._timings.of("finer pixels"):
-                elevation = replace(elevation, fine=orthophoto(seen.views, elevation))
             with self._timings.of("terrain"):
                 cover = terrain.classify(elevation, s.terrain, self._appearance)
         with self._timings.of("hazards"):
@@ -80,7 +82,7 @@ class JudgingLane:
             look = None if chosen.sites else next_view(danger, elevation, s.sites, s.lander, above)
             self._keep(chosen, danger)
         return Verdict(
-            frame.elevation(without_water(elevation, cover)),
+            frame.elevation(without_water(seen.elevation, cover)),
             None if cover is None else frame.on_grid(cover),
             frame.on_grid(danger),
             replace(chosen, sites=tuple(frame.site(s) for s in chosen.sites), frame_id=frame.frame_id),
@@ -127,6 +129,13 @@ class JudgingLane:
         return out
 
 
+def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
+    """The map on cells that fit the lander, with the finest picture that there is of them."""
+    elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
+    picture, sampling = orthophoto(seen.views, elevation)
+    return replace(elevation, fine=picture, fine_sampling=sampling)
+
+
 def in_words(look: NextView) -> str:
     """The proposal as a sentence."""
     east, north, up = np.asarray(look.position_world)
@@ -140,4 +149,6 @@ def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> Elevatio
     """
     if cover is None:
         return elevation
-    return replace(elevation, flags=elevation.flags | np.where(terrain.open_water(cover), WET, np.uint16(0)))
+    rows, cols = elevation.grid.shape
+    water = upsample(terrain.open_water(cover), round(cover.grid.cell / elevation.grid.cell))[:rows, :cols]
+    return replace(elevation, flags=elevation.flags | np.where(water, WET, np.uint16(0)))

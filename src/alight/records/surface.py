@@ -94,6 +94,7 @@ class Heights:
     views: U8  # (R, C) views that saw the cell
     rgb: U8  # (R, C, 3) what the cameras saw
     residual: F32  # (R, C) normalised matching residual, 0 (perfect) to 1 (nothing in common)
+    sampling: F32  # (R, C) metres of ground that one sample of the match covers: its cell or, if larger, its pixel
     gauge: Datum | None = None  # None: not known, as for poses that came without covariance
 
 
@@ -108,9 +109,11 @@ class ElevationMap:
     views: U8
     rgb: U8
     residual: F32
+    sampling: F32
     gauge: Datum | None = None
     warp: F32 | None = None  # (R, C) metres, 1-sigma of a height from what the poses bend and turn beside the gauge
     fine: U8 | None = None  # (f R, f C, 3) the ground on finer pixels, the mean of several views; None: not known
+    fine_sampling: F32 | None = None  # (R, C) metres of ground that a pixel of these views covers; None: as the heights
     frame_id: int = 0  # of the poses that it was made with (`Motion.frame_id`)
     position_covariance: F64 | None = None  # (3, 3) m^2, of the whole map's place on Earth; None: not known
 
@@ -119,6 +122,11 @@ class ElevationMap:
         """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
         picture = self.rgb if self.fine is None else self.fine
         return picture, picture.shape[0] // self.grid.rows
+
+    @property
+    def picture_sampling(self) -> F32:
+        """(R, C) metres of ground that a pixel of the finest picture covers where it was taken."""
+        return self.sampling if self.fine_sampling is None else self.fine_sampling
 
     @property
     def relative_sigma(self) -> F32:

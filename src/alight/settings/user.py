@@ -161,6 +161,16 @@ class Lander(FrozenModel):
         """Whether feet or skids are given; else the lander stands on its whole footprint."""
         return self.feet is not None or self.skids is not None
 
+    @property
+    def tallest_obstacle(self) -> float:
+        """Height of an obstacle that the lander just stands, metres: the limit of roughness or of the belly."""
+        return self.max_roughness if self.belly_clearance is None else self.belly_clearance
+
+    @property
+    def judging_cell(self) -> float:
+        """Largest cell on which the ground is judged for it, metres: finer cells cost and decide nothing."""
+        return 0.7 * self.tallest_obstacle
+
     @model_validator(mode="after")
     def _sound(self) -> Lander:
         if self.feet is not None and self.skids is not None:

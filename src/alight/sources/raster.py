@@ -166,4 +166,5 @@ def _as_map(grid: Grid, height: F32, sigma: F32, known: NDArray[np.bool_], image
         views=views,
         rgb=grey,
         residual=np.zeros(grid.shape, np.float32),
+        sampling=np.full(grid.shape, grid.cell, np.float32),
     )

@@ -1,7 +1,7 @@
 """Evidence for the land cover from the map itself: shape, matching and texture (docs/method/land-cover.md, T1).
 
 No colour and no library: this evidence is left when the pictures look like nothing known, and the model of appearance
-may only refuse what it permits.
+may only refuse what it permits. Widths are in metres, so that ground seen from far and from near compares.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from alight.arrays import F32
-from alight.learned.terms import RELATIVE, SurfaceTerm
-from alight.raster import linear_ramp, log_offset, masked_gaussian
+from alight.learned.terms import FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
+from alight.raster import gaussian_mean, linear_ramp, local_max, log_at_least, log_offset, nearest_known
 from alight.records import REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen
-from alight.terrain.detail import detail_terms
+from alight.terrain.picture_bands import picture_bands
 from alight.terrain.relief import Relief
 
-
-def _relative(values: F32, weight: F32) -> F32:
-    """Values less their median over the frame: a change of all cells alike, by camera or height, cancels."""
-    known = values[weight > 0]
-    return np.asarray(values - np.float32(np.median(known) if known.size else 0.0), np.float32)
+NEAR, WIDE = 0.4, 2.0  # metres, 1-sigma over which the strength of detail is gathered
+REACH = 0.5  # metres, radius of local maxima and minima
+BUMP = np.float32(0.03)  # metres, scale of the arsinh of heights
+FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
+USUAL_SAMPLING, USUAL_PIXEL = 0.1, 0.05  # metres
 
 
 def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
@@ -35,48 +35,89 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
 
 def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
     """The evidence of every cell, (R, C) each, one after the other, with its identifier (T1)."""
-    weight = seen(elevation).astype(np.float32)
-    yield from surface_terms(elevation, colours, shape).items()
-    for name, values in detail_terms(elevation):
-        yield name, values
-        if name.endswith(("_near", "_wide")):
-            yield name + RELATIVE, _relative(values, weight)
+    known = seen(elevation)
+    for terms in (surface_terms(elevation, colours, shape), picture_terms(elevation)):
+        for name, values in terms.items():
+            yield name, values
+            if name in FRAME_TERMS:
+                some = values[::4, ::4][known[::4, ::4]]
+                usual = np.float32(np.median(some)) if some.size else np.float32(0)
+                yield name + RELATIVE, values - usual
+
+
+def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
+    near = np.maximum(gaussian_mean(power, metres / cell), 0)
+    return np.asarray(np.log(np.sqrt(near) + FLOOR), np.float32)
+
+
+def picture_terms(elevation: ElevationMap) -> dict[str, F32]:
+    """Strength of the detail of the picture, by its width."""
+    cell, found = elevation.grid.cell, picture_bands(elevation)
+    out: dict[str, F32] = {band(k): _strength(power, cell) for k, power in enumerate(found.bands)}
+    return out | {
+        PictureTerm.BELOW: _strength(found.below, cell),
+        PictureTerm.DARK: found.dark,
+        PictureTerm.BRIGHT: found.bright,
+        PictureTerm.TINT: _strength(found.tint, cell),
+        PictureTerm.TINT_2M: _strength(found.tint, cell, WIDE),
+        PictureTerm.LOCAL: found.local,
+        PictureTerm.BROAD: found.broad,
+    }
 
 
 def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> dict[str, F32]:
-    """Roughness, height, residual, flags and texture over some decimetres to metres."""
-    cell, weight = elevation.grid.cell, seen(elevation).astype(np.float32)
-    measured = np.isfinite(elevation.height).astype(np.float32) * weight
-    height = np.nan_to_num(elevation.height)
+    """Roughness, height, residual, flags over some decimetres to metres."""
+    cell = elevation.grid.cell
+    height = nearest_known(elevation.height, np.isfinite(elevation.height))
+    height = np.nan_to_num(height - np.float32(np.nanmedian(height)) if np.isfinite(height).any() else height)
+    means = {s: gaussian_mean(height, s / cell) for s in (0.2, 0.5, 1.0, 1.5, 4.0)}
 
     def near(values: F32, metres: float) -> F32:
-        mean = masked_gaussian(np.nan_to_num(values).astype(np.float32), weight, metres / cell)
-        return np.asarray(np.nan_to_num(mean), np.float32)
+        return gaussian_mean(np.nan_to_num(values), metres / cell)
 
     def rough(metres: float) -> F32:
-        off: F32 = height - np.nan_to_num(masked_gaussian(height, measured, metres / cell))
-        return log_offset(np.sqrt(np.nan_to_num(masked_gaussian(off * off, measured, metres / cell))), 0.01)
+        off = height - means[metres]
+        return log_offset(np.sqrt(np.maximum(near(off * off, NEAR), 0)), 0.005)
 
     def flagged(flags: int) -> F32:
         return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
 
     usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
-    moving, refused = flagged(Flag.MOVING | Flag.INCONSISTENT), flagged(REFUSED)
-    residual, texture = log_offset(near(elevation.residual, 0.5), 0.02), log_offset(colours.texture, 0.01)
+    moving, residual = flagged(Flag.MOVING | Flag.INCONSISTENT), np.nan_to_num(elevation.residual)
+    reach = max(1, round(REACH / cell))
+    north, east = np.gradient(means[0.5] / np.float32(cell))
+    local = means[0.2] - means[1.0]
     return {
-        SurfaceTerm.ROUGH_03: rough(0.3),
-        SurfaceTerm.ROUGH_10: rough(1.0),
+        SurfaceTerm.ROUGH_02: rough(0.2),
+        SurfaceTerm.ROUGH_05: rough(0.5),
+        SurfaceTerm.ROUGH_15: rough(1.5),
         SurfaceTerm.HEIGHT_ABOVE_GROUND: np.nan_to_num(shape.height_above).clip(-1, 6),
         SurfaceTerm.HEIGHT_ABOVE_BED: near(standing, 0.3).clip(-2, 8),
-        SurfaceTerm.RESIDUAL: residual,
-        SurfaceTerm.RESIDUAL_RELATIVE: _relative(residual, weight),
-        SurfaceTerm.RESIDUAL_2M: log_offset(near(elevation.residual, 2.0), 0.02),
-        SurfaceTerm.SIGMA: log_offset(near(elevation.sigma, 0.5) / np.float32(cell), 0.05),
-        SurfaceTerm.MOVING_2M: near(moving, 2.0),
+        SurfaceTerm.HEIGHT_LOCAL: _squashed(local),
+        SurfaceTerm.HEIGHT_BROAD: _squashed(means[1.0] - means[4.0]),
+        SurfaceTerm.HIGHEST_NEAR: _squashed(local_max(local, reach)),
+        SurfaceTerm.LOWEST_NEAR: _squashed(local_max(-local, reach)),
+        SurfaceTerm.STEEP: np.asarray(np.log(np.hypot(north, east) + np.float32(0.02)), np.float32),
+        SurfaceTerm.RESIDUAL: log_offset(near(residual, 0.5), 0.02),
+        SurfaceTerm.RESIDUAL_2M: log_offset(near(residual, WIDE), 0.02),
+        SurfaceTerm.SIGMA: log_offset(near(elevation.sigma, 0.5), 0.005),
+        SurfaceTerm.MOVING: near(moving, 0.3),
+        SurfaceTerm.MOVING_2M: near(moving, WIDE),
         SurfaceTerm.UNSURE: near(flagged(Flag.UNSURE), 0.5),
-        SurfaceTerm.REFUSED_2M: near(refused, 2.0),
-        SurfaceTerm.TEXTURE: texture,
-        SurfaceTerm.TEXTURE_RELATIVE: _relative(texture, weight),
-        SurfaceTerm.PLANTS: plants(colours, shape, moving),
+        SurfaceTerm.REFUSED_2M: near(flagged(REFUSED), WIDE),
+        SurfaceTerm.TEXTURELESS: near(flagged(Flag.TEXTURE), 0.5),
+        SurfaceTerm.SATURATED: near(flagged(Flag.SATURATED), 0.5),
+        SurfaceTerm.PLANTS: plants(colours, shape, near(moving, 0.3)),
+        SurfaceTerm.SAMPLING: _log_ratio(elevation.sampling, USUAL_SAMPLING),
+        SurfaceTerm.PIXEL: _log_ratio(elevation.picture_sampling, USUAL_PIXEL),
     }
+
+
+def _log_ratio(values: F32, usual: float) -> F32:
+    """Natural logarithm of values over what is usual; unknown ones count as usual."""
+    return log_at_least(np.where(np.isfinite(values), values / np.float32(usual), np.float32(1)), 1e-3)
+
+
+def _squashed(metres: F32) -> F32:
+    return np.asarray(np.arcsinh(metres / BUMP), np.float32)

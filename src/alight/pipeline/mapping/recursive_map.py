@@ -103,11 +103,17 @@ class RecursiveMap(GroundMap):
         return True
 
     def under(self, views: Sequence[View]) -> ElevationMap | None:
-        """The map of what the views look at, on the newest keyframe's cells; None where nothing was seen yet."""
+        """The map of what the views look at, None where nothing was seen yet.
+
+        On the newest keyframe's cells, or on coarser ones where these are finer than the lander needs.
+        """
         if self.elevation is None or self.ground_here is None or not views:
             return None
         (west, south), (east, north) = bounds(views, self.ground_here)
-        found = self.elevation.read(self.elevation.window((west, east), (south, north), self.level))
+        level = self.level
+        while self.elevation.cell_at(level + 1) <= self.settings.lander.judging_cell:
+            level += 1
+        found = self.elevation.read(self.elevation.window((west, east), (south, north), level))
         return replace(found, gauge=self.gauge) if found.trusted.any() else None
 
 

@@ -1,0 +1,98 @@
+"""What would have been found: the chance that heights or pixels show an obstacle of a size (docs/method/hazards.md, G7d).
+
+The curves are measured (`learned/detection.md`): the share of obstacles found by their width over what a sample of the
+match, or a pixel of the picture, covers of the ground.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from alight.arrays import F32, F64
+from alight.learned import table_path
+
+WIDE = 2.0  # width of an obstacle over its height: half a ball
+STEEP = 3.0  # exponent of the number of obstacles by width: twice as wide ones are an eighth as many
+LARGEST = 4.0  # widths of the smallest that matters, up to which obstacles count
+STEPS = 24  # of the integral over widths
+RATIOS = np.geomspace(0.02, 4.0, 60)  # sample over the height of the smallest that matters
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """Share of obstacles found, by their width over a sample of the heights or a pixel of the picture."""
+
+    sizes: F64  # (N,) ascending
+    heights: F64  # (N,) 0 to 1
+    pixels: F64  # (N,) 0 to 1
+
+    def missed(self, width: F64, sampling: F64, pixel: F64) -> F64:
+        """Share of the obstacles of a width (metres) that neither shows; all arguments of shapes that broadcast."""
+        seen = [
+            np.interp(np.log(width / at), np.log(self.sizes), curve)
+            for at, curve in ((sampling, self.heights), (pixel, self.pixels))
+        ]
+        return np.asarray((1 - seen[0]) * (1 - seen[1]))
+
+    def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
+        """Share that stays unseen of the obstacles that are higher than `limit` metres, of the shape of `sampling`."""
+        width = WIDE * limit * np.geomspace(1, LARGEST, STEPS)
+        weight = width ** (1 - STEEP)
+        weight /= weight.sum()
+        table = np.array(
+            [
+                [weight @ self.missed(width, np.float64(g * limit), np.float64(p * limit)) for p in RATIOS]
+                for g in RATIOS
+            ]
+        )
+        at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
+        return _bilinear(table, at[0], at[1])
+
+    def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
+        """Height of the smallest obstacle that is found with a probability of `share`, metres."""
+        widths = [_width_found(self.sizes, curve, share) for curve in (self.heights, self.pixels)]
+        return np.asarray(np.minimum(widths[0] * sampling, widths[1] * pixel) / WIDE, np.float32)
+
+
+def _width_found(sizes: F64, curve: F64, share: float) -> np.float32:
+    """Width over the sample at which the curve reaches the share; beyond the last size where it never does."""
+    above = np.flatnonzero(curve >= share)
+    if not above.size:
+        return np.float32(sizes[-1] * 1.5)
+    k = int(above[0])
+    if k == 0:
+        return np.float32(sizes[0])
+    return np.float32(np.exp(np.interp(share, curve[k - 1 : k + 1], np.log(sizes[k - 1 : k + 1]))))
+
+
+def _position(ratio: F32) -> F64:
+    """Where ratios lie between the `RATIOS`, 0 to their number less 1; unknown ones at the end."""
+    known = np.where(np.isfinite(ratio), ratio, RATIOS[-1]).clip(RATIOS[0], RATIOS[-1])
+    return np.asarray(np.log(known / RATIOS[0]) / np.log(RATIOS[1] / RATIOS[0]))
+
+
+def _bilinear(table: F64, row: F64, col: F64) -> F32:
+    r, c = (np.minimum(v.astype(np.int64), len(RATIOS) - 2) for v in (row, col))
+    dr, dc = row - r, col - c
+    top = table[r, c] * (1 - dc) + table[r, c + 1] * dc
+    low = table[r + 1, c] * (1 - dc) + table[r + 1, c + 1] * dc
+    return np.asarray(top * (1 - dr) + low * dr, np.float32)
+
+
+@cache
+def read_detection() -> Detection:
+    """The curves of the package.
+
+    Raises:
+        ValueError: the file holds curves that fall, or shares beyond 0 to 1.
+    """
+    with np.load(io.BytesIO(table_path("detection").read_bytes()), allow_pickle=False) as z:
+        sizes, heights, pixels = (z[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))
+    for curve in (heights, pixels):
+        if curve.shape != sizes.shape or (np.diff(curve) < 0).any() or not ((curve >= 0) & (curve <= 1)).all():
+            raise ValueError("a curve of the table falls, or leaves 0 to 1")
+    return Detection(sizes, heights, pixels)

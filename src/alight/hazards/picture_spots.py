@@ -1,0 +1,44 @@
+"""Spots of the picture as wide as an obstacle: difference of Gaussians on fine pixels (docs/method/hazards.md, G9b)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32
+from alight.raster import block_max, block_mean, gaussian_mean
+from alight.records import ElevationMap
+
+NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
+GREY = 2.0  # levels added: noise in the dark is no contrast
+LOG = np.log(np.arange(256, dtype=np.float32) + np.float32(GREY))
+
+
+class PictureSpots(NamedTuple):
+    """Contrast of spots against their surroundings, natural logarithms of brightness, (R, C) each."""
+
+    power: F32  # mean square of the contrast in the cell
+    dark: F32  # the darkest pixel
+    bright: F32  # the brightest pixel
+
+
+def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
+    """Measure the finest picture.
+
+    Args:
+        elevation: its finest picture is used; what was not seen counts as even.
+        height: metres, of the obstacle that is looked for.
+    """
+    rgb, factor = elevation.finest
+    halves = min(factor, 2)
+    inner = factor // halves
+    pixel = elevation.grid.cell / halves
+    light = block_mean(LOG[cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)], inner)
+    seen = (block_mean((rgb[..., 1] > 0).astype(np.float32), inner) > 0.999).astype(np.float32)
+    if seen.min() < 1:
+        share = np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
+        light = np.where(seen > 0, light, gaussian_mean(light * seen, WIDE * height / pixel) / share)
+    spot = (gaussian_mean(light, NARROW * height / pixel) - gaussian_mean(light, WIDE * height / pixel)) * seen
+    return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))

@@ -1,0 +1,84 @@
+"""Detail of the picture by its width in metres: bands of log brightness and tint (docs/method/land-cover.md, T1b)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32
+from alight.raster import block_mean, gaussian_mean, local_max
+from alight.records import ElevationMap
+
+WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands lie between each and the next
+TINT = (0.1, 0.8)  # metres: the band of the tints
+SPOT = (0.07, 0.35)  # metres: the band of dark and bright spots
+REACH = 0.4  # metres over which spots are looked for
+GREY = 2.0  # levels added: noise in the dark is no contrast
+FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
+LOG = np.log(np.arange(256, dtype=np.float32) + np.float32(GREY))
+
+
+@dataclass(frozen=True, eq=False)
+class PictureBands:
+    """Each (R, C) float32, natural logarithms of brightness or of a ratio of two colours."""
+
+    below: F32  # variance within half a cell: what is finer than all bands
+    bands: tuple[F32, ...]  # of log brightness, fine to coarse
+    dark: F32  # largest darkness of a spot within `REACH`, against its surroundings
+    bright: F32
+    tint: F32  # variance of the tints in their band
+    local: F32  # brightness against 0.8 m about it
+    broad: F32  # 0.8 m against 3.2 m
+
+
+def _filled(grey: F32, seen: F32, sigma: float) -> F32:
+    """Log brightness with what was not seen filled by its surroundings."""
+    if seen.min() > 0.999:
+        return grey
+    share = np.maximum(gaussian_mean(seen, sigma), np.float32(1e-3))
+    around = gaussian_mean(np.where(seen > 0, grey, np.float32(0)), sigma) / share
+    return np.where(seen > 0.999, grey, around)
+
+
+def _difference(values: F32, narrow: float, wide: float, pixel: float) -> F32:
+    return np.asarray(gaussian_mean(values, narrow / pixel) - gaussian_mean(values, wide / pixel), np.float32)
+
+
+def picture_bands(elevation: ElevationMap) -> PictureBands:
+    """Measure the finest picture of the map, at half a cell and wider.
+
+    Widths are in metres, so that maps of any cell compare; what the pixels do not show is weak. Exposure and white
+    balance cancel.
+    """
+    rgb, factor = elevation.finest
+    cell, halves = elevation.grid.cell, min(factor, 2)
+    light = LOG[cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)]
+    inner = max(factor // 2, 1)
+    seen = block_mean((rgb[..., 1] > 0).astype(np.float32), inner)
+    mean = block_mean(light, inner)
+    below = np.maximum(block_mean(light * light, inner) - mean * mean, 0) if inner > 1 else np.zeros_like(mean)
+    pixel = cell / halves
+    mean = _filled(mean, seen, 1.0 / pixel)
+    smooth = [gaussian_mean(mean, s / pixel) if s / pixel > 0.3 else mean for s in WIDTHS]
+    spot = _difference(mean, *SPOT, pixel)
+    coarse = block_mean(mean, halves)
+    red, blue = _tints(elevation)
+    reach = max(1, round(REACH / cell))
+    return PictureBands(
+        below=block_mean(below, halves),
+        bands=tuple(block_mean((a - b) ** 2, halves) for a, b in pairwise(smooth)),
+        dark=local_max(-block_mean(spot, halves), reach),
+        bright=local_max(block_mean(spot, halves), reach),
+        tint=_difference(red, *TINT, cell) ** 2 + _difference(blue, *TINT, cell) ** 2,
+        local=_difference(coarse, 0.15, 0.8, cell),
+        broad=_difference(coarse, 0.8, 3.2, cell),
+    )
+
+
+def _tints(elevation: ElevationMap) -> tuple[F32, F32]:
+    """Log ratio of red and of blue to green, (R, C) each."""
+    r, g, b = (LOG[elevation.rgb[..., k]] for k in range(3))
+    return r - g, b - g
