@@ -28,6 +28,11 @@ class Result:
         return self.record.sites.sites
 
     @property
+    def candidates(self) -> tuple[Site, ...]:
+        """Places that nothing refuses, not sure enough: `doubt` says why, `look` from where it would be settled."""
+        return self.record.sites.candidates
+
+    @property
     def best(self) -> Site | None:
         """The best site; None if there is none."""
         return self.sites[0] if self.sites else None
