@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import Route, Site, Sites, Waypoint
+from alight.records import PlaceSigma, Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD
@@ -110,11 +110,8 @@ def accuracy(covariance: F64) -> dict[str, Any]:
 
     `covariance`: (3, 3) m^2, east north up.
     """
-    on_ground = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return {
-        "horizontal_m": number(math.sqrt(max(on_ground, 0.0)), 3),
-        "vertical_m": number(math.sqrt(max(float(covariance[2, 2]), 0.0)), 3),
-    }
+    sigma = PlaceSigma.of(covariance)
+    return {"horizontal_m": number(sigma.horizontal, 3), "vertical_m": number(sigma.vertical, 3)}
 
 
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:

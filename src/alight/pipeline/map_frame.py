@@ -14,7 +14,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import Datum, ElevationMap, HazardMap, Motion, Site, Sites, TerrainMap
+from alight.records import Datum, ElevationMap, HazardMap, Motion, PlaceSigma, Site, Sites, TerrainMap
 
 OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
 
@@ -29,7 +29,7 @@ class Tie:
     @property
     def sigma_horizontal(self) -> float:
         """Metres, towards where it is known worst."""
-        return worst_sigma(self.covariance[:2, :2])
+        return PlaceSigma.of(self.covariance).horizontal
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,3 @@ class MapFrame:
     def sites(self, sites: Sites) -> Sites:
         """Sites and candidates, with the frame number."""
         return replace(sites.moved(self.offset_world), frame_id=self.frame_id)
-
-
-def worst_sigma(covariance: F64) -> float:
-    """1-sigma towards where a position is known worst."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
