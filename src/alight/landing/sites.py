@@ -1,4 +1,4 @@
-"""Landing sites and candidates: the best places to touch down, ranked, or why there is none (eq. 5, G11, G18)."""
+"""Landing sites and candidates: the best places to touch down, ranked, or why there is none (eq. 5, G11, G11a)."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class _Choice:
         return np.where(allowed, score, -np.inf)
 
     def candidate_score(self, clearance: F32) -> F64:
-        """Score of every undecided cell (G18): steps of P(safe) about it, and within a step the score of a site."""
+        """Score of every undecided cell (G11a): steps of P(safe) about it, and within a step the score of a site."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.lander.radius, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint8(Hazard.DOUBT), clearance)
