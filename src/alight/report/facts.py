@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +20,7 @@ class Answer:
     kind: Literal["site", "candidate", "none"]
     headline: str
     detail: str
+    reason: str = ""  # why there is no site, beside candidates
     link: str = ""
     chips: Sequence[tuple[str, str]] = ()  # label, value
     factors: str = ""  # of P(safe), in words
@@ -65,7 +67,8 @@ def answer(result: RunResult) -> Answer:
 
 
 def _reason(result: RunResult) -> str:
-    reason = result.sites.reason or "no reason was given"
+    """Why there is no site, as a sentence of its own."""
+    reason = result.sites.reason.removeprefix("no safe site: ") or "no reason was given"
     return reason[:1].upper() + reason[1:].rstrip(".") + "."
 
 
@@ -74,14 +77,16 @@ def _land(result: RunResult, best: Site) -> Answer:
     detail = f"Flat to {flat}, {words.angle(best.slope)} slope, {clear} clear."
     more = len(result.sites.sites) - 1
     reserve = f" {words.counted(more, 'more site').capitalize()} in reserve." if more else ""
+    if result.sites.candidates:
+        reserve += f" {words.counted(len(result.sites.candidates), 'candidate').capitalize()} to look at again."
     return Answer(
-        "site", f"Land here: {words.place(result, best)}", detail + reserve, words.geo_uri(result, best),
-        chips(result, best), words.factors(best), cautions(result, best),
+        "site", f"Land here: {words.place(result, best)}", detail + reserve, link=words.geo_uri(result, best),
+        chips=chips(result, best), factors=words.factors(best), cautions=cautions(result, best),
     )  # fmt: skip
 
 
 def _look_closer(result: RunResult, first: Site) -> Answer:
-    limit = words.percent(result.settings.hazards.p_safe)
+    limit = f"{100 * result.settings.hazards.p_safe:g} %"
     found = words.counted(len(result.sites.candidates), "candidate")
     detail = (
         f"Do not land yet: no place reaches {limit}. Nothing refuses the first candidate, {words.place(result, first)}"
@@ -91,8 +96,8 @@ def _look_closer(result: RunResult, first: Site) -> Answer:
         settled = "" if first.look.settles else ", as near as is allowed"
         look = f": look at it from {first.look.height:.0f} m above the ground{settled}."
     return Answer(
-        "candidate", f"Look closer: {found}", detail + look, words.geo_uri(result, first), chips(result, first),
-        words.factors(first), (_reason(result), *cautions(result, first)),
+        "candidate", f"Look closer: {found}", detail + look, _reason(result), words.geo_uri(result, first),
+        chips(result, first), words.factors(first), cautions(result, first),
     )  # fmt: skip
 
 
@@ -155,6 +160,9 @@ SITE_COLUMNS = ("Site", "Safe", *COMMON_COLUMNS, "Safe disc", "Heading")
 CANDIDATE_COLUMNS = ("Candidate", "Safe", *COMMON_COLUMNS, "Doubt", "Look from")
 
 
+STRAIGHT_ABOVE = 0.05  # metres: a view that is nearer to the vertical than this
+
+
 def _row(result: RunResult, s: Site) -> Row:
     numbers = (
         str(s.rank),
@@ -173,7 +181,8 @@ def _row(result: RunResult, s: Site) -> Row:
     if s.look is not None:
         east, north, up = (float(v) for v in s.look.position_world)
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
-        look = f". View: {words.position(result, east, north, up)}{enough}"
+        aside = math.hypot(east - s.east, north - s.north) > STRAIGHT_ABOVE
+        look = f". View: {words.position(result, east, north, up) if aside else 'straight above'}{enough}"
     return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
 
 

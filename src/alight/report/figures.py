@@ -94,7 +94,9 @@ def marks(result: RunResult, c: Canvas) -> list[Mark]:
     out = []
     for s in result.sites.listed:
         x, y = c.xy(s.east, s.north)
-        look = f"look from {s.look.height:.0f} m" if s.look is not None else ""
+        look = f"{s.look.height:.0f} m" if s.look is not None else ""
+        if look and s is result.sites.candidates[0]:
+            look = f"look from {look}"
         room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
         out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s), s.kind, look))
     return _aside(out, c)[::-1]
@@ -129,7 +131,7 @@ def _explain(result: RunResult) -> list[str]:
     if result.sites.sites:
         lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
     if result.sites.candidates:
-        lines.append("Dashed circle with a square number: a candidate, and the height above it to look from.")
+        lines.append("Dashed circle with a square number: a candidate; below it the height above it to look from.")
     lines += ["White line: the flight."] if result.motions else []
     return lines + (["Green dashes: the way to site 1."] if result.route else [])
 

@@ -108,8 +108,8 @@ def look_from(site: Site) -> str:
 
 
 def counted(number: int, name: str) -> str:
-    """1 candidate, three candidates."""
-    small = ("no", "1", "two", "three", "four", "five", "six", "seven", "eight")
+    """One candidate, three candidates, 12 candidates; in lower case."""
+    small = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
     return f"{small[number] if number < len(small) else number} {name}{'s' * (number != 1)}"
 
 
