@@ -54,7 +54,10 @@ class Result:
 
     @property
     def hazards(self) -> HazardMap | None:
-        """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell."""
+        """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell of `hazards.grid`.
+
+        Its cells may be larger than those of the heights; `hazards.on(elevation.grid)` gives it on theirs.
+        """
         return self.record.hazards
 
     @property
