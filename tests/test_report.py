@@ -87,7 +87,7 @@ def test_candidates_are_to_be_looked_at_and_not_landed_on() -> None:
     assert "Why no site: of the seen ground 20 % is too steep." in text
     assert "relief 0.990, unseen obstacles 0.63 (smallest that would be found: 22 cm), ground 0.995" in text
     assert "Candidate 1, the photo" in text
-    told = facts.tables(with_candidates())
+    told = facts.place_tables(with_candidates())
     assert [t.kind for t in told] == ["candidate"]
     assert [row.cells[-2:] for row in told[0].rows] == [
         ("unseen obstacles", "12 m above it"),
@@ -105,14 +105,18 @@ def test_a_candidate_has_another_mark_than_a_site_and_its_height_beside_it() -> 
     assert big.count("<rect") == 1
     assert ">look from 12 m</text>" in big
     assert "One candidate to look at again." in text
-    assert [t.kind for t in facts.tables(run)] == ["site", "candidate"]
+    assert [t.kind for t in facts.place_tables(run)] == ["site", "candidate"]
 
 
 def test_a_view_that_is_too_high_still_and_one_from_straight_above_say_so() -> None:
     first = candidate()
     assert first.look is not None
-    over = NextView(np.array([first.east, first.north, 10.0]), 8.0, settles=False)
-    note = facts.tables(with_candidates(sites=Sites((), "", candidates=(replace(first, look=over),))))[0].rows[0].note
+    over = NextView(first.east, first.north, 10.0, 8.0, settles=False)
+    note = (
+        facts.place_tables(with_candidates(sites=Sites((), "", candidates=(replace(first, look=over),))))[0]
+        .rows[0]
+        .note
+    )
     assert note.endswith("View: straight above; its pixels are still too coarse to settle the doubt")
 
 

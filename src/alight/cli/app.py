@@ -117,7 +117,7 @@ def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str
     say(f"NO SITE  {sites.reason}")
     if sites.candidates:
         s, count = sites.candidates[0], len(sites.candidates)
-        look = words.look_from(s) + ("" if s.look is None else f", at {place(s.look.position_world.tolist())}")
+        look = words.look_from(s) + ("" if s.look is None else f", at {place([s.look.east, s.look.north, s.look.up])}")
         say(
             f"LOOK CLOSER  {_numbers(s, place)}  doubt: {words.doubt(s)}  look from: {look}  "
             f"({count} candidate{'s' * (count != 1)}{more})"

@@ -45,8 +45,8 @@ def next_view(place: F64, settles_at: float, observer: Observer, settings: Sites
     wanted = settles_at * observer.focal
     height = max(min(wanted, observer.height_above_ground), settings.lowest_look)
     base = 0.0 if observer.stereo else settings.look_base * height
-    position = place + np.array([*(base * _towards(place, observer.position)), height])
-    return NextView(position, height, settles=height <= wanted)
+    east, north = (float(v) for v in place[:2] + base * _towards(place, observer.position))
+    return NextView(east, north, float(place[2]) + height, height, settles=height <= wanted)
 
 
 def _towards(place: F64, vehicle: F64) -> F64:

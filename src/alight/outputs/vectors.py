@@ -74,7 +74,7 @@ def _in_metres(site: Site) -> dict[str, Any]:
     """The properties of one place, with its height and the view of a candidate in metres from the origin."""
     found = site_properties(site) | {"up_m": number(site.up, 3)}
     if site.look is not None:
-        found["look"] = [number(v, 3) for v in site.look.position_world]
+        found["look"] = [number(v, 3) for v in (site.look.east, site.look.north, site.look.up)]
     return found
 
 
@@ -92,7 +92,7 @@ def _on_earth(site: Site, local: LocalFrame) -> dict[str, Any]:
     """The properties of one place, with the view of a candidate as longitude, latitude and height."""
     found = site_properties(site)
     if site.look is not None:
-        found["look"] = lon_lat_height(local, *site.look.position_world)
+        found["look"] = lon_lat_height(local, site.look.east, site.look.north, site.look.up)
     return found
 
 

@@ -68,13 +68,20 @@ class HazardMap:
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class NextView:
     """A view that would settle the doubt about a candidate: a proposal to the executive."""
 
-    position_world: F64  # (3,) metres, of the cameras
+    east: float  # of the cameras
+    north: float
+    up: float
     height: float  # metres above the ground of the place
     settles: bool  # its pixels are fine enough; False: as near as is allowed, and still too coarse
+
+    @property
+    def position_world(self) -> F64:
+        """The place of the cameras, (3,) metres."""
+        return np.array([self.east, self.north, self.up])
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,9 @@ class Site:
     def moved(self, shift: F64) -> Site:
         """The same place, with its view, moved by `shift`, (3,) metres."""
         east, north, up = (float(v) for v in shift)
-        look = self.look and replace(self.look, position_world=self.look.position_world + np.asarray(shift))
+        look = self.look
+        if look is not None:
+            look = replace(look, east=look.east + east, north=look.north + north, up=look.up + up)
         return replace(self, east=self.east + east, north=self.north + north, up=self.up + up, look=look)
 
 

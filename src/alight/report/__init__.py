@@ -46,7 +46,7 @@ def render(result: RunResult) -> str:
         beside=beside,
         below=below,
         warnings=warnings(result),
-        tables=facts.tables(result),
+        tables=facts.place_tables(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         times=facts.times(result.timings),

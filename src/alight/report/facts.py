@@ -36,7 +36,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class PlaceTable:
     """Places of one kind."""
 
     title: str
@@ -179,18 +179,18 @@ def _row(result: RunResult, s: Site) -> Row:
         return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), words.factors(s))
     look = ""
     if s.look is not None:
-        east, north, up = (float(v) for v in s.look.position_world)
+        east, north, up = s.look.east, s.look.north, s.look.up
         enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
         aside = math.hypot(east - s.east, north - s.north) > STRAIGHT_ABOVE
         look = f". View: {words.position(result, east, north, up) if aside else 'straight above'}{enough}"
     return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
 
 
-def tables(result: RunResult) -> list[Table]:
+def place_tables(result: RunResult) -> list[PlaceTable]:
     """Sites and candidates as text, in order of rank."""
     found = (
-        Table("The sites, best first", "site", SITE_COLUMNS, [_row(result, s) for s in result.sites.sites]),
-        Table(
+        PlaceTable("The sites, best first", "site", SITE_COLUMNS, [_row(result, s) for s in result.sites.sites]),
+        PlaceTable(
             "Candidates: to look at before a landing",
             "candidate",
             CANDIDATE_COLUMNS,
