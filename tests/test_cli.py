@@ -8,11 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import yaml
-from some_run import some_run
+from some_run import candidate, site, some_run
 
 from alight import __version__, cli
 from alight.outputs import write_run
@@ -148,6 +149,22 @@ def test_no_site_is_an_answer(
     told = capsys.readouterr()
     assert told.out.startswith("NO SITE  everything is water\n")
     assert told.err == ""
+
+
+def test_candidates_are_told_after_the_reason_with_the_view_that_settles_the_doubt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    found(monkeypatch, sites=Sites((), "fog", candidates=(candidate(), candidate(2, 12.0, 6.0))), route=None)
+    assert cli.call(["run", "any", "--out", str(tmp_path / "out")]) == 0
+    reason, look, report = capsys.readouterr().out.splitlines()
+    assert reason == "NO SITE  fog"
+    assert look.startswith("LOOK CLOSER  48.1022")
+    assert "P(safe) 0.620  doubt: unseen obstacles  look from: 12 m above it, at 48.10229" in look
+    assert look.endswith("(2 candidates)")
+    assert report.startswith("report: ")
+    found(monkeypatch, sites=Sites((site(),), candidates=(replace(candidate(2), look=None),)))
+    assert cli.call(["run", "any", "--out", str(tmp_path / "out")]) == 0
+    assert capsys.readouterr().out.splitlines()[0].endswith("(1 site, 1 candidate)")
 
 
 def test_what_was_found_is_told_though_it_cannot_be_written(

@@ -16,7 +16,7 @@ from alight.evaluation import evaluate, flight, nmad, photos
 from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.outputs import write_run
-from alight.records import Datum, ElevationMap, Flag, HazardMap, InputError, Motion, RunResult, Sites, Terrain
+from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, InputError, Motion, RunResult, Sites, Terrain
 
 CELL = 0.1
 GRID = Grid(-20.0, 20.0, CELL, 401, 401)
@@ -72,7 +72,9 @@ def a_run() -> RunResult:
     views, rgb = np.full(grid.shape, 9, np.uint8), np.zeros((*grid.shape, 3), np.uint8)
     elevation = ElevationMap(grid, height, full, flags, views, rgb, full, full)
     p_safe = np.where(label == Terrain.STRUCTURE, 0.0, 1.0).astype(np.float32)
-    hazards = HazardMap(grid, *[full] * 4, p_safe, *[full] * 6, np.zeros(grid.shape, np.uint8))
+    reasons = np.where(label == Terrain.WATER, np.uint8(Hazard.TERRAIN), np.uint8(0))
+    reasons[:, :150] |= np.uint8(Hazard.DOUBT)
+    hazards = HazardMap(grid, *[full] * 4, p_safe, *[full] * 6, reasons)
     turn = so3_exp([0.002, 0.0, 0.0])
     poses = [Pose(turn, np.array([k, 0.0, 30.0]) + OFFSET) for k in range(6)]
     motions = [Motion(T0 + k * STEP, p, (p,), np.eye(6) * 1e-4) for k, p in enumerate(poses)]
@@ -80,8 +82,9 @@ def a_run() -> RunResult:
     # truly 1.85 m west of the box: safe; where the run says it is, the footprint touches the box
     beside = replace(first, east=BOX[0] - 1.85 + OFFSET[0], north=5.0 + OFFSET[1])
     pond = replace(first, rank=2, east=POND[1] + OFFSET[0] - 0.5, north=POND[3] + OFFSET[1] - 0.5)
+    listed = Sites((beside, pond), candidates=(replace(pond, rank=3, kind="candidate"),))
     return some_run(
-        local=LOCAL, sites=Sites((beside, pond)), elevation=elevation, terrain=None, hazards=hazards, route=None,
+        local=LOCAL, sites=listed, elevation=elevation, terrain=None, hazards=hazards, route=None,
         motions=motions, height_above_ground=30.0,
     )  # fmt: skip
 
@@ -177,6 +180,23 @@ def test_the_decision_as_it_is_and_registered(found: Evaluation) -> None:
     assert found.values["sites centred on water, plants or structures, registered"] == 1.0
     assert number(found, "declared safe and not within 0.3 m of truly safe, %, registered") > 0  # the box's skirt
     assert number(found, "truly safe cells found, %, registered") == 100.0
+
+
+def test_candidates_and_what_is_not_refused(found: Evaluation, truth: Path, tmp_path: Path) -> None:
+    """The doubt about the western half refuses nothing; a refusal of it would."""
+    assert found.values["candidates truly safe, registered"] == "0 of 1"
+    assert "first candidate truly safe, registered" not in found.values  # there is a site
+    name = "seen and truly safe with 1 m of clearance, and not refused, %, registered"
+    assert number(found, name) == 100.0
+    result = a_run()
+    assert result.hazards is not None
+    refused = np.where(result.hazards.reasons & Hazard.DOUBT, np.uint8(Hazard.SLOPE), result.hazards.reasons)
+    doubtful = replace(result.hazards, reasons=refused.astype(np.uint8))
+    alone = Sites((), "none", candidates=result.sites.candidates)
+    write_run(replace(result, hazards=doubtful, sites=alone), tmp_path)
+    other = evaluate(tmp_path, truth)
+    assert other.values["first candidate truly safe, registered"] == "NO"
+    assert 20.0 < number(other, name) < 80.0
 
 
 def test_the_path(found: Evaluation) -> None:

@@ -15,11 +15,11 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.hazards import assess
-from alight.hazards.assessment import clearance_of
 from alight.hazards.blob_contrast import blob_contrast
 from alight.hazards.evidence_probability import PRIOR_PENALTIES, evidence_probability, prior_penalties
 from alight.learned import read_net
 from alight.learned.terms import HAZARD_TERMS, HazardTerm
+from alight.raster import clearance_of
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap
 from alight.settings import HazardsSettings, Lander
 

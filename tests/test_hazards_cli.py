@@ -69,7 +69,7 @@ def test_no_place_is_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"] == []
 
 
-def test_unknown_cells_and_an_own_sigma_band_are_read(tmp_path: Path) -> None:
+def test_unknown_cells_and_an_own_sigma_band_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bands = np.stack([rock(), np.full((81, 81), 0.5, np.float32)])
     bands[0, 60, 60] = -9999.0
     dem = write(tmp_path / "dem.tif", bands, nodata=-9999.0)
@@ -80,6 +80,10 @@ def test_unknown_cells_and_an_own_sigma_band_are_read(tmp_path: Path) -> None:
         reasons = d.read(1)
     assert reasons[60, 60] == Hazard.UNKNOWN
     assert reasons[40, 60] == Hazard.DOUBT  # half a metre of sigma leaves no flat ground sure
+    assert "LOOK CLOSER  east 5500" in capsys.readouterr().out
+    first = json.loads((tmp_path / "out" / "sites.geojson").read_text())["features"][0]["properties"]
+    assert (first["kind"], first["doubt"]) == ("candidate", "relief")
+    assert (first["look"], first["look_from_m"]) == (None, None)  # no camera is known
 
 
 def test_a_finer_image_makes_the_heights_finer(tmp_path: Path, shared_data: Path) -> None:

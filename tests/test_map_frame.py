@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from some_run import LOCAL, elevation, site, some_run
+from some_run import LOCAL, candidate, elevation, site, some_run
 from test_pipeline import flight, settings_of
 
 from alight.geometry import Pose
@@ -21,7 +21,7 @@ from alight.pipeline.mapping import RecursiveMapper
 from alight.pipeline.navigation import GivenLane, Navigation, Trajectory
 from alight.pipeline.navigation.lane import Progress
 from alight.pipeline.timing import Timings
-from alight.records import Datum, ElevationMap, Event, Frame, Motion, NextView
+from alight.records import Datum, ElevationMap, Event, Frame, Motion, Sites
 from alight.settings import Settings
 
 OFFSET = np.array([1.25, -0.5, 0.75])  # metres; whole cells
@@ -76,8 +76,14 @@ def test_sites_and_views_move_with_it() -> None:
     there = frame_of().site(site())
     assert (there.east, there.north) == (site().east + 1.25, site().north - 0.5)
     assert there.up == pytest.approx(site().up + 0.75)
-    look = frame_of().look(NextView(np.zeros(3), np.ones(3), 0.9, 5.0))
-    assert_allclose([look.position_world, look.place_world], [OFFSET, OFFSET + 1])
+    seen = frame_of(frame_id=3).sites(Sites((site(),), candidates=(candidate(2),)))
+    assert seen.frame_id == 3
+    assert seen.sites == (there,)
+    look, before = seen.candidates[0].look, candidate().look
+    assert look is not None
+    assert before is not None
+    assert_allclose(look.position_world, before.position_world + OFFSET)
+    assert look.height == before.height
 
 
 def test_a_tie_adds_up_what_is_not_known_of_both_places() -> None:

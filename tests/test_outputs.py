@@ -7,19 +7,19 @@ import resource
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from unittest import mock
 
 import numpy as np
 import pytest
 import rasterio
-from some_run import CELL, GRID, LOCAL, elevation, site, some_run
+from some_run import CELL, GRID, LOCAL, ROWS, candidate, elevation, hazards, site, some_run
 
 from alight import outputs
 from alight.outputs import FILES, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
-from alight.records import Datum, Flag, InputError, OutputError, Sites, Terrain
+from alight.records import Datum, Flag, Hazard, HazardMap, InputError, OutputError, Sites, Terrain
 from alight.settings import Settings
 
 
@@ -41,7 +41,7 @@ def test_everything_is_written_and_run_json_last(tmp_path: Path) -> None:
     assert {p.name for p in (tmp_path / "out").iterdir()} == set(written)
 
 
-@pytest.mark.parametrize("name", ["dem", "flags", "terrain", "safe", "ortho"])
+@pytest.mark.parametrize("name", ["dem", "flags", "terrain", "safe", "reasons", "ortho"])
 def test_rasters_are_cloud_optimised_on_one_grid(out: Path, name: str) -> None:
     with rasterio.open(out / f"{name}.tif") as d:
         assert d.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
@@ -136,10 +136,49 @@ def test_terrain_has_codes_and_colours(out: Path) -> None:
 def test_safe_is_a_probability(out: Path) -> None:
     with rasterio.open(out / "safe.tif") as d:
         p = d.read(1)
-    assert d.dtypes == ("float32",)
+        assert d.descriptions == ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
+        assert d.units == (None, None, None, None, "m")
+        np.testing.assert_array_equal(d.read(5), hazards().resolved)
+    assert d.dtypes == ("float32",) * 5
     assert np.isnan(p[0, 0])
     assert np.nanmin(p) >= 0
     assert np.nanmax(p) <= 1
+
+
+def test_reasons_name_their_bits(out: Path) -> None:
+    with rasterio.open(out / "reasons.tif") as d:
+        assert d.dtypes == ("uint16",)
+        np.testing.assert_array_equal(d.read(1), hazards().reasons)
+        tags = d.tags(1)
+    for reason in Hazard:
+        assert tags[f"bit_{reason.value.bit_length() - 1}"].startswith(f"{reason.name.lower()}: ")
+
+
+def test_hazards_on_coarser_cells_are_written_on_the_grid_of_the_heights(tmp_path: Path) -> None:
+    """Judged on cells of twice the size, of which the last row reaches beyond the heights."""
+    fine = hazards()
+    cut = replace(GRID, rows=ROWS - 1)
+    e = elevation()
+    arrays = ("height", "sigma", "flags", "views", "rgb", "residual")
+    e = replace(e, grid=cut, **{name: getattr(e, name)[:-1] for name in arrays})
+    of_cells = [f.name for f in fields(HazardMap) if f.name != "grid"]
+    blocks = {name: getattr(fine, name)[::2, ::2] for name in of_cells}
+    coarse = HazardMap(cut.coarser(2), **blocks)
+    write_run(some_run(elevation=e, terrain=None, hazards=coarse), tmp_path)
+    with rasterio.open(tmp_path / "dem.tif") as dem:
+        for name in ("safe", "reasons"):
+            with rasterio.open(tmp_path / f"{name}.tif") as d:
+                assert (d.shape, d.transform, d.crs) == (dem.shape, dem.transform, dem.crs)
+    reasons = read_run(tmp_path).reasons
+    np.testing.assert_array_equal(reasons, np.repeat(np.repeat(blocks["reasons"], 2, 0), 2, 1)[:-1])
+
+
+def test_hazards_are_unknown_beyond_their_own_cells() -> None:
+    part = hazards().on(GRID.window(-1, -2, 5, 6))
+    assert np.isnan(part.p_safe[0]).all()
+    assert (part.reasons[:, :2] == Hazard.UNKNOWN).all()
+    np.testing.assert_array_equal(part.slope[1:, 2:], hazards().slope[:4, :4])
+    assert hazards().on(GRID).grid == GRID
 
 
 def test_ortho_is_rgb_and_transparent_where_unseen(out: Path) -> None:
@@ -156,13 +195,45 @@ def test_sites_follow_rfc_7946(out: Path) -> None:
     best = tree["features"][0]
     lon, lat, height = best["geometry"]["coordinates"]
     np.testing.assert_allclose(LOCAL.to_enu(lat, lon, height), [5.0, -2.0, 2.12], atol=1e-3)
-    assert set(best["properties"]) == {
-        *("rank", "p_safe", "quality", "slope_deg", "roughness_m", "clearance_m", "radius_m", "terrain"),
-        *("heading_deg", "east_m", "north_m", "height_sigma_m"),
-    }
+    assert set(best["properties"]) == PROPERTIES
+    assert best["properties"]["kind"] == "site"
+    assert "reason" not in tree
     assert best["properties"]["slope_deg"] == 2.1
     assert best["properties"]["heading_deg"] == 330.0
     assert best["properties"]["terrain"] == "short_grass"
+
+
+PROPERTIES = {
+    *("kind", "rank", "p_safe", "p_relief", "p_obstacle", "p_ground", "quality", "slope_deg", "roughness_m"),
+    *("clearance_m", "radius_m", "resolved_m", "terrain", "heading_deg", "east_m", "north_m", "height_sigma_m"),
+}
+
+
+def test_candidates_come_after_the_sites_with_their_doubt_and_the_view_that_settles_it(tmp_path: Path) -> None:
+    blind = replace(candidate(3, 12.0, 6.0), look=None)
+    write_run(some_run(sites=Sites((site(),), candidates=(candidate(2), blind))), tmp_path)
+    features = loaded(tmp_path / "sites.geojson")["features"]
+    assert [f["properties"]["kind"] for f in features] == ["site", "candidate", "candidate"]
+    assert [f["properties"]["rank"] for f in features] == [1, 2, 3]
+    told = features[1]["properties"]
+    assert set(told) == PROPERTIES | {"doubt", "look", "look_from_m"}
+    assert (told["doubt"], told["look_from_m"], told["resolved_m"]) == ("obstacle", 12.0, 0.22)
+    lon, lat, height = told["look"]
+    np.testing.assert_allclose(LOCAL.to_enu(lat, lon, height), [6.0, -1.0, 14.12], atol=1e-3)
+    assert (features[2]["properties"]["look"], features[2]["properties"]["look_from_m"]) == (None, None)
+    answer = loaded(tmp_path / "run.json")["answer"]
+    assert answer["counts"] == {"sites": 1, "candidates": 2}
+    assert answer["candidates"][0]["look"] == [6.0, -1.0, 14.12]
+
+
+def test_with_candidates_alone_the_reason_is_given_and_nothing_is_flown_to(tmp_path: Path) -> None:
+    write_run(some_run(sites=Sites((), "no safe site: fog", candidates=(candidate(),)), route=None), tmp_path)
+    tree = loaded(tmp_path / "sites.geojson")
+    assert tree["reason"] == "no safe site: fog"
+    assert [f["properties"]["kind"] for f in tree["features"]] == ["candidate"]
+    assert loaded(tmp_path / "run.json")["not_written"]["route.plan"] == "there is no site to fly to"
+    write_run(some_run(sites=Sites((), "fog", candidates=(candidate(),)), route=None, georeferenced=False), tmp_path)
+    assert "sites.geojson" in loaded(tmp_path / "run.json")["not_written"]
 
 
 def test_unknown_numbers_become_null(tmp_path: Path) -> None:

@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from some_run import candidate, site
 
-from alight.outputs import folder, trajectory, vectors
-from alight.records import Flag, Frame, Hazard, ImuSample, NavSample, Site, Terrain
+from alight.outputs import folder, rasters, trajectory, vectors
+from alight.records import Flag, Frame, Hazard, ImuSample, NavSample, Terrain
 from alight.settings import Settings
 from alight.sources import open_source
 
@@ -84,9 +85,19 @@ def test_every_file_that_a_run_writes_is_on_the_page() -> None:
 
 
 def test_every_property_of_a_site_is_on_the_page() -> None:
-    numbers = {name: 0.0 for name in Site.__dataclass_fields__}
-    site = Site(**numbers | {"rank": 1, "terrain": Terrain.BARE})  # type: ignore[arg-type]
-    assert not [key for key in vectors.site_properties(site) if f"`{key}`" not in OUTPUTS]
+    assert not [key for key in vectors.site_properties(candidate()) if f"`{key}`" not in OUTPUTS]
+
+
+def test_the_places_of_the_example_have_every_property() -> None:
+    features = [f for text in blocks(OUTPUTS, "json") for f in json.loads(text).get("features", [])]
+    told = {f["properties"]["kind"]: f["properties"] for f in features}
+    assert set(told) == {"site", "candidate"}
+    for kind, made in (("site", site()), ("candidate", candidate())):
+        assert list(told[kind]) == list(vectors.site_properties(made))
+
+
+def test_every_band_of_the_probability_is_on_the_page() -> None:
+    assert not [band for band in rasters.SAFE_BANDS if f"`{band}`" not in OUTPUTS]
 
 
 def test_the_columns_of_the_trajectory_are_those_of_the_page() -> None:

@@ -12,9 +12,9 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
-from some_run import CELL, GRID, elevation, hazards, site, some_run
+from some_run import CELL, GRID, candidate, elevation, hazards, site, some_run
 
-from alight.records import Flag, Hazard, Sites
+from alight.records import Flag, Hazard, NextView, RunResult, Sites
 from alight.report import canvas, facts, figures, maps, paint, render, words
 from alight.settings import load_settings
 
@@ -57,7 +57,7 @@ def picture(uri: str) -> np.ndarray:
 def test_the_answer_comes_first(page: str) -> None:
     headline = re.search(r"<h1>(.*?)</h1>", page, re.S).group(1)
     assert "Land here: 48.102282°\N{NO-BREAK SPACE}N, 15.441267°\N{NO-BREAK SPACE}E" in headline
-    assert "Flat to 4 cm, 2.1° slope, 6.3 m clear. 1 more site in reserve." in page
+    assert "Flat to 4 cm, 2.1° slope, 6.3 m clear. One more site in reserve." in page
     assert re.search(r"geo:48\.10228\d+,15\.44126\d+", headline)
 
 
@@ -67,6 +67,77 @@ def test_no_site_says_why() -> None:
     assert "Everything is water." in text
     assert "Land here" not in text
     assert "Site 1" not in text
+    assert render(some_run(sites=Sites((), "no safe site: fog"), route=None)).count("No safe site") == 2  # title too
+
+
+def with_candidates(**changes: object) -> RunResult:
+    """No site, a candidate that a view settles and one that none does."""
+    blind = replace(candidate(2, 12.0, 6.0), look=None, doubt="ground")
+    reason = "no safe site: of the seen ground 20 % is too steep"
+    return some_run(**{"sites": Sites((), reason, candidates=(candidate(), blind)), "route": None, **changes})
+
+
+def test_candidates_are_to_be_looked_at_and_not_landed_on() -> None:
+    text = render(with_candidates())
+    headline = re.search(r"<h1>(.*?)</h1>", text, re.S).group(1)
+    assert "Look closer: two candidates" in headline
+    assert "Land here" not in text
+    assert "Do not land yet: no place reaches 95 %." in text
+    assert ": look at it from 12 m above the ground." in text
+    assert "Why no site: of the seen ground 20 % is too steep." in text
+    assert "relief 0.990, unseen obstacles 0.63 (smallest that would be found: 22 cm), ground 0.995" in text
+    assert "Candidate 1, the photo" in text
+    told = facts.place_tables(with_candidates())
+    assert [t.kind for t in told] == ["candidate"]
+    assert [row.cells[-2:] for row in told[0].rows] == [
+        ("unseen obstacles", "12 m above it"),
+        ("kind of ground", "no nearer view settles it"),
+    ]
+    assert "View: 48.10229" in told[0].rows[0].note
+
+
+def test_a_candidate_has_another_mark_than_a_site_and_its_height_beside_it() -> None:
+    run = some_run(sites=Sites((site(),), candidates=(candidate(2, 12.0, 6.0),)))
+    text = render(run)
+    big = text.split('<figure class="big">')[1].split("</figure>")[0]
+    assert big.count('<g class="pin site best"') == 2  # disc and number
+    assert big.count('<g class="pin candidate"') == 2
+    assert big.count("<rect") == 1
+    assert ">look from 12 m</text>" in big
+    assert "One candidate to look at again." in text
+    assert [t.kind for t in facts.place_tables(run)] == ["site", "candidate"]
+
+
+def test_a_view_that_is_too_high_still_and_one_from_straight_above_say_so() -> None:
+    first = candidate()
+    assert first.look is not None
+    over = NextView(first.east, first.north, 10.0, 8.0, settles=False)
+    note = (
+        facts.place_tables(with_candidates(sites=Sites((), "", candidates=(replace(first, look=over),))))[0]
+        .rows[0]
+        .note
+    )
+    assert note.endswith("View: straight above; its pixels are still too coarse to settle the doubt")
+
+
+def test_both_accuracies_stand_in_the_answer_and_a_place_that_is_too_vague_is_no_place_to_fly_to() -> None:
+    """The clearance is 6.3 m: twice a sigma of 3 m is within it, twice one of 4 m is not."""
+    for sigma, heed in ((3.0, False), (4.0, True)):
+        placed = replace(elevation(), position_covariance=np.diag([sigma**2, 1.0, 6.25]))
+        run = some_run(elevation=placed)
+        told = dict(facts.answer(run).chips)
+        assert told["Height within the map, 1-sigma"] == "± 3 cm"
+        assert told["Place on Earth, 1-sigma"] == f"± {sigma:.1f} m across, ± 2.5 m up"
+        cautions = facts.answer(run).cautions
+        assert cautions[0].startswith("This is a claim of a program")
+        assert any("Do not fly to the coordinates alone" in c for c in cautions) == heed
+    assert dict(facts.answer(some_run()).chips)["Place on Earth, 1-sigma"] == "unknown"
+    assert dict(facts.answer(some_run(georeferenced=False)).chips)["Place on Earth"] == "unknown"
+
+
+def test_what_to_heed_stands_above_the_first_picture(page: str) -> None:
+    assert page.index("no clearance to land") < page.index("<figure")
+    assert "<footer" not in page
 
 
 def test_it_needs_nothing_but_itself(page: str) -> None:

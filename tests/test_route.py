@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+import some_run
 from ground import ground
 from numpy.testing import assert_allclose
 
 from alight.landing import route
-from alight.records import ElevationMap, Route, Site, Terrain
+from alight.records import ElevationMap, Route, Site
 from alight.settings import RouteSettings
 
 SETTINGS = RouteSettings(approach_height=10.0, clearance=3.0)
 
 
 def site(east: float, north: float, up: float = 0.0) -> Site:
-    return Site(1, east, north, up, 1.0, 0.0, 0.0, 0.0, 2.0, 3.5, Terrain.BARE, 0.5, 0.02)
+    return replace(some_run.site(1, east, north), up=up, heading=0.5)
 
 
 def path(r: Route, until: str) -> np.ndarray:

@@ -12,9 +12,10 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.landing import sites
-from alight.landing.next_view import next_view
+from alight.landing.next_view import Observer, next_view
 from alight.landing.reserve import Reserve
-from alight.records import ElevationMap, Hazard, HazardMap, Sites, Terrain, TerrainMap
+from alight.raster import clearance_of
+from alight.records import ElevationMap, Hazard, HazardMap, NextView, Sites, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
@@ -22,9 +23,13 @@ EXACT = HazardsSettings(tilt_sigma=0.0)
 
 
 def choose(
-    e: ElevationMap, t: TerrainMap | None = None, settings: SitesSettings | None = None, vehicle: object = None
+    e: ElevationMap,
+    t: TerrainMap | None = None,
+    settings: SitesSettings | None = None,
+    vehicle: np.ndarray | None = None,
 ) -> Sites:
-    return sites.choose_sites(assess(e, t, LANDER, EXACT), t, e, settings or SitesSettings(), LANDER, vehicle)  # type: ignore[arg-type]
+    seen = None if vehicle is None else Observer(vehicle, float(vehicle[2]), focal=600.0, stereo=False)
+    return sites.choose_sites(assess(e, t, LANDER, EXACT), t, e, settings or SitesSettings(), LANDER, seen)
 
 
 def rocky(rows: int = 101, cols: int = 151) -> np.ndarray:
@@ -53,11 +58,11 @@ def test_the_roomiest_place_comes_first_and_all_are_safe() -> None:
 
 def test_sites_keep_apart() -> None:
     e = ground(np.zeros((121, 121)))
-    found = choose(e, settings=SitesSettings(count=6, separation=3.0)).sites
-    assert len(found) == 6
+    found = choose(e, settings=SitesSettings(count=6, separation=4.5)).sites
+    assert len(found) == 5
     at = np.array([[s.east, s.north] for s in found])
-    gaps = np.linalg.norm(at[:, None] - at[None], axis=2)[~np.eye(6, dtype=bool)]
-    assert gaps.min() > 3.0
+    gaps = np.linalg.norm(at[:, None] - at[None], axis=2)[~np.eye(5, dtype=bool)]
+    assert gaps.min() > 4.5
     assert len(choose(e, settings=SitesSettings(count=1)).sites) == 1
 
 
@@ -112,32 +117,150 @@ def test_ground_that_may_not_be_landed_on_is_named() -> None:
 
 
 def doubtful(e: ElevationMap, p: np.ndarray, reasons: np.ndarray | None = None) -> HazardMap:
-    """A verdict with these probabilities, undecided everywhere or for these reasons."""
+    """A verdict with these probabilities of obstacles, undecided everywhere or for these reasons."""
     h = assess(e, None, LANDER, EXACT)
     why = np.full(e.grid.shape, Hazard.DOUBT, np.uint8) if reasons is None else reasons
-    return replace(h, p_safe=p.astype(np.float32), reasons=why)
+    one, p = np.ones(e.grid.shape, np.float32), p.astype(np.float32)
+    return replace(
+        h,
+        p_safe=p,
+        p_relief=one,
+        p_obstacle=p,
+        p_ground=one,
+        reasons=why,
+        clearance=clearance_of(why == 0, e.grid.cell),
+    )
 
 
-def test_the_next_look_is_above_the_most_promising_doubt_and_from_nearer() -> None:
-    e = ground(np.full((101, 101), 3.0))
+def undecided(h: HazardMap, e: ElevationMap, observer: Observer | None = None, **settings: float) -> Sites:
+    return sites.choose_sites(h, None, e, SitesSettings(**settings), LANDER, observer)  # type: ignore[arg-type]
+
+
+def hill_of_chance(row: int, col: int, height: float = 0.4) -> np.ndarray:
+    """0.5, and more about one cell, (101, 101)."""
     r, c = np.mgrid[:101, :101]
-    p = 0.5 + 0.4 * np.exp(-(np.hypot(r - 30, c - 70) ** 2) / 200)
-    look = next_view(doubtful(e, p), e, SitesSettings(), LANDER, height_above_ground=40.0)
-    assert look is not None
-    assert_allclose(look.place_world, [7.0, 7.0, 3.0], atol=0.3)
-    assert_allclose(look.position_world - look.place_world, [0, 0, 20.0])
-    assert look.p_safe == pytest.approx(0.9, abs=0.01)
-    low = next_view(doubtful(e, p), e, SitesSettings(), LANDER, height_above_ground=10.0)
-    assert low is not None
-    assert low.height == 8.0
+    return np.asarray(0.5 + height * np.exp(-(np.hypot(r - row, c - col) ** 2) / 200))
 
 
-def test_there_is_nothing_to_look_at_where_all_is_refused_or_one_place_is_safe() -> None:
+def test_candidates_are_what_nothing_refuses_the_surest_first_and_apart() -> None:
+    e = ground(np.full((101, 101), 3.0))
+    why = np.full((101, 101), Hazard.DOUBT, np.uint8)
+    why[:, 60:] = Hazard.ROUGHNESS | Hazard.DOUBT  # refused for good, however surely it would else be safe
+    found = undecided(doubtful(e, hill_of_chance(30, 40), why), e)
+    assert found.sites == ()
+    assert found.reason.startswith("no safe site: ")
+    first = found.candidates[0]
+    assert [c.rank for c in found.candidates] == list(range(1, len(found.candidates) + 1))
+    assert math.hypot(first.east - 4.0, first.north - 7.0) < 1.0
+    assert all(c.kind == "candidate" and c.doubt == "obstacle" and c.east < 5.5 for c in found.candidates)
+    assert first.p_safe > found.candidates[-1].p_safe + 0.1
+    assert_allclose(first.clearance, (60 - first.east / 0.1 - 0.5) * 0.1, atol=1e-5)
+    assert first.look is None  # nobody is there to look
+
+
+def test_one_lucky_cell_is_no_good_candidate() -> None:
     e = ground(np.zeros((101, 101)))
-    refused = np.full((101, 101), Hazard.TERRAIN, np.uint8)
-    assert next_view(doubtful(e, np.zeros((101, 101)), refused), e, SitesSettings(), LANDER, 40.0) is None
-    refused[50, 50] = 0
-    assert next_view(doubtful(e, np.full((101, 101), 0.9), refused), e, SitesSettings(), LANDER, 40.0) is None
+    p = hill_of_chance(30, 70, 0.2)
+    p[80, 20] = 0.94
+    first = undecided(doubtful(e, p), e).candidates[0]
+    assert math.hypot(first.east - 7.0, first.north - 7.0) < 1.0
+
+
+def test_quality_ranks_candidates_of_equal_chance() -> None:
+    z = plane(61, 121, 0.0, 0.0)
+    z[:, 61:] = plane(61, 60, 0.12, 0.0)
+    e = ground(z)
+    assert undecided(doubtful(e, np.full((61, 121), 0.7)), e).candidates[0].east < 6.0
+
+
+def test_sites_and_candidates_share_the_list_and_keep_four_radii_apart() -> None:
+    e = ground(np.zeros((101, 201)))
+    why = np.full((101, 201), Hazard.DOUBT, np.uint8)
+    why[:, :60] = 0
+    p = np.where(why == 0, 0.99, 0.7)
+    found = undecided(doubtful(e, p, why), e, count=12)
+    assert found.sites
+    assert found.candidates
+    assert found.reason == ""
+    assert [s.rank for s in found.listed] == list(range(1, len(found.listed) + 1))
+    assert len(found.listed) <= 12
+    at = np.array([[s.east, s.north] for s in found.listed])
+    gaps = np.linalg.norm(at[:, None] - at[None], axis=2)[~np.eye(len(at), dtype=bool)]
+    assert gaps.min() > 4.0
+
+
+def test_a_separation_below_four_radii_does_not_hold() -> None:
+    assert sites.separation(SitesSettings(separation=1.0), LANDER) == 4.0
+    assert sites.separation(SitesSettings(separation=9.0), LANDER) == 9.0
+    assert sites.separation(SitesSettings(), LANDER) == 4.0
+
+
+def test_a_verdict_on_coarser_cells_than_the_heights_has_the_same_places() -> None:
+    """Height, sigma and class of a site are those of its footprint on their own grids."""
+    fine = ground(np.add.outer(np.zeros(160), 0.02 * np.arange(160)), cell=0.05)
+    coarse = fine.grid.coarser(4)
+    judged = ground(np.add.outer(np.zeros(40), 0.08 * np.arange(40)), cell=0.2)
+    judged = replace(judged, grid=coarse)
+    t = covered(fine, 1.0, Terrain.PAVED)
+    steep = Lander(radius=1.0, max_slope=0.6, max_roughness=0.8)
+    found = sites.choose_sites(assess(judged, None, steep, EXACT), t, fine, SitesSettings(), steep).sites
+    assert found
+    for s in found:
+        assert_allclose(s.up, 0.02 * (s.east - fine.grid.east) / 0.05, atol=0.02)
+        assert s.terrain == Terrain.PAVED
+
+
+# -- the next view
+
+
+def watcher(height: float = 40.0, stereo: bool = False, east: float = -20.0) -> Observer:
+    return Observer(np.array([east, 7.0, 3.0 + height]), height, focal=600.0, stereo=stereo)
+
+
+def look_of(observer: Observer, settles_at: float) -> NextView | None:
+    """The view of the first candidate at (7, 7, 3)."""
+    e = ground(np.full((101, 101), 3.0))
+    h = replace(doubtful(e, hill_of_chance(30, 70)), settles_at=np.full((101, 101), settles_at, np.float32))
+    return undecided(h, e, observer).candidates[0].look
+
+
+def test_the_next_view_is_as_low_as_the_pixel_has_to_be_fine() -> None:
+    """Pixels of 2 cm and a focal length of 600: from 12 m. The base of one camera: 0.12 of that, to the vehicle."""
+    look = look_of(watcher(), 0.02)
+    assert look is not None
+    assert look.height == pytest.approx(12.0)
+    assert look.settles
+    assert look.position_world[2] == pytest.approx(15.0, abs=1e-6)
+    assert look.position_world[0] == pytest.approx(7.0 - 0.12 * 12.0, abs=0.3)
+
+
+def test_two_cameras_look_from_straight_above() -> None:
+    e = ground(np.full((101, 101), 3.0))
+    h = replace(doubtful(e, hill_of_chance(30, 70)), settles_at=np.full((101, 101), 0.02, np.float32))
+    first = undecided(h, e, watcher(stereo=True)).candidates[0]
+    assert first.look is not None
+    assert_allclose(first.look.position_world, [first.east, first.north, 15.0], atol=1e-5)
+
+
+@pytest.mark.parametrize(("settles_at", "height", "settles"), [(1.0, 40.0, True), (0.005, 8.0, False)])
+def test_the_next_view_is_not_above_the_vehicle_nor_below_the_least_height(
+    settles_at: float, height: float, settles: bool
+) -> None:
+    look = look_of(watcher(), settles_at)
+    assert look is not None
+    assert (look.height, look.settles) == (height, settles)
+
+
+def test_there_is_no_next_view_where_no_pixel_settles_the_doubt() -> None:
+    assert look_of(watcher(), math.nan) is None
+
+
+def test_a_vehicle_overhead_looks_from_beside_the_place_too() -> None:
+    look = next_view(np.zeros(3), 0.02, watcher(east=0.0), SitesSettings())
+    overhead = next_view(np.array([0.0, 7.0, 0.0]), 0.02, watcher(east=0.0), SitesSettings())
+    for view, place in ((look, np.zeros(2)), (overhead, np.array([0.0, 7.0]))):
+        assert view is not None
+        assert np.hypot(*(view.position_world[:2] - place)) == pytest.approx(0.12 * 12.0)
 
 
 def test_reserve_sites_follow_the_newest_map_and_say_why_they_fell_out() -> None:

@@ -28,6 +28,11 @@ class Result:
         return self.record.sites.sites
 
     @property
+    def candidates(self) -> tuple[Site, ...]:
+        """Places that nothing refuses, not sure enough: `doubt` says why, `look` from where it would be settled."""
+        return self.record.sites.candidates
+
+    @property
     def best(self) -> Site | None:
         """The best site; None if there is none."""
         return self.sites[0] if self.sites else None
@@ -49,7 +54,10 @@ class Result:
 
     @property
     def hazards(self) -> HazardMap | None:
-        """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell."""
+        """Slope, roughness, clearance, P(safe) and reasons of a touchdown centred on each cell of `hazards.grid`.
+
+        Its cells may be larger than those of the heights; `hazards.on(elevation.grid)` gives it on theirs.
+        """
         return self.record.hazards
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from alight.records import (
     Hazard,
     HazardMap,
     Motion,
+    NextView,
     Route,
     RunResult,
     Site,
@@ -77,13 +79,17 @@ def hazards() -> HazardMap:
 
 
 def site(rank: int = 1, east: float = 5.0, north: float = -2.0) -> Site:
-    """One candidate."""
+    """One site."""
     return Site(
         rank=rank,
         east=east,
         north=north,
         up=2.12,
-        p_safe=0.998,
+        p_safe=0.97,
+        p_relief=0.99,
+        p_obstacle=0.985,
+        p_ground=0.995,
+        resolved=0.11,
         quality=-0.2,
         slope=math.radians(2.1),
         roughness=0.04,
@@ -93,6 +99,15 @@ def site(rank: int = 1, east: float = 5.0, north: float = -2.0) -> Site:
         heading=math.radians(-30.0),
         height_sigma=0.03,
     )
+
+
+def candidate(rank: int = 1, east: float = 5.0, north: float = -2.0) -> Site:
+    """A place like that of the site, where an obstacle may have been missed, and the view that would settle it."""
+    look = NextView(east + 1.0, north + 1.0, 14.12, 12.0, settles=True)
+    return replace(
+        site(rank, east, north), kind="candidate", p_safe=0.62, p_obstacle=0.63, resolved=0.22, doubt="obstacle",
+        look=look,
+    )  # fmt: skip
 
 
 def route() -> Route:

@@ -16,7 +16,7 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from alight import __version__
-from alight.records import AlightError, OutputError, SettingsError, Site
+from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
 MENDABLE, INTERRUPTED = 2, 130  # exit codes
@@ -99,11 +99,35 @@ def say(line: str) -> None:
         raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
 
 
-def tell_site(site: Site, place: str, found: str) -> None:
-    """The best site in one line on stdout."""
-    say(
-        f"SITE  {place}  slope {site.slope * 57.29578:.1f} deg  rough {site.roughness:.2f} m  "
-        f"clear {site.clearance:.1f} m  P(safe) {site.p_safe:.3f}  ({found})"
+def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
+    """The answer on stdout: the best site, or why there is none and the first candidate; one line each.
+
+    Args:
+        place: words for a position, (3,) metres.
+        more: what else to say of what was found.
+    """
+    from alight.report import words
+
+    if sites.sites:
+        s = sites.sites[0]
+        kinds = {"site": sites.sites, "candidate": sites.candidates}
+        found = ", ".join(f"{len(part)} {name}{'s' * (len(part) != 1)}" for name, part in kinds.items() if part)
+        say(f"SITE  {_numbers(s, place)}  ({found}{more})")
+        return
+    say(f"NO SITE  {sites.reason}")
+    if sites.candidates:
+        s, count = sites.candidates[0], len(sites.candidates)
+        look = words.look_from(s) + ("" if s.look is None else f", at {place([s.look.east, s.look.north, s.look.up])}")
+        say(
+            f"LOOK CLOSER  {_numbers(s, place)}  doubt: {words.doubt(s)}  look from: {look}  "
+            f"({count} candidate{'s' * (count != 1)}{more})"
+        )
+
+
+def _numbers(site: Site, place: Callable[[Sequence[float]], str]) -> str:
+    return (
+        f"{place([site.east, site.north, site.up])}  slope {site.slope * 57.29578:.1f} deg  "
+        f"rough {site.roughness:.2f} m  clear {site.clearance:.1f} m  P(safe) {site.p_safe:.3f}"
     )
 
 

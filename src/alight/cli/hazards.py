@@ -20,7 +20,7 @@ from alight.cli.app import (
     progress_bar,
     read_settings,
     say,
-    tell_site,
+    tell_answer,
 )
 from alight.records import RunResult, SettingsError
 
@@ -50,12 +50,7 @@ def _answer(result: RunResult) -> None:
         complain(f"warning: {w}", "yellow")
     assert result.hazards is not None
     share = 100 * float((result.hazards.reasons == 0).mean())
-    if not result.sites.sites:
-        say(f"NO SITE  {result.sites.reason}")
-        return
-    s = result.sites.sites[0]
-    found = f"{len(result.sites.sites)} found, {share:.1f} % is safe"
-    tell_site(s, f"east {s.east:.2f} north {s.north:.2f}", found)
+    tell_answer(result.sites, lambda at: f"east {at[0]:.2f} north {at[1]:.2f}", f", {share:.1f} % is safe")
 
 
 @app.command("hazards")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,31 +20,27 @@ from alight.cli.app import (
     progress_bar,
     read_settings,
     say,
-    tell_site,
+    tell_answer,
 )
 from alight.records import RunResult
 from alight.settings import settings_page
 
 
-def _place(result: RunResult) -> str:
-    """Where the best site is: degrees, or metres from the origin where the place on Earth is unknown."""
-    s = result.sites.sites[0]
+def _place(result: RunResult, position: Sequence[float]) -> str:
+    """Where that is: degrees, or metres from the origin where the place on Earth is unknown."""
     if not result.georeferenced:
-        return f"east {s.east:.2f} m north {s.north:.2f} m"
-    latitude, longitude, _ = result.local.to_geodetic([s.east, s.north, s.up])
+        return f"east {position[0]:.2f} m north {position[1]:.2f} m"
+    latitude, longitude, _ = result.local.to_geodetic(position)
     return f"{float(latitude):.7f} {float(longitude):.7f}"
 
 
 def _answer(result: RunResult) -> None:
-    """The answer in one line on stdout, the warnings on stderr."""
+    """The answer on stdout, the warnings on stderr."""
     from alight.report import warnings
 
     for w in warnings(result):
         complain(f"warning: {w}", "yellow")
-    if not result.sites.sites:
-        say(f"NO SITE  {result.sites.reason}")
-        return
-    tell_site(result.sites.sites[0], _place(result), f"{len(result.sites.sites)} found")
+    tell_answer(result.sites, partial(_place, result))
 
 
 @app.command()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import rasterio
@@ -16,7 +16,8 @@ from alight.arrays import F64
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run
-from alight.records import Flag, InputError, Terrain
+from alight.raster import clearance_of
+from alight.records import Flag, Hazard, InputError, Terrain
 from alight.settings import Lander, Settings
 from alight.sources import open_source, read_tum
 from alight.sources.source import Trajectory
@@ -28,6 +29,7 @@ NEVER = (Terrain.WATER, Terrain.TALL_VEGETATION, Terrain.TREE, Terrain.STRUCTURE
 BAD = 0.5  # metres: a height that wrong must be flagged
 _REGISTRATIONS, _REWEIGHINGS = 6, 8
 _LEAST_TO_REGISTER = 100  # ground cells
+ROOM = 1.0  # metres: truly safe ground with this clearance may be asked for
 NEAR = 0.3  # metres: what is declared safe this near to truly safe ground is an edge drawn elsewhere, not a mistake
 
 
@@ -166,14 +168,20 @@ def share(part: NDArray[np.bool_], whole: NDArray[np.bool_]) -> float:
 def decision(
     run: Run, truth: FlightTruth, safe: NDArray[np.uint8], out: Evaluation, offset: F64, suffix: str = ""
 ) -> None:
-    """The sites and the safe cells against the cells of the truth that are `safe`; all first moved back by `offset`."""
-    places = sites_of(run) - offset[:2]
-    good = [bool(v) for v in at(safe, truth.grid, places[:, 0], places[:, 1])]
+    """The listed places and the safe cells against the cells of the truth that are `safe`.
+
+    All are first moved back by `offset`, (3,) metres.
+    """
+    good = [_truly_safe(places_of(run, kind) - offset[:2], truth, safe) for kind in ("sites", "candidates")]
+    places = places_of(run, "sites") - offset[:2]
     on = at(truth.label, truth.grid, places[:, 0], places[:, 1])
-    if good:
-        out.put(f"best site truly safe{suffix}", "yes" if good[0] else "NO")
-    out.put(f"sites truly safe{suffix}", f"{sum(good)} of {len(good)}")
+    if good[0]:
+        out.put(f"best site truly safe{suffix}", "yes" if good[0][0] else "NO")
+    out.put(f"sites truly safe{suffix}", f"{sum(good[0])} of {len(good[0])}")
     out.put(f"sites centred on water, plants or structures{suffix}", float(np.isin(on, NEVER).sum()))
+    out.put(f"candidates truly safe{suffix}", f"{sum(good[1])} of {len(good[1])}")
+    if good[1] and not good[0]:
+        out.put(f"first candidate truly safe{suffix}", "yes" if good[1][0] else "NO")
     if run.safe is None or run.grid is None:
         return
     e, n = np.meshgrid(*run.grid.xy())
@@ -184,6 +192,23 @@ def decision(
     near = dilated(good_cells, NEAR / run.grid.cell)
     out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
     out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))
+    if run.reasons is None or run.flags is None:
+        return
+    open_cells = at(with_room(safe, truth.grid.cell), truth.grid, e, n) > 0
+    open_cells &= (run.flags & np.uint16(Flag.UNSEEN)) == 0
+    kept = (run.reasons & ~np.uint16(Hazard.DOUBT)) == 0
+    name = f"seen and truly safe with {ROOM:g} m of clearance, and not refused, %"
+    out.put(f"{name}{suffix}", share(kept & open_cells, open_cells))
+
+
+def _truly_safe(places: F64, truth: FlightTruth, safe: NDArray[np.uint8]) -> list[bool]:
+    """Whether each place, (N, 2) metres, lies on a cell of the truth that is `safe`."""
+    return [bool(v) for v in at(safe, truth.grid, places[:, 0], places[:, 1])]
+
+
+def with_room(safe: NDArray[np.uint8], cell: float) -> NDArray[np.uint8]:
+    """The safe cells with a clearance of `ROOM` or more."""
+    return (clearance_of(safe > 0, cell) >= ROOM).astype(np.uint8)
 
 
 def lander_of(run: Run) -> Lander:
@@ -198,10 +223,10 @@ def lander_of(run: Run) -> Lander:
         raise InputError(f"{run.folder / 'run.json'}: of another version of Alight; run again") from e
 
 
-def sites_of(run: Run) -> F64:
-    """East and north of the sites, (N, 2) metres."""
-    sites = run.info["answer"]["sites"]
-    return np.array([[s["east_m"], s["north_m"]] for s in sites], dtype=np.float64).reshape(-1, 2)
+def places_of(run: Run, kind: Literal["sites", "candidates"]) -> F64:
+    """East and north of the sites or of the candidates, (N, 2) metres; version 0.1.0 lists no candidates."""
+    places = run.info["answer"].get(kind, [])
+    return np.array([[s["east_m"], s["north_m"]] for s in places], dtype=np.float64).reshape(-1, 2)
 
 
 def dilated(mask: NDArray[np.bool_], cells: float) -> NDArray[np.bool_]:
@@ -251,7 +276,8 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
     safe = truth.safe(lander_of(run))
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compare_heights(run, truth, out, np.zeros(3))
-    out.put("sites", float(len(sites_of(run))))
+    out.put("sites", float(len(places_of(run, "sites"))))
+    out.put("candidates", float(len(places_of(run, "candidates"))))
     decision(run, truth, safe, out, np.zeros(3))
     if flight.truth_trajectory is not None:
         d, r = position_errors(run, flight.truth_trajectory)

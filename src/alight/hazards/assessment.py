@@ -19,7 +19,7 @@ from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacl
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.hazards.usable_heights import smoothed_height, usable_height
 from alight.learned import read_rate
-from alight.raster import disc_any, disc_crosses_edge, disc_mean, disc_share, distance_to
+from alight.raster import clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -187,12 +187,6 @@ def _quality(
         cover = np.nan_to_num(1 - disc_mean(terrain.landable, lander.radius, cell), nan=0.0)
     q: F32 = (-settings.alpha * flatness - settings.beta * (cover + uncertainty)).astype(np.float32)
     return q
-
-
-def clearance_of(safe: Mask, cell: float) -> F32:
-    """Distance of every cell's centre to the rim of the nearest cell that is refused, metres; 0 on those."""
-    out: F32 = np.maximum(distance_to(~safe) - np.float32(0.5), np.float32(0)) * np.float32(cell)
-    return out
 
 
 def _measure(

@@ -1,45 +1,56 @@
-"""The next view: from where an undecided place should be seen again."""
+"""The next view: from where the doubt about a candidate would be settled (G19)."""
 
 from __future__ import annotations
 
-import cv2
+import math
+from dataclasses import dataclass
+
 import numpy as np
 
-from alight.raster import disc_window
-from alight.records import ElevationMap, Hazard, HazardMap, NextView
-from alight.settings import Lander, SitesSettings
+from alight.arrays import F64
+from alight.records import NextView
+from alight.settings import SitesSettings
+
+_OVERHEAD = 1e-3  # metres: nearer than this the direction to the vehicle means nothing
 
 
-def next_view(
-    hazards: HazardMap, elevation: ElevationMap, settings: SitesSettings, lander: Lander, height_above_ground: float
-) -> NextView | None:
-    """Propose a view of the most promising undecided place: straight above it, and nearer than the last.
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """The vehicle with the cameras that look at the ground."""
 
-    The most promising place is refused by no limit and has the highest mean P(safe) over a footprint. `nearer` of the
-    height shrinks the pixel, the noise of heights and the size of what matching flattens alike.
+    position: F64  # (3,) metres, in the frame of the map
+    height_above_ground: float  # metres
+    focal: float  # pixels, of the newest view that looks down
+    stereo: bool  # two cameras look down at the same time
+
+
+def next_view(place: F64, settles_at: float, observer: Observer, settings: SitesSettings) -> NextView | None:
+    """Propose the highest view whose pixels are fine enough to settle the doubt about a place.
+
+    A pixel on the ground is the height over the focal length in pixels. The view is not lower than `lowest_look` and
+    not higher than the vehicle is now. One camera needs a base, so it looks from beside the place, on the side of the
+    vehicle; two cameras have a base of their own and look from straight above.
 
     Args:
-        hazards: of the last map.
-        elevation: heights, on the same grid.
-        settings: how much nearer.
-        lander: its footprint.
-        height_above_ground: metres, from where the map was seen.
+        place: (3,) metres, on the ground.
+        settles_at: metres, size of the pixel on the ground that settles the doubt; NaN: none does.
+        observer: the vehicle and its cameras.
+        settings: the lowest height and the base.
 
     Returns:
-        The view, or None where every place is refused for good or one is safe already.
+        The view; None where no pixel settles the doubt.
     """
-    undecided = (hazards.reasons == Hazard.DOUBT) & np.isfinite(hazards.p_safe)
-    if (hazards.reasons == 0).any() or not undecided.any():
+    if not math.isfinite(settles_at):
         return None
-    p = np.where(undecided, hazards.p_safe, np.float32(0))
-    side = 2 * max(1, round(lander.radius / hazards.grid.cell)) + 1
-    around = cv2.blur(p, (side, side), borderType=cv2.BORDER_CONSTANT)
-    row, col = divmod(int(np.argmax(np.where(undecided, around, -1.0))), p.shape[1])
-    rows, cols, disc = disc_window(p.shape, row, col, lander.radius / hazards.grid.cell)
-    ground = elevation.height[rows, cols][disc & elevation.trusted[rows, cols]]
-    if not ground.size:
-        return None
-    grid, up = hazards.grid, float(np.median(ground))
-    place = np.array([grid.east + col * grid.cell, grid.north - row * grid.cell, up])
-    height = max(settings.nearer * height_above_ground, settings.lowest_look)
-    return NextView(place + np.array([0.0, 0.0, height]), place, float(p[row, col]), height)
+    wanted = settles_at * observer.focal
+    height = max(min(wanted, observer.height_above_ground), settings.lowest_look)
+    base = 0.0 if observer.stereo else settings.look_base * height
+    east, north = (float(v) for v in place[:2] + base * _towards(place, observer.position))
+    return NextView(east, north, float(place[2]) + height, height, settles=height <= wanted)
+
+
+def _towards(place: F64, vehicle: F64) -> F64:
+    """Unit vector on the ground, (2,), from a place to the vehicle; north if the vehicle is overhead."""
+    way = np.asarray(vehicle[:2] - place[:2], dtype=np.float64)
+    distance = float(np.hypot(*way))
+    return way / distance if distance > _OVERHEAD else np.array([0.0, 1.0])

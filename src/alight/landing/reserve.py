@@ -30,7 +30,7 @@ class Reserve:
             sigma: metres, 1-sigma of it on the ground.
             frame_id: of the other frame.
         """
-        moved = [replace(s, east=s.east + shift[0], north=s.north + shift[1], up=s.up + shift[2]) for s in self.sites]
+        moved = [s.moved(shift) for s in self.sites]
         kept = [s for s in moved if s.clearance >= SIGMAS_OF_TIE * sigma]
         why = f"the motion began anew, and its place is known to {sigma:.2f} m only"
         lost = tuple((s, why) for s in moved if s not in kept)

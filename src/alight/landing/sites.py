@@ -1,96 +1,153 @@
-"""Landing sites: the best places to touch down, ranked, or the reason why there is none (eq. 5 of the paper, G11)."""
+"""Landing sites and candidates: the best places to touch down, ranked, or why there is none (eq. 5, G11, G11a)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from alight.arrays import F32, F64, Mask
+from alight.geometry import Grid
+from alight.landing.next_view import Observer, next_view
 from alight.landing.reasons import why_no_site
-from alight.raster import disc_window
-from alight.records import ElevationMap, HazardMap, Site, Sites, Terrain, TerrainMap
+from alight.raster import clearance_of, disc_mean, disc_window
+from alight.records import Doubt, ElevationMap, Hazard, HazardMap, Site, Sites, Terrain, TerrainMap
 from alight.settings import Lander, SitesSettings
 
 Term = tuple[float, F32]  # of Q: weight, and (R, C) values
+Cell = tuple[int, int]  # row, column
+RADII_APART = 4.0  # footprint radii between two listed places, at least: one hazard must not spoil two of them
 
 
-def _score(hazards: HazardMap, settings: SitesSettings, vehicle: F64 | None, extra: Sequence[Term]) -> F64:
-    """Score of every cell (G11): quality, room around it, nearness; -inf where no touchdown is allowed."""
-    allowed = (hazards.reasons == 0) & (hazards.clearance >= settings.margin) & np.isfinite(hazards.quality)
-    room = np.minimum(hazards.clearance / settings.roomy, 1.0)
-    score = hazards.quality.astype(np.float64) + settings.room_weight * room
-    if vehicle is not None and settings.distance_weight > 0:
-        east, north = hazards.grid.xy()
-        distance = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
-        score -= settings.distance_weight * distance
-    for weight, values in extra:
-        score -= weight * values
-        allowed &= np.isfinite(values)
-    return np.where(allowed, score, -np.inf)
+def separation(settings: SitesSettings, lander: Lander) -> float:
+    """Least distance between two listed places, metres."""
+    return max(settings.separation or 0.0, RADII_APART * lander.radius)
 
 
-def _peaks(score: F64, count: int, apart_cells: float) -> list[tuple[int, int]]:
-    """The best cells, best first, none nearer to a better one than `apart_cells` (non-maximum suppression)."""
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """What a choice is made from."""
+
+    hazards: HazardMap
+    land_cover: TerrainMap | None
+    elevation: ElevationMap
+    settings: SitesSettings
+    lander: Lander
+    observer: Observer | None
+    extra: Sequence[Term]
+
+    def score(self, allowed: Mask, clearance: F32) -> F64:
+        """Score of every cell (G11): quality, room around it, nearness; -inf where a touchdown is not allowed."""
+        hazards, settings = self.hazards, self.settings
+        allowed = allowed & (clearance >= settings.margin) & np.isfinite(hazards.quality)
+        room = np.minimum(clearance / settings.roomy, 1.0)
+        score = hazards.quality.astype(np.float64) + settings.room_weight * room
+        if self.observer is not None and settings.distance_weight > 0:
+            east, north = hazards.grid.xy()
+            vehicle = self.observer.position
+            distance = np.hypot(east[None, :] - vehicle[0], north[:, None] - vehicle[1])
+            score -= settings.distance_weight * distance
+        for weight, values in self.extra:
+            score -= weight * values
+            allowed &= np.isfinite(values)
+        return np.where(allowed, score, -np.inf)
+
+    def candidate_score(self, clearance: F32) -> F64:
+        """Score of every undecided cell (G11a): steps of P(safe) about it, and within a step the score of a site."""
+        hazards, step = self.hazards, self.settings.chance_step
+        chance = disc_mean(np.nan_to_num(hazards.p_safe), self.lander.radius, hazards.grid.cell)
+        score = self.score(hazards.reasons == np.uint8(Hazard.DOUBT), clearance)
+        best = float(score.max(initial=-np.inf))
+        if not np.isfinite(best):
+            return score
+        return np.where(np.isfinite(score), np.floor(chance / step) + 0.99 * np.exp(score - best), -np.inf)
+
+
+def _peaks(score: F64, grid: Grid, count: int, apart: float, taken: Sequence[Cell] = ()) -> list[Cell]:
+    """The best cells, best first, none within `apart` metres of a better one or of one that is taken."""
     remaining = score.copy()
-    found: list[tuple[int, int]] = []
+
+    def take(cell: Cell) -> None:
+        rows, cols, disc = disc_window(remaining.shape, *cell, apart / grid.cell)
+        remaining[rows, cols][disc] = -np.inf
+
+    for cell in taken:
+        take(cell)
+    found: list[Cell] = []
     while len(found) < count:
         row, col = divmod(int(np.argmax(remaining)), remaining.shape[1])
         if not np.isfinite(remaining[row, col]):
             break
         found.append((row, col))
-        rows, cols, disc = disc_window(remaining.shape, row, col, apart_cells)
-        remaining[rows, cols][disc] = -np.inf
+        take((row, col))
     return found
 
 
-def _landing_class(land_cover: TerrainMap | None, rows: slice, cols: slice, disc: Mask) -> Terrain:
+def _footprint(grid: Grid, east: float, north: float, radius: float) -> tuple[slice, slice, Mask]:
+    """Rows, columns and mask of the disc about a place on any grid."""
+    row, col = (round(float(i)) for i in grid.index(np.array(east), np.array(north)))
+    return disc_window(grid.shape, row, col, radius / grid.cell)
+
+
+def _landing_class(land_cover: TerrainMap | None, east: float, north: float, radius: float) -> Terrain:
     """The most frequent known class in the footprint."""
     if land_cover is None:
         return Terrain.UNKNOWN
+    rows, cols, disc = _footprint(land_cover.grid, east, north, radius)
     labels = land_cover.label[rows, cols][disc]
     counts = np.bincount(labels[labels != Terrain.UNKNOWN], minlength=len(Terrain))
     return Terrain(int(counts.argmax())) if counts.any() else Terrain.UNKNOWN
 
 
-def _heading(east: float, north: float, vehicle: F64 | None) -> float:
+def _heading(east: float, north: float, observer: Observer | None) -> float:
     """Bearing of the approach, clockwise from north; north if the vehicle is overhead or not known."""
-    if vehicle is None or math.hypot(east - vehicle[0], north - vehicle[1]) < 1.0:
+    if observer is None or math.hypot(east - observer.position[0], north - observer.position[1]) < 1.0:
         return 0.0
-    return math.atan2(east - vehicle[0], north - vehicle[1]) % (2 * math.pi)
+    return math.atan2(east - observer.position[0], north - observer.position[1]) % (2 * math.pi)
 
 
-def _site(
-    rank: int,
-    at: tuple[int, int],
-    hazards: HazardMap,
-    land_cover: TerrainMap | None,
-    elevation: ElevationMap,
-    lander: Lander,
-    vehicle: F64 | None,
-) -> Site:
-    """The record of the site at one peak of the score."""
-    grid = hazards.grid
+def _site(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
+    """The record of the place at one peak of the score."""
+    hazards, radius, grid = c.hazards, c.lander.radius, c.hazards.grid
     east, north = grid.east + at[1] * grid.cell, grid.north - at[0] * grid.cell
-    rows, cols, disc = disc_window(grid.shape, *at, lander.radius / grid.cell)
-    ground = disc & elevation.trusted[rows, cols]
-    sigma: F32 = elevation.sigma[rows, cols][ground]
+    rows, cols, disc = _footprint(c.elevation.grid, east, north, radius)
+    ground = disc & c.elevation.trusted[rows, cols]
+    sigma: F32 = c.elevation.sigma[rows, cols][ground]
     return Site(
         rank=rank,
         east=east,
         north=north,
-        up=float(elevation.height[rows, cols][ground].mean()),
+        up=float(c.elevation.height[rows, cols][ground].mean()),
         p_safe=float(hazards.p_safe[at]),
+        p_relief=float(hazards.p_relief[at]),
+        p_obstacle=float(hazards.p_obstacle[at]),
+        p_ground=float(hazards.p_ground[at]),
+        resolved=float(hazards.resolved[at]),
         quality=float(hazards.quality[at]),
         slope=float(hazards.slope[at]),
         roughness=float(hazards.roughness[at]),
-        clearance=float(hazards.clearance[at]),
-        radius=lander.radius + float(hazards.clearance[at]),
-        terrain=_landing_class(land_cover, rows, cols, disc),
-        heading=_heading(east, north, vehicle),
+        clearance=float(clearance[at]),
+        radius=radius + float(clearance[at]),
+        terrain=_landing_class(c.land_cover, east, north, radius),
+        heading=_heading(east, north, c.observer),
         height_sigma=float(np.sqrt(np.mean(sigma.astype(np.float64) ** 2))),
     )
+
+
+def _doubt(site: Site) -> Doubt:
+    """The smallest factor of P(safe)."""
+    factors: dict[Doubt, float] = {"relief": site.p_relief, "obstacle": site.p_obstacle, "ground": site.p_ground}
+    return min(factors, key=factors.__getitem__)
+
+
+def _candidate(c: _Choice, rank: int, at: Cell, clearance: F32) -> Site:
+    """The place at a peak with what is doubtful about it, and the view that would settle it."""
+    site = _site(c, rank, at, clearance)
+    place, settles_at = np.array([site.east, site.north, site.up]), float(c.hazards.settles_at[at])
+    look = None if c.observer is None else next_view(place, settles_at, c.observer, c.settings)
+    return replace(site, kind="candidate", doubt=_doubt(site), look=look)
 
 
 def choose_sites(
@@ -99,26 +156,32 @@ def choose_sites(
     elevation: ElevationMap,
     settings: SitesSettings,
     lander: Lander,
-    vehicle: F64 | None = None,
+    observer: Observer | None = None,
     extra: Sequence[Term] = (),
 ) -> Sites:
-    """Rank the places where a touchdown is safe; the first is the choice, the others are kept in reserve.
+    """Rank the places where a touchdown is safe, then those that nothing refuses and that are not sure enough.
+
+    The first site is the choice, the others are kept in reserve. A candidate is a place to look at again.
 
     Args:
-        hazards: reasons against a touchdown, P(safe), quality and clearance of every cell.
-        land_cover: classes, named at each site; None for not known.
-        elevation: heights, on the same grid.
+        hazards: reasons against a touchdown, P(safe) with its factors, quality and clearance of every cell.
+        land_cover: classes, named at each place; None for not known.
+        elevation: heights; their cells may be finer than those of the hazards.
         settings: how many, how far apart, and what counts.
         lander: its footprint.
-        vehicle: (3,) position in the world, metres, for the heading of the approach; None if not known.
+        observer: the vehicle, for the heading of the approach and for the views of candidates; None if not known.
         extra: further terms of Q (eq. 5), a weight and (R, C) values each, larger is worse: energy, wind, people. NaN
             refuses the cell.
 
     Returns:
-        Sites in order of rank. Without any, the reason is a sentence: it is an answer, not an error.
+        Sites, then candidates in order of rank. Without a site, the reason is a sentence: an answer, not an error.
     """
-    apart = settings.separation or 2 * lander.radius
-    peaks = _peaks(_score(hazards, settings, vehicle, extra), settings.count, apart / hazards.grid.cell)
-    if not peaks:
-        return Sites((), why_no_site(hazards, elevation, settings))
-    return Sites(tuple(_site(i + 1, at, hazards, land_cover, elevation, lander, vehicle) for i, at in enumerate(peaks)))
+    c = _Choice(hazards, land_cover, elevation, settings, lander, observer, extra)
+    apart, grid = separation(settings, lander), hazards.grid
+    safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart)
+    # the room of a candidate: to what is refused, not to what is undecided as well
+    room = clearance_of((hazards.reasons & ~np.uint8(Hazard.DOUBT)) == 0, grid.cell)
+    undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
+    sites = tuple(_site(c, i + 1, at, hazards.clearance) for i, at in enumerate(safe))
+    candidates = tuple(_candidate(c, len(safe) + i + 1, at, room) for i, at in enumerate(undecided))
+    return Sites(sites, "" if sites else why_no_site(hazards, elevation, settings), candidates=candidates)

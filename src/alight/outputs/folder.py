@@ -26,6 +26,7 @@ FILES = (
     "ortho.tif",
     "terrain.tif",
     "safe.tif",
+    "reasons.tif",
     "sites.geojson",
     "route.plan",
     "route.geojson",
@@ -33,7 +34,7 @@ FILES = (
     "trajectory.csv",
     "report.html",
 )
-JUDGEMENT_FILES = ("reasons.tif", "hazards.tif", "heights.tif")  # besides, of `alight hazards`
+JUDGEMENT_FILES = ("hazards.tif", "heights.tif")  # besides, of `alight hazards`
 NO_PLACE = "the input says nothing about its place on Earth; run.json has the sites in metres"
 
 # a file's name -> how to make it, or why it cannot be made
@@ -47,20 +48,22 @@ def _rasters(r: RunResult) -> Contents:
         return rasters.encode(raster, grid, crs)
 
     files: Contents = dict.fromkeys(("dem.tif", "flags.tif", "ortho.tif"), "no heights were found")
-    files |= {"terrain.tif": "the kind of ground was not judged", "safe.tif": "the ground was not judged"}
+    files |= dict.fromkeys(("safe.tif", "reasons.tif"), "the ground was not judged")
+    files |= {"terrain.tif": "the kind of ground was not judged"}
     if (e := r.elevation) is not None:
         files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local), e.grid)
         files["flags.tif"] = lambda: tif(rasters.flags_raster(e), e.grid)
         files["ortho.tif"] = lambda: tif(rasters.ortho_raster(e), e.grid)
     if (t := r.terrain) is not None:
         files["terrain.tif"] = lambda: tif(rasters.terrain_raster(t), t.grid)
-    if (h := r.hazards) is not None:
+    if (h := r.hazards_as_mapped) is not None:
         files["safe.tif"] = lambda: tif(rasters.safe_raster(h), h.grid)
+        files["reasons.tif"] = lambda: tif(rasters.reasons_raster(h), h.grid)
     return files
 
 
 def _sites(r: RunResult) -> Contents:
-    if r.sites.sites and not r.georeferenced:  # "none, because ..." needs no place on Earth
+    if r.sites.listed and not r.georeferenced:  # "none, because ..." needs no place on Earth
         return {"sites.geojson": NO_PLACE}
     covariance = r.elevation.position_covariance if r.elevation is not None else None
     return {"sites.geojson": lambda: vectors.json_bytes(vectors.sites_geojson(r.sites, r.local, covariance))}
@@ -117,13 +120,12 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
     local = result.local
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     height = result.height_above_ground
-    sites = [vectors.site_properties(s) | {"up_m": vectors.number(s.up, 3)} for s in result.sites.sites]
     return {
         "alight": __version__,
         "input": {"name": result.source_name, "kind": result.source_kind},
         "georeferenced": result.georeferenced,
         "origin": origin if result.georeferenced else None,
-        "answer": {"sites": sites, "reason": result.sites.reason},
+        "answer": vectors.answer_json(result.sites),
         "height_above_ground_m": None if height is None else vectors.number(height, 3),
         "counts": vectors.plain(result.counts),
         "common_error": common_error(result.elevation),

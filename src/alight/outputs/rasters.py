@@ -17,8 +17,9 @@ from alight.arrays import F32
 from alight.geometry import Grid, LocalFrame
 from alight.records import REFUSED, Datum, ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.report.paint import TERRAIN_COLOURS, rgb
-from alight.report.words import FLAGS
+from alight.report.words import FLAGS, HAZARDS
 
+SAFE_BANDS = ("p_safe", "p_relief", "p_obstacle", "p_ground", "resolved")
 EARTH_RADIUS = 6371008.8  # metres, mean
 LOCAL_WKT = 'LOCAL_CS["local east north, origin not on Earth",UNIT["metre",1],AXIS["East",EAST],AXIS["North",NORTH]]'
 
@@ -29,7 +30,7 @@ class RasterFile:
 
     bands: NDArray[Any]  # (B, R, C)
     names: Sequence[str]  # one a band
-    unit: str = ""
+    units: Sequence[str] = ()  # one a band; none: numbers without a unit
     nodata: float | None = None
     tags: Mapping[str, str] = field(default_factory=dict)  # of the first band
     file_tags: Mapping[str, str] = field(default_factory=dict)  # of all bands
@@ -73,7 +74,7 @@ def dem_raster(elevation: ElevationMap, local: LocalFrame) -> RasterFile:
     if elevation.position_covariance is not None:
         sigmas = np.sqrt(np.maximum(np.diag(elevation.position_covariance), 0.0))
         common["POSITION_SIGMA_M"] = ",".join(f"{v:.4f}" for v in sigmas)  # east, north, up
-    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), "m", np.nan, tags, common)
+    return RasterFile(np.stack([height, sigma]), ("height", "sigma"), ("m", "m"), np.nan, tags, common)
 
 
 def common_tags(gauge: Datum | None) -> dict[str, str]:
@@ -108,8 +109,15 @@ def terrain_raster(terrain_map: TerrainMap) -> RasterFile:
 
 
 def safe_raster(hazards: HazardMap) -> RasterFile:
-    """Probability of a safe touchdown over the worst heading."""
-    return RasterFile(hazards.p_safe[None].astype(np.float32), ("probability of a safe touchdown",), nodata=np.nan)
+    """Probability of a safe touchdown over the worst heading, its factors, and the smallest obstacle to be found."""
+    bands = np.stack([getattr(hazards, name) for name in SAFE_BANDS]).astype(np.float32)
+    return RasterFile(bands, SAFE_BANDS, ("", "", "", "", "m"), np.nan)
+
+
+def reasons_raster(hazards: HazardMap) -> RasterFile:
+    """The bits that say why a touchdown is refused or doubtful."""
+    tags = {f"bit_{h.value.bit_length() - 1}": f"{(h.name or '').lower()}: {why}" for h, why in HAZARDS.items()}
+    return RasterFile(hazards.reasons[None].astype(np.uint16), ("reasons",), tags=tags, resampling="NEAREST")
 
 
 def ortho_raster(elevation: ElevationMap) -> RasterFile:
@@ -120,7 +128,7 @@ def ortho_raster(elevation: ElevationMap) -> RasterFile:
 def _fill(raster: RasterFile, dataset: Any) -> None:
     dataset.write(raster.bands)
     dataset.descriptions = tuple(raster.names)
-    dataset.units = (raster.unit,) * len(raster.names)
+    dataset.units = tuple(raster.units or [""] * len(raster.names))
     dataset.update_tags(1, **raster.tags)
     dataset.update_tags(**raster.file_tags)
     if raster.colours is not None:

@@ -32,6 +32,7 @@ class Run:
     flags: U16 | None  # (R, C) bits of Flag
     terrain: U8 | None  # (R, C) Terrain codes
     safe: F32 | None  # (R, C) probability, NaN = not judged
+    reasons: U16 | None  # (R, C) bits of Hazard; None also for runs of version 0.1.0
     ortho: U8 | None  # (R, C, 3) RGB
 
     @property
@@ -70,7 +71,7 @@ def read_run(folder: Path) -> Run:
     if not is_run(folder):
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
     info = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-    rasters = {name: _bands(folder / f"{name}.tif") for name in ("dem", "flags", "terrain", "safe", "ortho")}
+    rasters = {name: _bands(folder / f"{name}.tif") for name in ("dem", "flags", "terrain", "safe", "reasons", "ortho")}
     grid = next((r[1] for r in rasters.values() if r), None)
     bands = {name: None if r is None else r[0] for name, r in rasters.items()}
 
@@ -89,5 +90,6 @@ def read_run(folder: Path) -> Run:
         flags=only("flags"),
         terrain=only("terrain"),
         safe=only("safe"),
+        reasons=only("reasons"),
         ortho=None if rgb is None else np.moveaxis(rgb, 0, 2),
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import LocalFrame
-from alight.records import Route, Site, Sites, Waypoint
+from alight.records import PlaceSigma, Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
 WAYPOINT, LAND = 16, 21  # MAV_CMD
@@ -45,24 +45,59 @@ def lon_lat_height(local: LocalFrame, east: float, north: float, up: float) -> l
 
 
 def site_properties(site: Site) -> dict[str, Any]:
-    """The properties of one site as `formats/outputs` names them."""
+    """The properties of one place as `formats/outputs` names them; where a view is from depends on the frame."""
+    look_from = None if site.look is None else number(site.look.height, 2)
+    of_candidates = {"doubt": site.doubt, "look": None, "look_from_m": look_from}
     return {
+        "kind": site.kind,
         "rank": site.rank,
         "p_safe": number(site.p_safe, 5),
+        "p_relief": number(site.p_relief, 5),
+        "p_obstacle": number(site.p_obstacle, 5),
+        "p_ground": number(site.p_ground, 5),
         "quality": number(site.quality, 5),
         "slope_deg": degrees(site.slope),
         "roughness_m": number(site.roughness, 4),
         "clearance_m": number(site.clearance, 3),
         "radius_m": number(site.radius, 3),
+        "resolved_m": number(site.resolved, 3),
         "terrain": site.terrain.name.lower(),
         "heading_deg": heading_degrees(site.heading),
         "east_m": number(site.east, 3),
         "north_m": number(site.north, 3),
         "height_sigma_m": number(site.height_sigma, 4),
+        **(of_candidates if site.kind == "candidate" else {}),
     }
 
 
-def _feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+def _in_metres(site: Site) -> dict[str, Any]:
+    """The properties of one place, with its height and the view of a candidate in metres from the origin."""
+    found = site_properties(site) | {"up_m": number(site.up, 3)}
+    if site.look is not None:
+        found["look"] = [number(v, 3) for v in (site.look.east, site.look.north, site.look.up)]
+    return found
+
+
+def answer_json(sites: Sites) -> dict[str, Any]:
+    """The answer as it stands in run.json: numbers of sites and candidates, their properties, and the reason."""
+    return {
+        "counts": {"sites": len(sites.sites), "candidates": len(sites.candidates)},
+        "sites": [_in_metres(s) for s in sites.sites],
+        "candidates": [_in_metres(s) for s in sites.candidates],
+        "reason": sites.reason,
+    }
+
+
+def _on_earth(site: Site, local: LocalFrame) -> dict[str, Any]:
+    """The properties of one place, with the view of a candidate as longitude, latitude and height."""
+    found = site_properties(site)
+    if site.look is not None:
+        found["look"] = lon_lat_height(local, site.look.east, site.look.north, site.look.up)
+    return found
+
+
+def feature(geometry: str, coordinates: list[Any], properties: dict[str, Any]) -> dict[str, Any]:
+    """One feature of GeoJSON."""
     return {
         "type": "Feature",
         "geometry": {"type": geometry, "coordinates": coordinates},
@@ -75,28 +110,26 @@ def accuracy(covariance: F64) -> dict[str, Any]:
 
     `covariance`: (3, 3) m^2, east north up.
     """
-    on_ground = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
-    return {
-        "horizontal_m": number(math.sqrt(max(on_ground, 0.0)), 3),
-        "vertical_m": number(math.sqrt(max(float(covariance[2, 2]), 0.0)), 3),
-    }
+    sigma = PlaceSigma.of(covariance)
+    return {"horizontal_m": number(sigma.horizontal, 3), "vertical_m": number(sigma.vertical, 3)}
 
 
 def sites_geojson(sites: Sites, local: LocalFrame, covariance: F64 | None = None) -> dict[str, Any]:
-    """The candidate sites in order of rank; none: no features and the `reason`.
+    """The sites, then the candidates, in order of rank; without a site, the `reason`.
 
     `covariance`: (3, 3) m^2, of the whole map's place on Earth; None: not known.
     """
     features = [
-        _feature("Point", lon_lat_height(local, s.east, s.north, s.up), site_properties(s))
-        for s in sorted(sites.sites, key=lambda s: s.rank)
+        feature("Point", lon_lat_height(local, s.east, s.north, s.up), _on_earth(s, local)) for s in sites.listed
     ]
-    collection: dict[str, Any] = {"type": "FeatureCollection", "features": features}
-    if covariance is not None:
-        collection["accuracy"] = accuracy(covariance)
-    if not features:
-        collection["reason"] = sites.reason or "no site was found"
-    return collection
+    known = {} if covariance is None else {"accuracy": accuracy(covariance)}
+    return collection(features, sites) | known
+
+
+def collection(features: list[dict[str, Any]], sites: Sites) -> dict[str, Any]:
+    """GeoJSON of the places; without a site, with the reason."""
+    none = {} if sites.sites else {"reason": sites.reason or "no site was found"}
+    return {"type": "FeatureCollection", "features": features, **none}
 
 
 def _waypoint_properties(w: Waypoint) -> dict[str, Any]:
@@ -118,8 +151,8 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
         "speeds_m_s": [p["speed_m_s"] for p in properties],
         "warnings": list(route.warnings),
     }
-    points = [_feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
-    return {"type": "FeatureCollection", "features": [_feature("LineString", positions, line), *points]}
+    points = [feature("Point", xyz, p) for xyz, p in zip(positions, properties, strict=True)]
+    return {"type": "FeatureCollection", "features": [feature("LineString", positions, line), *points]}
 
 
 def _item(number_: int, command: int, w: Waypoint, local: LocalFrame, ground: float) -> dict[str, Any]:

@@ -22,62 +22,46 @@ log = logging.getLogger(__name__)
 
 def _findings(h: HazardMap) -> rasters.RasterFile:
     names = ("slope", "roughness", "step", "clearance", "quality")
-    return rasters.RasterFile(
-        np.stack([getattr(h, n) for n in names]), names, nodata=np.nan, tags={"unit": "slope in rad"}
-    )
-
-
-def _reasons(h: HazardMap) -> rasters.RasterFile:
-    tags = {f"bit_{r.value.bit_length() - 1}": (r.name or "").lower() for r in Hazard}
-    return rasters.RasterFile(h.reasons[None], ("reasons",), tags=tags, resampling="NEAREST")
+    return rasters.RasterFile(np.stack([getattr(h, n) for n in names]), names, ("rad", "m", "m", "m", ""), np.nan)
 
 
 def _heights(e: ElevationMap) -> rasters.RasterFile:
     known = e.trusted
     bands = np.stack([np.where(known, a, np.float32(np.nan)) for a in (e.height, e.sigma)])
-    return rasters.RasterFile(bands, ("height", "sigma"), "m", np.nan)
+    return rasters.RasterFile(bands, ("height", "sigma"), ("m", "m"), np.nan)
 
 
 def _places(sites: Sites, crs: CRS | None) -> list[list[float]] | None:
-    """Longitude, latitude and height of every site; None where the raster says nothing about its place on Earth."""
+    """Longitude, latitude and height of every place; None where the raster says nothing about its place on Earth."""
     if crs is None:
         return None
     try:
-        lon, lat = transform(crs, "EPSG:4326", [s.east for s in sites.sites], [s.north for s in sites.sites])
+        lon, lat = transform(crs, "EPSG:4326", [s.east for s in sites.listed], [s.north for s in sites.listed])
     except RasterioError as e:
         log.info("no place on Earth: %s", e)
         return None
-    return [[round(x, 9), round(y, 9), round(s.up, 3)] for x, y, s in zip(lon, lat, sites.sites, strict=True)]
+    return [[round(x, 9), round(y, 9), round(s.up, 3)] for x, y, s in zip(lon, lat, sites.listed, strict=True)]
 
 
 def verdict_geojson(sites: Sites, crs: CRS | None) -> dict[str, Any] | None:
-    """The sites in order of rank, as GeoJSON; None where their place on Earth is unknown."""
+    """Sites and candidates in order of rank, as GeoJSON; None where their place on Earth is unknown."""
     places = _places(sites, crs)
-    if places is None and sites.sites:
+    if places is None and sites.listed:
         return None
-    features = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": at},
-            "properties": vectors.site_properties(s),
-        }
-        for at, s in zip(places or [], sites.sites, strict=True)
-    ]
-    none = {} if features else {"reason": sites.reason or "no site was found"}
-    return {"type": "FeatureCollection", "features": features, **none}
+    at = zip(places or [], sites.listed, strict=True)
+    return vectors.collection([vectors.feature("Point", xyz, vectors.site_properties(s)) for xyz, s in at], sites)
 
 
 def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> dict[str, Any]:
-    hazards = result.hazards
+    hazards = result.hazards_as_mapped
     assert hazards is not None
     judged = np.isfinite(hazards.p_safe)
     shares = {(r.name or "").lower(): round(float(((hazards.reasons & np.uint8(r)) != 0).mean()), 6) for r in Hazard}
-    sites = [vectors.site_properties(s) | {"up_m": vectors.number(s.up, 3)} for s in result.sites.sites]
     return {
         "alight": __version__,
         "input": {"name": result.source_name, "kind": result.source_kind},
         "crs": crs.to_string() if crs else None,
-        "answer": {"sites": sites, "reason": result.sites.reason},
+        "answer": vectors.answer_json(result.sites),
         "share_safe": round(float((hazards.reasons == 0).mean()), 6),
         "share_judged": round(float(judged.mean()), 6),
         "share_refused": shares,
@@ -90,7 +74,7 @@ def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> 
 
 def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
     """Every file but run.json, in the order of writing, or why it is not written."""
-    hazards, elevation = result.hazards, result.elevation
+    hazards, elevation = result.hazards_as_mapped, result.elevation
     assert hazards is not None
     assert elevation is not None
     place, grid, sites = crs or CRS.from_wkt(rasters.LOCAL_WKT), hazards.grid, verdict_geojson(result.sites, crs)
@@ -99,7 +83,7 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
         heights = {"heights.tif": lambda: rasters.encode(_heights(elevation), grid, place)}
     return {
         "safe.tif": lambda: rasters.encode(rasters.safe_raster(hazards), grid, place),
-        "reasons.tif": lambda: rasters.encode(_reasons(hazards), grid, place),
+        "reasons.tif": lambda: rasters.encode(rasters.reasons_raster(hazards), grid, place),
         "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
         **heights,
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),

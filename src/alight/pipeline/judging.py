@@ -9,7 +9,7 @@ import numpy as np
 from alight import hazards, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
-from alight.landing.next_view import next_view
+from alight.landing.next_view import Observer
 from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
 from alight.pipeline.map_frame import MapFrame
@@ -31,8 +31,13 @@ class Verdict:
     cover: TerrainMap | None
     danger: HazardMap
     sites: Sites
-    look: NextView | None  # a view that would help, where there is no site
     frame: MapFrame  # of the map, with what is known of its place in the world
+
+    @property
+    def look(self) -> NextView | None:
+        """Where there is no site, the view that would settle the doubt about the first candidate that has one."""
+        views = [c.look for c in self.sites.candidates if c.look is not None]
+        return views[0] if views and not self.sites.sites else None
 
 
 class JudgingLane:
@@ -65,7 +70,7 @@ class JudgingLane:
         return tuple(self._warnings)
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map: what covers it, the hazards, the sites, and a view that would help where there is none."""
+        """Judge a map: what covers it, the hazards, the sites, and the candidates with the views that would help."""
         s, frame = self._settings, seen.frame
         self._follow(frame)
         with self._timings.of("finer pixels"):
@@ -77,16 +82,13 @@ class JudgingLane:
         with self._timings.of("hazards"):
             danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         with self._timings.of("sites"):
-            chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, seen.vehicle.position)
-            above = seen.vehicle.height_above_ground
-            look = None if chosen.sites else next_view(danger, elevation, s.sites, s.lander, above)
+            chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
             self._keep(chosen, danger)
         return Verdict(
             frame.elevation(without_water(seen.elevation, cover)),
             None if cover is None else frame.on_grid(cover),
             frame.on_grid(danger),
-            replace(chosen, sites=tuple(frame.site(s) for s in chosen.sites), frame_id=frame.frame_id),
-            None if look is None else frame.look(look),
+            frame.sites(chosen),
             frame,
         )
 
@@ -106,7 +108,7 @@ class JudgingLane:
         self._reserve, self._frame = replace(self._reserve, frame_id=frame.frame_id), frame
 
     def _keep(self, found: Sites, danger: HazardMap) -> None:
-        apart = self._settings.sites.separation or 2 * self._settings.lander.radius
+        apart = sites.separation(self._settings.sites, self._settings.lander)
         self._reserve = self._reserve.updated(found, danger, apart)
         self._note_lost()
 
@@ -115,12 +117,10 @@ class JudgingLane:
         self._lost = (self._lost + said)[-MOST_LOST:]
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """What a run's notes say of it: the next look, sites of earlier maps, and why others were given up."""
+        """What a run's notes say of it: sites of earlier maps, and why others were given up."""
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
-        if found.look is not None:
-            out["look next"] = in_words(found.look)
         earlier = self.reserve.sites[len(found.sites.sites) :]
         if earlier:
             out["sites in reserve"] = [f"east {s.east:.1f} north {s.north:.1f} m, P {s.p_safe:.3f}" for s in earlier]
@@ -136,10 +136,11 @@ def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
     return replace(elevation, fine=picture, fine_sampling=sampling)
 
 
-def in_words(look: NextView) -> str:
-    """The proposal as a sentence."""
-    east, north, up = np.asarray(look.position_world)
-    return f"east {east:.1f} north {north:.1f} up {up:.1f} m, where P(safe) is {look.p_safe:.2f}"
+def observer(seen: MapSnapshot) -> Observer:
+    """The vehicle, and its cameras by the views of the newest instant that look down."""
+    newest = [v for v in seen.views if v.t_ns == max(w.t_ns for w in seen.views)]
+    vehicle, stereo = seen.vehicle, len({v.cam for v in newest}) > 1
+    return Observer(vehicle.position, vehicle.height_above_ground, newest[-1].camera.fu, stereo)
 
 
 def without_water(elevation: ElevationMap, cover: TerrainMap | None) -> ElevationMap:

@@ -14,7 +14,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.records import Datum, ElevationMap, HazardMap, Motion, NextView, Site, TerrainMap
+from alight.records import Datum, ElevationMap, HazardMap, Motion, PlaceSigma, Site, Sites, TerrainMap
 
 OnGrid = TypeVar("OnGrid", TerrainMap, HazardMap)
 
@@ -29,7 +29,7 @@ class Tie:
     @property
     def sigma_horizontal(self) -> float:
         """Metres, towards where it is known worst."""
-        return worst_sigma(self.covariance[:2, :2])
+        return PlaceSigma.of(self.covariance).horizontal
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +95,8 @@ class MapFrame:
 
     def site(self, site: Site) -> Site:
         """One site."""
-        return moved_site(site, self.offset_world)
+        return site.moved(self.offset_world)
 
-    def look(self, look: NextView) -> NextView:
-        """A view that would help."""
-        return replace(look, position_world=self.point(look.position_world), place_world=self.point(look.place_world))
-
-
-def moved_site(site: Site, shift: F64) -> Site:
-    """A site moved by (3,) metres."""
-    east, north, up = (float(v) for v in shift)
-    return replace(site, east=site.east + east, north=site.north + north, up=site.up + up)
-
-
-def worst_sigma(covariance: F64) -> float:
-    """1-sigma towards where a position is known worst."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    def sites(self, sites: Sites) -> Sites:
+        """Sites and candidates, with the frame number."""
+        return replace(sites.moved(self.offset_world), frame_id=self.frame_id)

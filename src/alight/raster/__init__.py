@@ -12,7 +12,7 @@ from alight.raster.disc import (
     disc_spans,
     disc_window,
 )
-from alight.raster.distance import distance_to
+from alight.raster.distance import clearance_of, distance_to
 from alight.raster.fill import nearest_known
 from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
 from alight.raster.scalars import linear_ramp, log_at_least, log_offset
@@ -25,6 +25,7 @@ __all__ = [
     "block_mean",
     "block_quantile",
     "cells_as_blocks",
+    "clearance_of",
     "close_mask",
     "disc_any",
     "disc_crosses_edge",

@@ -14,3 +14,9 @@ def distance_to(mask: Mask) -> F32:
         return np.full(mask.shape, np.inf, dtype=np.float32)
     # not OpenCV's: the last bits of its distances change with the number of free threads
     return np.asarray(distance_transform_edt(~mask), np.float32)
+
+
+def clearance_of(free: Mask, cell: float) -> F32:
+    """Distance of every cell's centre to the rim of the nearest cell that is not free, (R, C) metres; 0 on those."""
+    out: F32 = np.maximum(distance_to(~free) - np.float32(0.5), np.float32(0)) * np.float32(cell)
+    return out

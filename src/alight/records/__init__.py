@@ -5,7 +5,7 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
 from alight.records.events import Event, Frame, ImuSample, NavSample, Prediction, Rig, RigCamera, Tracks
-from alight.records.landing import Hazard, HazardMap, NextView, Route, Site, Sites, Waypoint
+from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.result import RunResult
 from alight.records.surface import (
@@ -15,6 +15,7 @@ from alight.records.surface import (
     ElevationMap,
     Flag,
     Heights,
+    PlaceSigma,
     Terrain,
     TerrainMap,
     is_trusted,
@@ -25,6 +26,7 @@ __all__ = [
     "REFUSED",
     "AlightError",
     "Datum",
+    "Doubt",
     "ElevationMap",
     "Event",
     "Flag",
@@ -35,12 +37,14 @@ __all__ = [
     "ImuSample",
     "InputError",
     "KeyframePosterior",
+    "Kind",
     "MissingExtraError",
     "Motion",
     "MotionState",
     "NavSample",
     "NextView",
     "OutputError",
+    "PlaceSigma",
     "Prediction",
     "RefinedMotions",
     "Rig",

@@ -1,9 +1,10 @@
-"""Hazards, sites, the next view and the route."""
+"""Hazards, sites, candidates with the view that would settle their doubt, and the route."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import IntFlag
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64
 from alight.geometry import Grid
 from alight.records.surface import Terrain
+
+Kind = Literal["site", "candidate"]
+Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
 
 
 class Hazard(IntFlag):
@@ -44,43 +48,94 @@ class HazardMap:
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
     reasons: NDArray[np.uint8]  # (R, C) bits of Hazard; 0 = safe
 
+    def on(self, grid: Grid) -> HazardMap:
+        """The same findings on another grid, each cell with the value of the nearest one; unknown outside.
+
+        A map may be judged on coarser cells than its heights have; files and pictures share the grid of the heights.
+        """
+        if grid == self.grid:
+            return self
+        east, north = grid.xy()
+        row, col = (np.rint(i).astype(np.int64) for i in self.grid.index(east, north))
+        outside = ((row < 0) | (row >= self.grid.rows))[:, None] | ((col < 0) | (col >= self.grid.cols))[None, :]
+        nearest = np.ix_(row.clip(0, self.grid.rows - 1), col.clip(0, self.grid.cols - 1))
+
+        def moved(values: NDArray[Any]) -> NDArray[Any]:
+            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else int(Hazard.UNKNOWN)
+            return np.asarray(np.where(outside, values.dtype.type(unknown), values[nearest]))
+
+        arrays = [f.name for f in fields(self) if f.name != "grid"]
+        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
+
+
+@dataclass(frozen=True)
+class NextView:
+    """A view that would settle the doubt about a candidate: a proposal to the executive."""
+
+    east: float  # of the cameras
+    north: float
+    up: float
+    height: float  # metres above the ground of the place
+    settles: bool  # its pixels are fine enough; False: as near as is allowed, and still too coarse
+
+    @property
+    def position_world(self) -> F64:
+        """The place of the cameras, (3,) metres."""
+        return np.array([self.east, self.north, self.up])
+
 
 @dataclass(frozen=True)
 class Site:
-    """One candidate landing site, properties as in sites.geojson."""
+    """A place to land (`site`), or one that may become it (`candidate`); properties as in sites.geojson."""
 
-    rank: int
+    rank: int  # among all places of the list: sites first, then candidates
     east: float
     north: float
     up: float
-    p_safe: float
+    p_safe: float  # the product of the three factors
+    p_relief: float
+    p_obstacle: float
+    p_ground: float
+    resolved: float  # metres, height of the smallest obstacle that would have been found here with 95 %
     quality: float
     slope: float  # rad
     roughness: float  # metres
-    clearance: float  # metres
-    radius: float  # metres, of the largest safe disc about it
+    clearance: float  # metres, to the rim of the nearest refused cell
+    radius: float  # metres, of the largest disc about it in which no cell is refused
     terrain: Terrain
     heading: float  # rad, clockwise from north, of the suggested touchdown
     height_sigma: float  # metres
+    kind: Kind = "site"
+    doubt: Doubt | None = None  # of a candidate: the smallest factor of P(safe)
+    look: NextView | None = None  # of a candidate; None: no nearer view would settle the doubt
+
+    def moved(self, shift: F64) -> Site:
+        """The same place, with its view, moved by `shift`, (3,) metres."""
+        east, north, up = (float(v) for v in shift)
+        look = self.look
+        if look is not None:
+            look = replace(look, east=look.east + east, north=look.north + north, up=look.up + up)
+        return replace(self, east=self.east + east, north=self.north + north, up=self.up + up, look=look)
 
 
 @dataclass(frozen=True)
 class Sites:
-    """The answer: ranked sites, or the reason why there is none."""
+    """The answer: ranked sites, then ranked candidates; without a site, the reason."""
 
     sites: tuple[Site, ...]
     reason: str = ""  # why `sites` is empty
     frame_id: int = 0  # of the map that they were found on
+    candidates: tuple[Site, ...] = ()  # nothing refuses them, and their P(safe) is below the limit
 
+    @property
+    def listed(self) -> tuple[Site, ...]:
+        """Sites and candidates in order of rank."""
+        return self.sites + self.candidates
 
-@dataclass(frozen=True, eq=False)
-class NextView:
-    """A view that would reduce the doubt about the most promising place: a proposal to the executive."""
-
-    position_world: F64  # (3,) metres, of the cameras
-    place_world: F64  # (3,) metres, what to look at
-    p_safe: float  # of that place by now
-    height: float  # metres above it
+    def moved(self, shift: F64) -> Sites:
+        """The same places moved by `shift`, (3,) metres."""
+        sites, candidates = (tuple(s.moved(shift) for s in part) for part in (self.sites, self.candidates))
+        return replace(self, sites=sites, candidates=candidates)
 
 
 @dataclass(frozen=True, eq=False)

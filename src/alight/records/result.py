@@ -36,3 +36,10 @@ class RunResult:
     warnings: Sequence[str] = ()
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why
+
+    @property
+    def hazards_as_mapped(self) -> HazardMap | None:
+        """The hazards on the grid of the elevation, which files and pictures share."""
+        if self.hazards is None or self.elevation is None:
+            return self.hazards
+        return self.hazards.on(self.elevation.grid)

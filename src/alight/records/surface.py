@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,20 @@ class Datum:
     def tilt_sigma(self) -> float:
         """Of the tilt towards where it is known worst, rad."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[1:, 1:])[-1]))
+
+
+class PlaceSigma(NamedTuple):
+    """1-sigma of the place of a whole map on Earth, metres."""
+
+    horizontal: float  # towards where it is known worst
+    vertical: float
+
+    @classmethod
+    def of(cls, covariance: F64) -> PlaceSigma:
+        """From a covariance, (3, 3) m^2, east north up."""
+        variance = np.linalg.eigvalsh(covariance[:2, :2])[-1], covariance[2, 2]
+        horizontal, vertical = (float(np.sqrt(max(v, 0.0))) for v in variance)
+        return cls(horizontal, vertical)
 
 
 class Flag(IntFlag):

@@ -24,13 +24,13 @@ _TEMPLATES = jinja2.Environment(
 def _pictures(result: RunResult) -> tuple[Figure | None, list[Figure], list[Figure]]:
     """The overview, what stands beside it and what below."""
     elevation = result.elevation
-    places = [(s.east, s.north) for s in result.sites.sites]
+    places = [(s.east, s.north) for s in result.sites.listed]
     window = canvas.whole(elevation, places) if elevation is not None else None
     if elevation is None or window is None:
         return None, [], []
     overview, closeups = figures.overview(result, elevation, window), figures.closeups(result, elevation)
     below = maps.all_maps(result, elevation, window)
-    if not closeups and result.hazards is not None:  # no site: the reasons are the answer
+    if not closeups and result.hazards is not None:  # no place: the reasons are the answer
         return overview, below[:1], below[1:]
     return overview, closeups, below
 
@@ -46,8 +46,7 @@ def render(result: RunResult) -> str:
         beside=beside,
         below=below,
         warnings=warnings(result),
-        columns=facts.SITE_COLUMNS,
-        rows=facts.site_rows(result),
+        tables=facts.place_tables(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         times=facts.times(result.timings),

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from alight.records import Flag, RunResult, Site
+from alight.records import Flag, Kind, PlaceSigma, RunResult, Site
 from alight.report import words
 
 
@@ -15,11 +17,32 @@ from alight.report import words
 class Answer:
     """The first thing on the page."""
 
-    found: bool
+    kind: Literal["site", "candidate", "none"]
     headline: str
     detail: str
+    reason: str = ""  # why there is no site, beside candidates
     link: str = ""
     chips: Sequence[tuple[str, str]] = ()  # label, value
+    factors: str = ""  # of P(safe), in words
+    cautions: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """One place in a table: its numbers, and below them what stands behind them."""
+
+    cells: Sequence[str]
+    note: str
+
+
+@dataclass(frozen=True)
+class PlaceTable:
+    """Places of one kind."""
+
+    title: str
+    kind: Kind
+    columns: Sequence[str]
+    rows: Sequence[Row]
 
 
 @dataclass(frozen=True)
@@ -35,35 +58,96 @@ class Time:
 
 
 def answer(result: RunResult) -> Answer:
-    """The answer in one sentence: the site, or why there is none."""
-    if not result.sites.sites:
-        reason = result.sites.reason or "no reason was given"
-        return Answer(False, "No safe site", reason[:1].upper() + reason[1:].rstrip(".") + ".")
-    best = min(result.sites.sites, key=lambda s: s.rank)
+    """The answer in one sentence: the site, or the candidates, or why there is neither."""
+    if result.sites.sites:
+        return _land(result, result.sites.sites[0])
+    if result.sites.candidates:
+        return _look_closer(result, result.sites.candidates[0])
+    return Answer("none", "No safe site", _reason(result))
+
+
+def _reason(result: RunResult) -> str:
+    """Why there is no site, as a sentence of its own."""
+    reason = result.sites.reason.removeprefix("no safe site: ") or "no reason was given"
+    return reason[:1].upper() + reason[1:].rstrip(".") + "."
+
+
+def _land(result: RunResult, best: Site) -> Answer:
     flat, clear = words.metres(best.roughness), words.metres(best.clearance)
     detail = f"Flat to {flat}, {words.angle(best.slope)} slope, {clear} clear."
     more = len(result.sites.sites) - 1
-    reserve = f" {more} more site{'s' * (more > 1)} in reserve." if more else ""
+    reserve = f" {words.counted(more, 'more site').capitalize()} in reserve." if more else ""
+    if result.sites.candidates:
+        reserve += f" {words.counted(len(result.sites.candidates), 'candidate').capitalize()} to look at again."
     return Answer(
-        True,
-        f"Land here: {words.place(result, best)}",
-        detail + reserve,
-        words.geo_uri(result, best),
-        chips(result, best),
+        "site", f"Land here: {words.place(result, best)}", detail + reserve, link=words.geo_uri(result, best),
+        chips=chips(result, best), factors=words.factors(best), cautions=cautions(result, best),
+    )  # fmt: skip
+
+
+def _look_closer(result: RunResult, first: Site) -> Answer:
+    limit = f"{100 * result.settings.hazards.p_safe:g} %"
+    found = words.counted(len(result.sites.candidates), "candidate")
+    detail = (
+        f"Do not land yet: no place reaches {limit}. Nothing refuses the first candidate, {words.place(result, first)}"
     )
+    look = "; no nearer view would settle the doubt about it."
+    if first.look is not None:
+        settled = "" if first.look.settles else ", as near as is allowed"
+        look = f": look at it from {first.look.height:.0f} m above the ground{settled}."
+    return Answer(
+        "candidate", f"Look closer: {found}", detail + look, _reason(result), words.geo_uri(result, first),
+        chips(result, first), words.factors(first), cautions(result, first),
+    )  # fmt: skip
+
+
+NO_CLEARANCE = (
+    "This is a claim of a program about pictures, and no clearance to land. Look at the ground yourself first."
+)
+SIGMAS = 2.0  # of the place on Earth that the clearance has to cover
+
+
+def cautions(result: RunResult, site: Site) -> tuple[str, ...]:
+    """Sentences to read before anyone flies to the place."""
+    covariance = None if result.elevation is None else result.elevation.position_covariance
+    if covariance is None or not result.georeferenced:
+        return (NO_CLEARANCE,)
+    sigma = PlaceSigma.of(covariance).horizontal
+    if SIGMAS * sigma <= site.clearance:
+        return (NO_CLEARANCE,)
+    beside = (
+        f"Do not fly to the coordinates alone: they are known to ± {words.metres(sigma)} (1-sigma), and the nearest "
+        f"hazard is {words.metres(site.clearance)} away."
+    )
+    return NO_CLEARANCE, beside
 
 
 def chips(result: RunResult, site: Site) -> list[tuple[str, str]]:
-    """The best site's numbers with the limits they are held against."""
+    """The numbers of the first place with the limits they are held against, and both accuracies."""
     lander = result.settings.lander
+    look = [("Doubt", words.doubt(site)), ("Look again from", words.look_from(site))] if site.doubt else []
     return [
         ("Chance of a safe touchdown", words.chance(site.p_safe)),
+        *look,
         ("Slope", f"{words.angle(site.slope)} of {words.angle(lander.max_slope)}"),
         ("Largest bump", f"{words.metres(site.roughness)} of {words.metres(lander.max_roughness)}"),
         ("To the nearest hazard", words.metres(site.clearance)),
         ("Ground", words.ground(site.terrain.name)),
         ("Touch down heading", words.bearing(site.heading)),
+        ("Height within the map, 1-sigma", f"± {words.metres(site.height_sigma)}"),
+        *_place_chips(result),
     ]
+
+
+def _place_chips(result: RunResult) -> list[tuple[str, str]]:
+    """How well the place of the whole map on Earth is known."""
+    if not result.georeferenced:
+        return [("Place on Earth", words.UNKNOWN)]
+    covariance = None if result.elevation is None else result.elevation.position_covariance
+    if covariance is None:
+        return [("Place on Earth, 1-sigma", words.UNKNOWN)]
+    horizontal, vertical = (words.metres(v) for v in PlaceSigma.of(covariance))
+    return [("Place on Earth, 1-sigma", f"± {horizontal} across, ± {vertical} up")]
 
 
 def warnings(result: RunResult) -> list[str]:
@@ -71,39 +155,49 @@ def warnings(result: RunResult) -> list[str]:
     return list(dict.fromkeys([*result.warnings, *(result.route.warnings if result.route else ())]))
 
 
-SITE_COLUMNS = (
-    "Site",
-    "Safe",
-    "Slope",
-    "Largest bump",
-    "Clear",
-    "Safe disc",
-    "Ground",
-    "Heading",
-    "Height ±",
-    "Quality",
-    "Place",
-)
+COMMON_COLUMNS = ("Slope", "Largest bump", "Clear", "Ground", "Height ±", "Quality", "Place")
+SITE_COLUMNS = ("Site", "Safe", *COMMON_COLUMNS, "Safe disc", "Heading")
+CANDIDATE_COLUMNS = ("Candidate", "Safe", *COMMON_COLUMNS, "Doubt", "Look from")
 
 
-def site_rows(result: RunResult) -> list[tuple[str, ...]]:
-    """The table of sites, as text, in order of rank."""
-    return [
-        (
-            str(s.rank),
-            words.chance(s.p_safe),
-            words.angle(s.slope),
-            words.metres(s.roughness),
-            words.metres(s.clearance),
-            words.metres(s.radius),
-            words.ground(s.terrain.name),
-            words.bearing(s.heading),
-            words.metres(s.height_sigma),
-            f"{s.quality:.2f}",
-            words.place(result, s),
-        )
-        for s in sorted(result.sites.sites, key=lambda s: s.rank)
-    ]
+STRAIGHT_ABOVE = 0.05  # metres: a view that is nearer to the vertical than this
+
+
+def _row(result: RunResult, s: Site) -> Row:
+    numbers = (
+        str(s.rank),
+        words.chance(s.p_safe),
+        words.angle(s.slope),
+        words.metres(s.roughness),
+        words.metres(s.clearance),
+        words.ground(s.terrain.name),
+        words.metres(s.height_sigma),
+        f"{s.quality:.2f}",
+        words.place(result, s),
+    )
+    if s.kind == "site":
+        return Row((*numbers, words.metres(s.radius), words.bearing(s.heading)), words.factors(s))
+    look = ""
+    if s.look is not None:
+        east, north, up = s.look.east, s.look.north, s.look.up
+        enough = "" if s.look.settles else "; its pixels are still too coarse to settle the doubt"
+        aside = math.hypot(east - s.east, north - s.north) > STRAIGHT_ABOVE
+        look = f". View: {words.position(result, east, north, up) if aside else 'straight above'}{enough}"
+    return Row((*numbers, words.doubt(s), words.look_from(s)), words.factors(s) + look)
+
+
+def place_tables(result: RunResult) -> list[PlaceTable]:
+    """Sites and candidates as text, in order of rank."""
+    found = (
+        PlaceTable("The sites, best first", "site", SITE_COLUMNS, [_row(result, s) for s in result.sites.sites]),
+        PlaceTable(
+            "Candidates: to look at before a landing",
+            "candidate",
+            CANDIDATE_COLUMNS,
+            [_row(result, s) for s in result.sites.candidates],
+        ),
+    )
+    return [t for t in found if t.rows]
 
 
 def _map_facts(result: RunResult) -> list[tuple[str, str]]:

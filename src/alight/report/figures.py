@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.records import ElevationMap, RunResult
+from alight.records import ElevationMap, Kind, RunResult
 from alight.report import canvas, paint, words
 from alight.report.canvas import Canvas
 
@@ -41,7 +41,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class Mark:
-    """One site on a picture, page units."""
+    """One site or candidate on a picture, page units."""
 
     x: float
     y: float
@@ -49,6 +49,8 @@ class Mark:
     room: float  # largest safe disc
     rank: int
     place: str
+    kind: Kind
+    look: str = ""  # of a candidate: from where to look again
     aside: tuple[float, float] = (0.0, -1.0)  # direction of the number from the disc
 
 
@@ -87,13 +89,16 @@ def scale_bar(c: Canvas, share: float = 0.22) -> Bar:
 
 
 def marks(result: RunResult, c: Canvas) -> list[Mark]:
-    """The sites on a picture, the best one last so that it lies on top."""
+    """The listed places on a picture, the best one last so that it lies on top."""
     radius = result.settings.lander.radius * c.per_metre
     out = []
-    for s in sorted(result.sites.sites, key=lambda s: s.rank):
+    for s in result.sites.listed:
         x, y = c.xy(s.east, s.north)
+        look = f"{s.look.height:.0f} m" if s.look is not None else ""
+        if look and s is result.sites.candidates[0]:
+            look = f"look from {look}"
         room = max(radius, s.radius * c.per_metre) if math.isfinite(s.radius) else radius
-        out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s)))
+        out.append(Mark(x, y, round(radius, 2), round(room, 2), s.rank, words.place(result, s), s.kind, look))
     return _aside(out, c)[::-1]
 
 
@@ -122,19 +127,22 @@ def _points(c: Canvas, positions: Sequence[NDArray[np.float64]]) -> str:
 
 def _explain(result: RunResult) -> list[str]:
     """Sentences for what is drawn on the overview, and for nothing else."""
-    lines = (
-        ["Solid circle: the lander's footprint; dotted: the largest safe disc about it."] if result.sites.sites else []
-    )
+    lines = []
+    if result.sites.sites:
+        lines.append("Solid circle: the lander's footprint at a site; dotted: the largest safe disc about it.")
+    if result.sites.candidates:
+        lines.append("Dashed circle with a square number: a candidate; below it the height above it to look from.")
     lines += ["White line: the flight."] if result.motions else []
     return lines + (["Green dashes: the way to site 1."] if result.route else [])
 
 
 def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
     """Orthophoto with sites, flight path and route."""
-    n = len(result.sites.sites)
+    sites, candidates = len(result.sites.sites), len(result.sites.candidates)
+    shown = f"{words.counted(sites, 'numbered landing site')} and {words.counted(candidates, 'candidate')}"
     return Figure(
         title="The ground from above",
-        alt=f"Orthophoto, north up, with {n} numbered landing site{'s' * (n != 1)}",
+        alt=f"Orthophoto, north up, with {shown}",
         uri=c.uri(paint.paint_ortho(elevation)),
         height=round(c.height, 1),
         marks=marks(result, c),
@@ -147,10 +155,11 @@ def overview(result: RunResult, elevation: ElevationMap, c: Canvas) -> Figure:
 
 
 def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
-    """The best site from near: photo and relief, so that a person can check with the eye."""
-    if not result.sites.sites:
+    """The first place from near: photo and relief, so that a person can check with the eye."""
+    if not result.sites.listed:
         return []
-    best = min(result.sites.sites, key=lambda s: s.rank)
+    best = result.sites.listed[0]
+    name = f"{best.kind.capitalize()} {best.rank}"
     radius = result.settings.lander.radius
     c = canvas.about(elevation.grid, best.east, best.north, max(3.2 * radius, radius + 3.0))
     near = c.cut(np.where(elevation.trusted, elevation.height, np.nan).astype(np.float32))
@@ -162,10 +171,10 @@ def closeups(result: RunResult, elevation: ElevationMap) -> list[Figure]:
         "classes": ("near",),
     }
     return [
-        Figure("Site 1, the photo", "Orthophoto of the best site", c.uri(paint.paint_ortho(elevation)), **common),
+        Figure(f"{name}, the photo", f"Orthophoto of {name.lower()}", c.uri(paint.paint_ortho(elevation)), **common),
         Figure(
-            "Site 1, the relief",
-            "Shaded heights of the best site",
+            f"{name}, the relief",
+            f"Shaded heights of {name.lower()}",
             c.uri(paint.paint_heights(elevation, low, high)),
             caption=f"colours span {words.metres(high - low)} of height",
             **common,

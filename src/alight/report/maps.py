@@ -125,8 +125,8 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
 def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figure]:
     """Every map below the answer, in the order in which a person asks."""
     figures = []
-    if result.hazards is not None:
-        figures += [reasons_figure(result.hazards, elevation, c), p_safe_figure(result.hazards, c)]
+    if (hazards := result.hazards_as_mapped) is not None:
+        figures += [reasons_figure(hazards, elevation, c), p_safe_figure(hazards, c)]
     figures += [heights_figure(result, elevation, c), sigma_figure(elevation, c)]
     if result.terrain is not None:
         figures.append(classes_figure(result.terrain, elevation, c))

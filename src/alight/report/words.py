@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from alight.records import Flag, Hazard, RunResult, Site
+from alight.records import Doubt, Flag, Hazard, RunResult, Site
 
 UNKNOWN = "unknown"
 
@@ -21,6 +21,7 @@ HAZARDS: Mapping[Hazard, str] = {
     Hazard.EDGE: "edge of the map",
     Hazard.DOUBT: "fits, but not surely enough",
 }
+DOUBTS: Mapping[Doubt, str] = {"relief": "relief", "obstacle": "unseen obstacles", "ground": "kind of ground"}
 FLAGS: Mapping[Flag, str] = {
     Flag.UNSEEN: "seen by fewer than two views",
     Flag.TEXTURE: "too little texture",
@@ -80,12 +81,49 @@ def seconds(value: float) -> str:
     return f"{value:.3g} s" if value < 99.5 else f"{value // 60:.0f} min {value % 60:.0f} s"
 
 
+def probability(p: float) -> str:
+    """0.93, 0.987; never rounded up to 1."""
+    if not math.isfinite(p):
+        return UNKNOWN
+    return "> 0.999" if p > 0.9995 else f"{p:.2f}" if p < 0.985 else f"{p:.3f}"
+
+
+def factors(site: Site) -> str:
+    """The factors of P(safe): relief 0.99, unseen obstacles 0.93 (smallest that would be found: 22 cm), ground 0.98."""
+    smallest = f" (smallest that would be found: {metres(site.resolved)})" if math.isfinite(site.resolved) else ""
+    return (
+        f"relief {probability(site.p_relief)}, unseen obstacles {probability(site.p_obstacle)}{smallest}, "
+        f"ground {probability(site.p_ground)}"
+    )
+
+
+def doubt(site: Site) -> str:
+    """The factor that limits P(safe)."""
+    return UNKNOWN if site.doubt is None else DOUBTS[site.doubt]
+
+
+def look_from(site: Site) -> str:
+    """From where to look again: 12 m above it."""
+    return "no nearer view settles it" if site.look is None else f"{site.look.height:.0f} m above it"
+
+
+def counted(number: int, name: str) -> str:
+    """One candidate, three candidates, 12 candidates; in lower case."""
+    small = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight")
+    return f"{small[number] if number < len(small) else number} {name}{'s' * (number != 1)}"
+
+
 def place(result: RunResult, site: Site) -> str:
     """Position of a site: geographic, or from the origin where the place on Earth is unknown."""
+    return position(result, site.east, site.north, site.up)
+
+
+def position(result: RunResult, east: float, north: float, up: float) -> str:
+    """A position as `place` says it; its height is left out."""
     if not result.georeferenced:
-        ew, ns = ("east" if site.east >= 0 else "west"), ("north" if site.north >= 0 else "south")
-        return f"{abs(site.east):.1f} m {ew}, {abs(site.north):.1f} m {ns} of the origin"
-    latitude, longitude, _ = result.local.to_geodetic([site.east, site.north, site.up])
+        ew, ns = ("east" if east >= 0 else "west"), ("north" if north >= 0 else "south")
+        return f"{abs(east):.1f} m {ew}, {abs(north):.1f} m {ns} of the origin"
+    latitude, longitude, _ = result.local.to_geodetic([east, north, up])
     ns, ew = ("N" if latitude >= 0 else "S"), ("E" if longitude >= 0 else "W")
     return f"{abs(float(latitude)):.6f}°\N{NO-BREAK SPACE}{ns}, {abs(float(longitude)):.6f}°\N{NO-BREAK SPACE}{ew}"
 

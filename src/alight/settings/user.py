@@ -199,7 +199,7 @@ class SitesKeys(FrozenModel):
     count: int = Field(8, ge=1, description="Most sites listed")
     margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
     separation: Positive | None = Field(
-        None, description="Least distance between two sites, m; null: twice the footprint radius"
+        None, description="Least distance between two listed places, m; never below four footprint radii, null: those"
     )
     distance_weight: NonNegative = Field(0.0, description="Loss of quality per metre from the vehicle to the site, 1/m")
     every: int = Field(

@@ -12,5 +12,8 @@ class SitesTuning(FrozenModel):
 
     roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
     room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")
-    nearer: Fraction = Field(0.5, description="Height of the proposed next view over the present height above ground")
-    lowest_look: Positive = Field(8.0, description="Least height of the proposed next view above the ground, m")
+    chance_step: Positive = Field(0.02, description="Candidates whose P(safe) is in one step of it are ranked by Q")
+    look_base: Fraction = Field(
+        0.12, description="Distance of a next view by one camera from the place, over its height"
+    )
+    lowest_look: Positive = Field(8.0, description="Least height of a next view above the ground, m")
