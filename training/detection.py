@@ -1,7 +1,7 @@
 """Measure `learned/detection.npz`: how likely heights, and pixels, show an obstacle of a size (docs/lab/detection.md).
 
-    PYTHONPATH=bench python training/detection.py                        # measure on tuning flights, and write the table
-    PYTHONPATH=bench python training/detection.py --look FLIGHT...       # measure on other flights with truth, print only
+    PYTHONPATH=bench python training/detection.py                   # measure on tuning flights, and write the table
+    PYTHONPATH=bench python training/detection.py --look FLIGHT...  # on other flights with truth, print only
 
 An obstacle is what stands out of the true surface by more than the lander stands. It is found where the relief of the
 heights, or the contrast of the picture, exceeds what 98 of 100 places of truly quiet ground of the same flight have.
@@ -13,6 +13,7 @@ import argparse
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -25,7 +26,7 @@ from ground_truth import GroundTruth
 from alight.arrays import F32, F64, I64, Mask
 from alight.evaluation.flight import at
 from alight.hazards.evidence import NARROW, PATCH, WIDE, relief_power, spot_power
-from alight.raster import ellipse, gaussian_mean, local_max
+from alight.raster import distance_to, ellipse, gaussian_mean, local_max
 from alight.records import LANDABLE, Terrain
 from alight.settings import Lander, Settings
 
@@ -34,6 +35,7 @@ BASE = 1.2  # metres: what is narrower stands on the ground
 NEAR = 0.2  # metres by which an obstacle may be misplaced
 FALSE = 0.98  # of the even ground lies below what counts as found
 QUIET = 0.08  # root mean square relief over the height of an obstacle, of truly quiet ground
+RIM = 1.0  # metres from unknown ground within which heights are worse than elsewhere
 EVEN, MOST = 500, 400  # least cells of even ground, most obstacles of a flight that count
 
 
@@ -66,7 +68,7 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
     dem = np.nan_to_num(j.truth.dem, nan=float(np.nanmedian(j.truth.dem)))
     top = dem - cv2.morphologyEx(dem, cv2.MORPH_OPEN, ellipse(max(1, round(BASE / 2 / grid.cell))))
     open_ground = np.isin(j.truth.label, [int(k) for k in (*LANDABLE, Terrain.ROCK)])
-    count, patches, stats, centres = cv2.connectedComponentsWithStats((top > 0.5 * limit).astype(np.uint8))
+    count, patches, _, centres = cv2.connectedComponentsWithStats((top > 0.5 * limit).astype(np.uint8))
     if count < 2:
         return None
     peak = np.zeros(count, np.float32)
@@ -81,7 +83,8 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
     reach = max(1, round(NEAR / e.grid.cell))
     relief, spot = (local_max(np.sqrt(np.maximum(v, 0)), reach) for v in (relief_power(e, limit), spot_power(e, limit)))
     quiet = local_max(_true_relief(dem, grid.cell, limit), max(1, round(2 * NEAR / grid.cell))) < QUIET
-    even = truth.on(e.grid, quiet & truth.bears) & e.trusted & j.seen
+    inner = distance_to(~(e.trusted & j.seen)) * e.grid.cell > RIM
+    even = truth.on(e.grid, quiet & truth.bears) & inner
     if even.sum() < EVEN:
         return None
     least = [float(np.quantile(v[even], FALSE)) for v in (relief, spot)]
@@ -97,7 +100,7 @@ def share_found(size: F64, found: Mask) -> tuple[F64, I64]:
     """Share found in every bin of `SIZES`, never less for larger ones, and the number of obstacles; NaN where few."""
     at_, count = np.full(len(SIZES), np.nan), np.zeros(len(SIZES), np.int64)
     edges = np.concatenate([[0.0], np.sqrt(SIZES[:-1] * SIZES[1:]), [np.inf]])
-    for k, (low, high) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (low, high) in enumerate(pairwise(edges)):
         here = (size > low) & (size <= high)
         count[k] = here.sum()
         if count[k] >= 30:
@@ -127,7 +130,7 @@ def table_bytes(all_of: Sequence[Obstacles]) -> bytes:
     out = io.BytesIO()
     shares = {}
     for k, size in (("heights", width / g), ("pixels", width / p)):
-        share, count = share_found(size, np.concatenate([getattr(o, f"by_{k}") for o in all_of]))
+        share, _ = share_found(size, np.concatenate([getattr(o, f"by_{k}") for o in all_of]))
         known = np.isfinite(share)
         filled = np.interp(np.log(SIZES), np.log(SIZES[known]), share[known])
         shares[k] = np.maximum.accumulate(filled).astype(np.float32)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from card import version, write_table
 from ground_flights import TUNING, cover_of
 from ground_maps import HOWS, How, judgeable
 from ground_truth import GroundTruth
-from land_cover import fit_net, joined, rows_of
+from land_cover import family_of, fit_net, joined, rows_of
 from scipy.optimize import minimize
 from sklearn.isotonic import IsotonicRegression
 
@@ -68,11 +69,6 @@ class Rows:
     hazard: Mask
     family: I64
     weight: F64  # families alike, maps of a family alike
-
-
-def family_of(name: str) -> str:
-    """The scene of a rung of the ladder."""
-    return name.split("/")[0]
 
 
 def sample(name: str, how: How, scratch: Path, net: Net) -> Sample | None:
@@ -196,7 +192,7 @@ def claim(z: F64, r: Rows) -> F64:
     z, hazard, family, weight = z[order], r.hazard[order], r.family[order], r.weight[order]
     rank = np.cumsum(weight) / weight.sum()
     at, worst = [], []
-    for low, high in zip(STEPS[:-1], STEPS[1:], strict=True):
+    for low, high in pairwise(STEPS):
         here = (rank > low) & (rank <= high)
         shares = [
             hazard[here & (family == f)].mean()

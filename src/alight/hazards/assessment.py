@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from alight.arrays import F32, U8, Mask
 from alight.hazards.contact import (
@@ -15,10 +14,10 @@ from alight.hazards.contact import (
     rotor_rise,
     step_of,
 )
-from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms
-from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
+from alight.hazards.evidence import FootprintShape
+from alight.hazards.factors import Evidence, evidence_of, factors_of
+from alight.hazards.probability import TouchdownGeometry, margins_over_sigma
 from alight.hazards.usable_heights import smoothed_height, usable_height
-from alight.learned import read_rate
 from alight.raster import clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -40,6 +39,15 @@ class _Findings:
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
+
+    @property
+    def shape(self) -> FootprintShape:
+        """What the evidence needs of it."""
+        return FootprintShape(self.footprint, self.roughness_smooth, self.roughness_trend)
+
+    def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
+        """What the margins to the limits are computed from; `sigma` (R, C) metres, of the footprint."""
+        return TouchdownGeometry(self.footprint, self.slope, self.rise, sigma, common_tilt(elevation, settings))
 
 
 def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[int, int]) -> Mask:
@@ -93,59 +101,6 @@ def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
     """1-sigma of the tilt that all cells share, rad: from the poses of the map, and what the user says besides."""
     poses = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
     return float(np.hypot(poses, settings.tilt_sigma))
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What P(safe) of every footprint rests on where image matching may have smoothed obstacles away."""
-
-    tilt: F32  # (R, C) P that the tilt keeps its limit
-    discs: Discs  # the cells of the terms
-    obstacle: dict[str, F32]  # terms of `obstacle_rate`
-    ground: dict[str, F32]  # terms of `ground_rate`
-
-
-def _evidence(elevation: ElevationMap, terrain: TerrainMap | None, f: _Findings, tilt: F32, lander: Lander) -> Evidence:
-    shape = FootprintShape(f.footprint, f.roughness_smooth, f.roughness_trend)
-    discs = Discs(elevation, lander.radius)
-    obstacle = obstacle_terms(elevation, shape, lander, discs)
-    ground = ground_terms(elevation, terrain, discs)
-    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, ground)
-
-
-@dataclass(frozen=True, eq=False)
-class _Factors:
-    """Factors of P(safe), (R, C) each."""
-
-    relief: F32
-    obstacle: F32
-    ground: F32
-
-
-def _factors(
-    elevation: ElevationMap,
-    terrain: TerrainMap | None,
-    f: _Findings,
-    sigma: F32,
-    lander: Lander,
-    settings: HazardsSettings,
-) -> _Factors:
-    """From the margins alone, or from all evidence where image matching may have smoothed obstacles away (G7, G7b)."""
-    cell = elevation.grid.cell
-    margins = TouchdownGeometry(f.footprint, f.slope, f.rise, sigma, common_tilt(elevation, settings))
-    tilt, rise = margins_over_sigma(margins, lander, settings, cell)
-    if not settings.smoothed:
-        certain = np.ones_like(tilt)
-        return _Factors(safe_probability(tilt, rise, f.footprint.unknown, settings), certain, certain)
-    found = _evidence(elevation, terrain, f, tilt, lander)
-    obstacle = read_rate("obstacle_rate").log_rate(found.obstacle)
-    ground = read_rate("ground_rate").log_rate(found.ground)
-    return _Factors(found.tilt, *(_none_of(found.discs.fine(r)) for r in (obstacle, ground)))
-
-
-def _none_of(log_rate: F32) -> F32:
-    """P(none) of a Poisson number of hazards."""
-    return np.asarray(np.exp(-np.exp(log_rate)), np.float32)
 
 
 def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings) -> U8:
@@ -208,9 +163,8 @@ def evidence(
 ) -> tuple[Evidence, U8]:
     """What P(safe) rests on, and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
-    margins = TouchdownGeometry(found.footprint, found.slope, found.rise, sigma, common_tilt(elevation, settings))
-    tilt = margins_over_sigma(margins, lander, settings, elevation.grid.cell)[0]
-    return _evidence(elevation, terrain, found, tilt, lander), reasons
+    tilt, _ = margins_over_sigma(found.margins(sigma, elevation, settings), lander, settings, elevation.grid.cell)
+    return evidence_of(elevation, terrain, tilt, found.shape, lander), reasons
 
 
 def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings) -> HazardMap:
@@ -230,9 +184,9 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
-    factors = _factors(elevation, terrain, found, sigma, lander, settings)
+    f = factors_of(elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings)
     judged = ~(found.edge | found.unknown)
-    relief, obstacle, ground = (np.where(judged, v, np.float32(np.nan)) for v in vars(factors).values())
+    relief, obstacle, ground = (np.where(judged, v, np.float32(np.nan)) for v in (f.relief, f.obstacle, f.ground))
     p = np.where(judged & (reasons != 0), np.float32(0), relief * obstacle * ground)
     reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))
     return HazardMap(
@@ -245,8 +199,8 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
         p_relief=relief,
         p_obstacle=obstacle,
         p_ground=ground,
-        resolved=np.full(p.shape, np.float32(2 * elevation.grid.cell)),
-        settles_at=np.full(p.shape, np.float32(lander.max_roughness / 6)),
+        resolved=f.resolved,
+        settles_at=f.settles_at,
         quality=_quality(found, terrain, sigma, lander, settings, elevation.grid.cell),
         reasons=reasons,
     )

@@ -1,4 +1,4 @@
-"""What would have been found: the chance that heights or pixels show an obstacle of a size (docs/method/hazards.md, G7d).
+"""What would have been found: the chance that heights or pixels show an obstacle of a size (G7d).
 
 The curves are measured (`learned/detection.md`): the share of obstacles found by their width over what a sample of the
 match, or a pixel of the picture, covers of the ground.
@@ -42,13 +42,8 @@ class Detection:
         """Share that stays unseen of the obstacles that are higher than `limit` metres, of the shape of `sampling`."""
         width = WIDE * limit * np.geomspace(1, LARGEST, STEPS)
         weight = width ** (1 - STEEP)
-        weight /= weight.sum()
-        table = np.array(
-            [
-                [weight @ self.missed(width, np.float64(g * limit), np.float64(p * limit)) for p in RATIOS]
-                for g in RATIOS
-            ]
-        )
+        sizes, g, p = width[None, None], limit * RATIOS[:, None, None], limit * RATIOS[None, :, None]
+        table = np.average(self.missed(sizes, g, p), axis=-1, weights=weight)
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
         return _bilinear(table, at[0], at[1])
 

@@ -104,7 +104,7 @@ def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lande
     spot = discs.coarse(gaussian_mean(spots.power, PATCH * limit / cell))
     residual = np.nan_to_num(elevation.residual)
     sampling, pixel = (
-        discs.largest(log_at_least(np.where(np.isfinite(v), v, 2 * limit) / np.float32(limit), 1e-3))
+        discs.largest(log_at_least(np.asarray(np.nan_to_num(v, nan=2 * limit) / np.float32(limit), np.float32), 1e-3))
         for v in (np.maximum(elevation.sampling, np.float32(cell)), elevation.picture_sampling)
     )
     smooth, trend = (

@@ -1,5 +1,6 @@
 """Fitted tables, each an `.npz` with a card beside it, and the evaluators of the nets in them."""
 
+from alight.learned.known import KnownGround, known_bytes, read_known
 from alight.learned.net import CLIP, AffineLayer, Net, monotone_costs, monotone_net, relu_net
 from alight.learned.rates import Rate, rate_bytes, rate_of, read_rate
 from alight.learned.tables import net_bytes, net_of, read_net, table_path
@@ -7,14 +8,17 @@ from alight.learned.tables import net_bytes, net_of, read_net, table_path
 __all__ = [
     "CLIP",
     "AffineLayer",
+    "KnownGround",
     "Net",
     "Rate",
+    "known_bytes",
     "monotone_costs",
     "monotone_net",
     "net_bytes",
     "net_of",
     "rate_bytes",
     "rate_of",
+    "read_known",
     "read_net",
     "read_rate",
     "relu_net",

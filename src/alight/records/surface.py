@@ -163,3 +163,7 @@ class TerrainMap:
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
     probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
+    enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
+    novelty: F32 | None = (
+        None  # (R, C) how unlike all ground that is known: 1 at the rim of what is known; NaN = unseen
+    )

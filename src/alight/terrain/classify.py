@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
+
 import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.learned import Net, read_net, relu_net
+from alight.learned import Net, read_known, read_net, relu_net
 from alight.raster import close_mask, fill_pits, grow, without_specks
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, appearance, seen
+from alight.terrain.enclosed import enclosed
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
@@ -20,6 +23,7 @@ from alight.terrain.water import ponds, wetness
 KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
+APART = 3  # cells between those whose likeness to known ground is judged
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 
@@ -100,14 +104,16 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 def _classified(
     elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net
-) -> tuple[U8, F32, F32]:
-    """Labels, P(landable) and log probabilities of one map."""
+) -> tuple[U8, F32, F32, F32]:
+    """Labels, P(landable), log probabilities and novelty of one map."""
     cell = elevation.grid.cell
     colours = appearance(elevation)
     wet = wetness(elevation, colours)
     shape = relief(elevation, wet, settings)
     water = ponds(elevation, colours, shape, wet, settings)
-    plain = _with_water_and_tufts(relu_net(net, land_cover_terms(elevation, colours, shape)), water, cell, settings)
+    some: dict[str, F32] = {}
+    terms = _kept(land_cover_terms(elevation, colours, shape), some)
+    plain = _with_water_and_tufts(relu_net(net, terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     odds = plain if added is None else plain + np.float32(settings.appearance) * added
     landable = fill_pits(
@@ -115,7 +121,27 @@ def _classified(
     )  # appearance never permits (T5)
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
     landable = np.where(standing, np.minimum(landable, np.float32(settings.beside_tall)), landable)
-    return _labels(odds, landable, colours, shape, settings), landable, log_softmax(odds)
+    return (
+        _labels(odds, landable, colours, shape, settings),
+        landable,
+        log_softmax(odds),
+        _novelty(some, landable.shape),
+    )
+
+
+def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
+    """Pass terms on, and keep every `APART`-th cell of each."""
+    for name, values in terms:
+        some[name] = values[APART // 2 :: APART, APART // 2 :: APART]
+        yield name, values
+
+
+def _novelty(some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
+    """How unlike all known ground every cell is, (R, C), from the terms of some cells."""
+    known = read_known()
+    values = np.stack([some[name].ravel() for name in known.terms], axis=1)
+    found = known.novelty(values).reshape(some[known.terms[0]].shape)
+    return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | None) -> str:
@@ -151,11 +177,14 @@ def classify(
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p = _classified(elevation, settings, model, net or read_net("land_cover"))
+    label, landable, log_p, strange = _classified(elevation, settings, model, net or read_net("land_cover"))
     known = seen(elevation)
+    shut = enclosed(elevation, settings)
     return TerrainMap(
         elevation.grid,
         np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         np.where(known, landable, nothing),
         np.where(known[..., None], np.exp(log_p), nothing).astype(np.float16),
+        shut,
+        np.where(known, strange, nothing),
     )

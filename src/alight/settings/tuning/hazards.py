@@ -40,9 +40,17 @@ class HazardsTuning(FrozenModel):
         True, description="The heights come from matched images, which flatten small obstacles: P is lowered for it"
     )
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
-    resolved_share: Positive = Field(
-        0.8,
-        description="Pixel size over the limit of roughness or clearance up to which no obstacle is too small to see",
+    unseen_bare: NonNegative = Field(
+        0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
+    )
+    unseen_grass: NonNegative = Field(0.03, description="The same of short grass, 1/m^2")
+    unseen_paved: NonNegative = Field(0.015, description="The same of paved ground, 1/m^2")
+    unseen_unknown: NonNegative = Field(0.06, description="The same where the kind of ground is not known, 1/m^2")
+    enclosed_hazard: NonNegative = Field(
+        1.5, description="Hazards that a level surface below both its banks is expected to hold: water under algae"
+    )
+    novel_hazard: NonNegative = Field(
+        0.3, description="Hazards expected for every limit by which ground is more unlike all known ground than usual"
     )
     clearly_sigmas: NonNegative = Field(
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"

@@ -32,3 +32,17 @@ class TerrainTuning(FrozenModel):
     pond_share: Fraction = Field(
         0.2, description="Least share of a patch that looks like water and is water on its own evidence"
     )
+    water_slope: Positive = Field(0.04, description="Steepest slope over 1.5 m that the surface of water seems to have")
+    water_area: Positive = Field(10.0, description="Least area of a level surface that may be water, m^2")
+    water_bank: Positive = Field(0.12, description="Height above a level surface from which its rim is a bank, m")
+    water_rim_blocks: int = Field(12, ge=1, description="Fewest blocks of the rim that must be seen")
+    water_rim: tuple[float, float] = Field(
+        (0.5, 0.8), description="Shares of the rim that are bank, at which a surface is not and is enclosed"
+    )
+    water_level: tuple[float, float] = Field(
+        (0.006, 0.015),
+        description="Slopes of a whole surface, beyond the tilt of the map, at which it is and is not level",
+    )
+    water_even: tuple[float, float] = Field(
+        (0.04, 0.10), description="Deviations from its plane at which a surface is and is not even, m"
+    )

@@ -1,0 +1,144 @@
+"""P(safe) as a product of three chances, each with evidence of its own (docs/method/hazards.md, G7, G7b to G7e)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from alight.arrays import F32
+from alight.hazards.detection import Detection, read_detection
+from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms
+from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
+from alight.learned import read_rate
+from alight.records import ElevationMap, Terrain, TerrainMap
+from alight.settings import HazardsSettings, Lander
+
+FOUND = 0.95  # the chance with which `resolved` would have been found
+SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may take up
+NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
+FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
+PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What P(safe) rests on where image matching may have smoothed obstacles away."""
+
+    tilt: F32  # (R, C) P that the tilt keeps its limit
+    discs: Discs  # the cells of the terms
+    obstacle: dict[str, F32]  # terms of `obstacle_rate`
+    ground: dict[str, F32]  # terms of `ground_rate`
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """Factors of P(safe), and how far the pictures go, (R, C) each."""
+
+    relief: F32
+    obstacle: F32
+    ground: F32
+    resolved: F32  # metres, height of the smallest obstacle that would have been found with `FOUND`
+    settles_at: F32  # metres, pixel on the ground that would settle the doubt; NaN: none
+
+
+def evidence_of(
+    elevation: ElevationMap, terrain: TerrainMap | None, tilt: F32, shape: FootprintShape, lander: Lander
+) -> Evidence:
+    """Gather the evidence; `tilt`: margin of the tilt in sigmas, (R, C)."""
+    discs = Discs(elevation, lander.radius)
+    obstacle = obstacle_terms(elevation, shape, lander, discs)
+    ground = ground_terms(elevation, terrain, discs)
+    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, ground)
+
+
+def factors_of(
+    elevation: ElevationMap,
+    terrain: TerrainMap | None,
+    margins: TouchdownGeometry,
+    shape: FootprintShape,
+    lander: Lander,
+    settings: HazardsSettings,
+) -> Factors:
+    """From the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
+    cell, limit = elevation.grid.cell, lander.tallest_obstacle
+    tilt, rise = margins_over_sigma(margins, lander, settings, cell)
+    if not settings.smoothed:
+        certain, never = np.ones_like(tilt), np.full_like(tilt, np.nan)
+        p = safe_probability(tilt, rise, margins.footprint.unknown, settings)
+        return Factors(p, certain, certain, np.full_like(tilt, cell), never)
+    found, curves = evidence_of(elevation, terrain, tilt, shape, lander), read_detection()
+    sampling, pixel = (_known(v, elevation) for v in (elevation.sampling, elevation.picture_sampling))
+    density = _density(terrain, elevation.grid.shape, found.discs, settings)
+    unseen = curves.unseen_share(limit, found.discs.coarse(sampling), found.discs.coarse(pixel))
+    expected = np.exp(read_rate("obstacle_rate").log_rate(found.obstacle))
+    expected += np.float32(math.pi * lander.radius**2) * density * unseen
+    ground = np.exp(read_rate("ground_rate").log_rate(found.ground)) + _unlike_dry_ground(
+        terrain, found.discs, settings
+    )
+    out = Factors(
+        found.tilt,
+        found.discs.fine(np.exp(-expected)),
+        found.discs.fine(np.exp(-ground)),
+        curves.smallest_found(FOUND, sampling, pixel),
+        np.full_like(tilt, np.nan),
+    )
+    return Factors(
+        out.relief, out.obstacle, out.ground, out.resolved, _settles_at(out, tilt, pixel, curves, lander, settings)
+    )
+
+
+def _known(metres: F32, elevation: ElevationMap) -> F32:
+    """What a sample covers, at least a cell's share of it; unknown where nothing was matched: as coarse as can be."""
+    return np.where(np.isfinite(metres), metres, np.float32(10.0 * elevation.grid.cell))
+
+
+def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, settings: HazardsSettings) -> F32:
+    """Obstacles a square metre that are to be expected on the kind of ground, before anything was seen of them."""
+    usual = {
+        Terrain.BARE: settings.unseen_bare, Terrain.SHORT_GRASS: settings.unseen_grass,
+        Terrain.PAVED: settings.unseen_paved,
+    }  # fmt: skip
+    out = np.full(shape, settings.unseen_unknown, np.float32)
+    if terrain is not None:
+        for kind, density in usual.items():
+            out = np.where(terrain.label == kind, np.float32(density), out)
+    return discs.mean(discs.coarse(out))
+
+
+def _unlike_dry_ground(terrain: TerrainMap | None, discs: Discs, settings: HazardsSettings) -> F32:
+    """What the shape of a level surface below its banks, and ground unlike all that is known, add to the hazards."""
+    if terrain is None or terrain.enclosed is None or terrain.novelty is None:
+        return np.zeros(discs.grid.shape, np.float32)
+    shut = discs.worst(discs.largest(terrain.enclosed))
+    strange = discs.mean(discs.coarse(np.maximum(terrain.novelty - 1, 0)))
+    added = np.float32(settings.enclosed_hazard) * shut + np.float32(settings.novel_hazard) * np.nan_to_num(strange)
+    return np.asarray(added, np.float32)
+
+
+def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSettings) -> float:
+    """The largest pixel, metres, with which bare ground that shows nothing is as sure as a site must be."""
+    pixels = np.geomspace(FINEST, 2.0, 60) * lander.tallest_obstacle
+    at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
+    unseen = curves.unseen_share(lander.tallest_obstacle, *at)
+    expected = math.pi * lander.radius**2 * settings.unseen_bare * unseen
+    good = np.flatnonzero(expected <= -SETTLED * math.log(settings.p_safe))
+    return float(pixels[good[-1]]) if good.size else float(pixels[0])
+
+
+def _settles_at(f: Factors, tilt: F32, pixel: F32, curves: Detection, lander: Lander, settings: HazardsSettings) -> F32:
+    """The pixel by which the smallest factor would be settled, metres; NaN where a closer look would not tell more.
+
+    An obstacle: the pixel that shows it, or half of the present one where that is fine enough already. Relief: sigma
+    shrinks with the pixel. Ground: half of the present one.
+    """
+    fine = np.float32(pixel_that_settles(curves, lander, settings))
+    half = np.float32(NEARER) * pixel
+    closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
+    enough = np.float32(ndtri(1 - SETTLED * (1 - settings.p_safe)))
+    flatter = pixel * (tilt / enough).clip(0, 1)
+    out = np.where(f.relief < np.minimum(f.obstacle, f.ground), np.minimum(flatter, half), closer)
+    out = np.where(f.ground < np.minimum(f.obstacle, f.relief), np.minimum(half, fine), out)
+    return np.where(out >= np.float32(FINEST * lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)

@@ -1,0 +1,75 @@
+"""Water by its shape alone: level along its length, and below both banks (docs/method/land-cover.md, G13b).
+
+It holds under algae and floating plants, whose colour and texture are those of lawn or soil, and where the water leaves
+the map: what is not seen of the rim does not count.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32, I64, Mask
+from alight.raster import block_quantile, linear_ramp, nearest_known, upsample
+from alight.records import ElevationMap
+from alight.settings import TerrainSettings
+from alight.terrain.relief import ground_under
+
+INNER, OUTER = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
+
+
+def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
+    """Connected parts (R, C) of ground that does not rise, numbered from 1, and their number plus 1."""
+    known = np.isfinite(bed)
+    filled = nearest_known(np.nan_to_num(bed), known)
+    north, east = np.gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
+    flat = known & (np.hypot(north, east) < settings.water_slope + 2 * tilt)
+    flat = cv2.morphologyEx(flat.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    count, parts = cv2.connectedComponents(flat * known.astype(np.uint8), connectivity=4)
+    return count, parts.astype(np.int64)
+
+
+def _rim(part: Mask) -> Mask:
+    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((2 * n + 1,) * 2, np.uint8)) > 0 for n in (INNER, OUTER))
+    return np.asarray(far & ~near)
+
+
+def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, settings: TerrainSettings) -> float:
+    """How much one part is level and lies below the ground of its rim, 0 to 1."""
+    rows, cols = np.nonzero(part)
+    terms = np.column_stack([np.ones(len(rows)), cols * block, rows * block])
+    plane = np.linalg.lstsq(terms, bed[rows, cols].astype(np.float64), rcond=None)[0]
+    slope = float(np.hypot(plane[1], plane[2]))
+    uneven = float(np.sqrt(np.mean((bed[rows, cols] - terms @ plane) ** 2)))
+    r, c = np.nonzero(_rim(part) & np.isfinite(ground))
+    if len(r) < settings.water_rim_blocks:
+        return 0.0
+    above = ground[r, c] - np.column_stack([np.ones(len(r)), c * block, r * block]) @ plane
+    higher = float((above > settings.water_bank).mean())
+    level = 1 - float(linear_ramp(np.array([slope - 2 * tilt], np.float32), *settings.water_level)[0])
+    even = 1 - float(linear_ramp(np.array([uneven], np.float32), *settings.water_even)[0])
+    return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.water_rim)[0])
+
+
+def enclosed(elevation: ElevationMap, settings: TerrainSettings) -> F32:
+    """How much every cell is part of a level surface below its banks, (R, C) 0 to 1.
+
+    Args:
+        elevation: its trusted heights are used, and the tilt that they may share.
+        settings: scales.
+    """
+    cell = elevation.grid.cell
+    size = max(1, round(settings.block / cell))
+    height = np.where(elevation.trusted, elevation.height, np.float32(np.nan))
+    bed, block = block_quantile(height, size, 0.5), size * cell
+    tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+    ground = ground_under(bed, settings.ground_window / (2 * block))  # hedges and cars are no banks
+    out = np.zeros(bed.shape, np.float32)
+    count, parts = _level_parts(bed, block, tilt, settings)
+    area = np.bincount(parts.ravel(), minlength=count) * block**2
+    for k in range(1, count):
+        if area[k] >= settings.water_area:
+            part = parts == k
+            out[part] = _enclosure(part, bed, ground, block, tilt, settings)
+    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))
+    return upsample(np.asarray(grown, np.float32), size, elevation.grid.shape)

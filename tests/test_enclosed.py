@@ -1,0 +1,69 @@
+"""Water by its shape: level along its length, below both banks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.ground import ground
+
+from alight.records import Datum, Flag
+from alight.settings import Settings
+from alight.terrain.enclosed import enclosed
+
+CELL = 0.1
+SETTINGS = Settings().stages().terrain
+
+
+def canal(fall: float = 0.0, bank: float = 0.5, noise: float = 0.01) -> np.ndarray:
+    """40 x 30 m: a canal of 6 m that runs through the whole map along its columns, `fall` metres a metre."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(300) * CELL, np.arange(400) * CELL)
+    lawn = 0.02 * x + 0.1 * np.sin(y / 7)
+    off = np.abs(x - 15.0)
+    water = -bank + 0.02 * 15 - 0.1 + fall * y
+    z = np.where(off < 3.0, water, np.where(off < 4.0, water + (lawn - water) * (off - 3.0), lawn))
+    return (z + rng.normal(0, noise, z.shape)).astype(np.float32)
+
+
+def middle(values: np.ndarray) -> float:
+    """The share of the water, clear of its banks, that is taken for enclosed."""
+    return float((values[20:-20, 130:170] > 0.5).mean())
+
+
+def test_a_canal_that_leaves_the_map_at_both_ends_is_enclosed() -> None:
+    found = enclosed(ground(canal(), cell=CELL), SETTINGS)
+    assert middle(found) > 0.95
+    assert (found[:, :90] > 0.1).mean() < 0.02  # the lawns beside it are not
+    assert (found[:, 210:] > 0.1).mean() < 0.02
+
+
+@pytest.mark.parametrize("z", [canal(fall=0.03), canal(bank=0.0), np.zeros((400, 300), np.float32)])
+def test_a_sloping_valley_a_level_lawn_and_open_ground_are_not(z: np.ndarray) -> None:
+    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) == 0.0
+
+
+def test_what_was_not_seen_of_the_rim_says_nothing() -> None:
+    z = canal()
+    z[150:250, 190:] = np.nan
+    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) > 0.9
+    z = canal()
+    z[:, :122] = z[:, 178:] = np.nan  # no bank was seen at all
+    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) == 0.0
+
+
+def test_a_map_that_leans_as_much_as_it_says_hides_no_canal() -> None:
+    y = np.arange(400, dtype=np.float32)[:, None] * CELL
+    leaning = ground(canal() + 0.015 * y, cell=CELL)
+    assert middle(enclosed(leaning, SETTINGS)) < 0.5
+    gauge = Datum(0.0, 0.0, np.diag([0.1, 0.01, 0.01]) ** 2)
+    assert middle(enclosed(replace(leaning, gauge=gauge), SETTINGS)) > 0.95
+
+
+def test_doubtful_heights_are_no_bank() -> None:
+    e = ground(canal(), cell=CELL)
+    flags = e.flags.copy()
+    flags[:, :122] |= np.uint16(Flag.UNSURE)
+    flags[:, 178:] |= np.uint16(Flag.UNSURE)
+    assert middle(enclosed(replace(e, flags=flags), SETTINGS)) == 0.0
