@@ -42,3 +42,7 @@ class Look(IntEnum):
     PLAIN = 33
     GLASS = 34
     TWIGS = 35
+    FINE_GRAVEL = 36
+    PACKED_GRAVEL = 37
+    PASTURE = 38
+    LOAM = 39

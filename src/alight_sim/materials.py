@@ -156,6 +156,19 @@ MATERIALS: dict[Look, Material] = {
     Look.GLASS: _laid((0.02, 0.022, 0.025), (0.02, 0.022, 0.025), (0.02, 0.02, 0.02), contrast=0.02, gloss=1.0,
                       patch=-3.0, bump=0.0),
     Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=2.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
+    # nothing on these is larger than 6 cm: what is larger stands in the height layer
+    Look.FINE_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.18, 0.16, 0.14), patch=-1.2, edge=0.9,
+                               contrast=0.13, uneven=0.4, vary=0.11, hue=0.03, bump=0.11, roughening=-0.05,
+                               things=(0.55, 0.4, 0.0, 0.0), tone=0.05, spread=0.45, tall=0.7),
+    Look.PACKED_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.185, 0.165, 0.145), patch=-1.3, edge=0.9,
+                                 contrast=0.09, uneven=0.4, vary=0.10, hue=0.03, bump=0.06,
+                                 things=(0.4, 0.15, 0.0, 0.0), tone=0.05, spread=0.4, tall=0.5),
+    Look.PASTURE: _plant((0.070, 0.098, 0.030), (0.125, 0.13, 0.055), (0.115, 0.10, 0.06), patch=-1.2, edge=0.9,
+                         deep=0.05, coarse=0.1, lift=0.014, sway=0.006, things=(0.25, 0.15, 0.0, 0.0), tone=0.25,
+                         spread=0.6, open=-0.5, vary=0.15, contrast=0.17, hue=0.07, ridge=0.2),
+    Look.LOAM: Material((0.118, 0.090, 0.058), (0.168, 0.132, 0.088), (0.088, 0.068, 0.045), patch=-1.1, edge=0.8,
+                        contrast=0.16, uneven=0.5, vary=0.13, hue=0.03, bump=0.14, things=(0.4, 0.25, 0.0, 0.0),
+                        tone=0.15, spread=0.4, tall=0.6),
 }  # fmt: skip
 
 BY_CLASS: dict[Terrain, Look] = {

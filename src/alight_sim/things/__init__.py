@@ -12,6 +12,7 @@ from alight_sim.things.cover import Fields, Patches, TallGrass
 from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, Water
 from alight_sim.things.lines import Hedges, Roads, Walls
 from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
+from alight_sim.things.stones import Stones
 
 Thing = Annotated[
     Roughness
@@ -34,7 +35,8 @@ Thing = Annotated[
     | Cars
     | Crates
     | Logs
-    | Parking,
+    | Parking
+    | Stones,
     Field(discriminator="thing"),
 ]
 
