@@ -35,7 +35,7 @@ SCENES = (
     "desert", "snow", "concrete", "car_park", "tall_grass", "yard",
 )  # fmt: skip
 # flown by name as well: families of scenes, whose colours, light, density and layout another seed changes
-FAMILIES = ("gravel", "pasture")
+FAMILIES = ("gravel", "pasture", "canal", "marsh", "furrows", "depot")
 SEEDS, QUICK_SEEDS = 3, 1
 FIRST_SEED = {"tuning": 1, "test": 1001}
 MOST_SEEDS = 1000

@@ -11,6 +11,7 @@ import pytest
 
 from alight.records import InputError, Terrain
 from alight_sim.kernels.stamps import EAST, EXTRA, HALF_U, HALF_V, NORTH
+from alight_sim.looks import Look
 from alight_sim.scene import built_in, parse_scene, read_scene
 from alight_sim.things.stones import share_above
 from alight_sim.truth import SceneTruth
@@ -191,3 +192,87 @@ def test_stones_keep_off_a_cleared_track() -> None:
 def test_stones_that_cannot_be_are_refused(keys: dict[str, Any], words: str) -> None:
     with pytest.raises(InputError, match=words):
         flat({"thing": "stones", **keys})
+
+
+# -- water that looks like ground, wires, posts
+
+
+@pytest.mark.parametrize("covered", [0.0, 1.0])
+def test_a_canal_is_level_water_below_both_banks_whatever_covers_it(covered: float) -> None:
+    canal = {"thing": "canal", "path": [[-60, 0], [60, 0]], "width": 4, "below": 0.7, "bank": 1.0, "covered": covered}
+    waves = [{"height": 0.1, "longest": 60, "shortest": 20}]
+    world = flat(canal, relief=waves, size=30.0, cell=0.1)
+    truth = world.truth()
+    water = truth.label == Terrain.WATER
+    assert water.mean() == pytest.approx(4.0 / 30.0, rel=0.1)
+    rows = np.flatnonzero(water.any(axis=1))
+    assert (np.diff(rows) == 1).all()
+    for side in (0, -1):
+        assert water[:, side].any()  # it leaves the map at both ends
+    north = truth.grid.xy()[1]
+    bank = (np.abs(north) > 3.4) & (np.abs(north) < 4.0)
+    for column in range(0, 300, 25):
+        level = truth.height[water[:, column], column]
+        assert np.ptp(level) < 0.01
+        both = truth.height[bank, column]
+        assert both.min() > level.max() + 0.3
+    assert not truth.safe()[np.abs(north) < 3.0].any()
+    patch = world.patch((-10, -1.5, 10, 1.5))
+    assert patch.look is not None
+    looks = patch.look[patch.label == Terrain.WATER]
+    assert (looks == Look.DUCKWEED).all() if covered else (looks != Look.DUCKWEED).all()
+
+
+def test_a_canal_covered_in_part_is_open_in_part() -> None:
+    canal = {"thing": "canal", "path": [[-60, 0], [60, 0]], "width": 12, "covered": 0.5, "cover_size": 2}
+    patch = flat(canal, size=60.0, cell=0.1).patch((-25, -4, 25, 4))
+    assert patch.look is not None
+    found = (patch.look == Look.DUCKWEED)[patch.label == Terrain.WATER]
+    assert found.mean() == pytest.approx(0.5, abs=0.15)
+
+
+def test_a_winding_line_keeps_its_width_and_strays_as_it_is_told() -> None:
+    hose = {"thing": "wall", "path": [[-60, 0], [60, 0]], "height": 0.06, "thickness": 0.2, "wander": 1.5}
+    truth = flat(hose, size=60.0).truth()
+    there = truth.label == Terrain.STRUCTURE
+    assert there.any(axis=0).all()
+    north = truth.grid.xy()[1]
+    middle = np.array([north[column].mean() for column in there.T])
+    assert 0.5 < middle.std() < 3.0
+    steep = np.hypot(1.0, np.gradient(middle, 0.05))
+    width = there.sum(axis=0) * 0.05 / steep
+    assert np.median(width) == pytest.approx(0.2, abs=0.05)
+    assert truth.height[there].max() == pytest.approx(0.06, abs=1e-3)
+
+
+def test_wire_between_posts_is_unsafe_though_it_raises_nothing() -> None:
+    fence = {"thing": "wall", "path": [[-60, 0], [60, 0]], "height": 1.2, "thickness": 0.1, "posts": 3.0}
+    wired, plain = flat({**fence, "wire": True}).truth(), flat(fence).truth()
+    assert np.array_equal(wired.height, plain.height)
+    assert (wired.label == Terrain.STRUCTURE).any(axis=0).all()
+    row = int(np.rint(wired.grid.index(np.array(0.0), np.array(0.0))[0]))
+    assert not wired.safe()[row - 10 : row + 10].any()
+    assert (plain.label == Terrain.STRUCTURE).any(axis=0).mean() < 0.1
+
+
+def test_puddles_cover_their_share_and_their_mud_is_water_too() -> None:
+    puddles = {"thing": "puddles", "share": 0.2, "size": 3, "mud": 0.4, "look": "still_water"}
+    patch = flat(puddles, size=80.0, cell=0.1).patch((-39, -39, 39, 39))
+    assert patch.look is not None
+    open_water = patch.look == Look.STILL_WATER
+    assert open_water.mean() == pytest.approx(0.2, abs=0.04)
+    mud = patch.look == Look.MUD
+    assert 0.03 < mud.mean() < 0.2
+    assert np.array_equal(patch.label == Terrain.WATER, open_water | mud)
+    assert np.ptp(patch.height[open_water]) < 1e-6
+    assert patch.height[open_water].max() < patch.height.max() - 0.03
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_a_family_has_safe_places_and_dangers_over_its_seeds(name: str) -> None:
+    shares = []
+    for seed in (1, 2, 3):
+        truth = build(name, seed).truth((-20.0, -20.0, 20.0, 20.0))
+        shares.append(truth.safe()[30:-30, 30:-30].mean())
+    assert max(shares) > 0.01
+    assert max(shares) < 0.9

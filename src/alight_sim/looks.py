@@ -46,3 +46,9 @@ class Look(IntEnum):
     PACKED_GRAVEL = 37
     PASTURE = 38
     LOAM = 39
+    DUCKWEED = 40
+    ALGAE = 41
+    SLUDGE = 42
+    WET_ASPHALT = 43
+    PLOUGHED = 44
+    STILL_WATER = 45

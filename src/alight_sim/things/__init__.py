@@ -13,6 +13,7 @@ from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, 
 from alight_sim.things.lines import Hedges, Roads, Walls
 from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
 from alight_sim.things.stones import Stones
+from alight_sim.things.water import Canals, Puddles
 
 Thing = Annotated[
     Roughness
@@ -36,7 +37,9 @@ Thing = Annotated[
     | Crates
     | Logs
     | Parking
-    | Stones,
+    | Stones
+    | Canals
+    | Puddles,
     Field(discriminator="thing"),
 ]
 
