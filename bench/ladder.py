@@ -41,7 +41,7 @@ FIRST_SEED = {"tuning": 1, "test": 1001}
 MOST_SEEDS = 1000
 GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: courses spread evenly however many seeds there are
 LOWEST, HIGHEST = 6, 100  # metres, of flights that change their height
-RISE = 4.0  # m/s up and down, in those
+RISE, PUSH = 5.0, 3.5  # m/s up and down, m/s^2, in those
 QUICKER = 6  # times fewer exposures of them when quick
 TRIES, APART = (
     200,
@@ -114,7 +114,7 @@ class Rung:
         """The scene with a flight over its middle; its wind, light and sensors are its own."""
         scene = read_scene(built_in()[self.scene], self.seed)
         own = scene.flight
-        limits = own.limits if self.end_height is None else Limits(climb=RISE, sink=RISE)
+        limits = own.limits if self.end_height is None else Limits(climb=RISE, sink=RISE, acceleration=PUSH)
         flight = FlightPlan(
             pattern=self.pattern, height=self.height, speed=self.speed, duration=self.duration,
             course_deg=self.course_deg, vehicle=own.vehicle, limits=limits, air=own.air,

@@ -165,7 +165,7 @@ MATERIALS: dict[Look, Material] = {
                                  things=(0.4, 0.15, 0.0, 0.0), tone=0.05, spread=0.4, tall=0.5),
     Look.PASTURE: _plant((0.070, 0.098, 0.030), (0.125, 0.13, 0.055), (0.115, 0.10, 0.06), patch=-1.2, edge=0.9,
                          deep=0.05, coarse=0.1, lift=0.014, sway=0.006, things=(0.25, 0.15, 0.0, 0.0), tone=0.25,
-                         spread=0.6, open=-0.5, vary=0.15, contrast=0.17, hue=0.07, ridge=0.2),
+                         spread=0.45, open=-0.5, vary=0.13, contrast=0.12, hue=0.07, ridge=0.2),
     Look.LOAM: Material((0.118, 0.090, 0.058), (0.168, 0.132, 0.088), (0.088, 0.068, 0.045), patch=-1.1, edge=0.8,
                         contrast=0.16, uneven=0.5, vary=0.13, hue=0.03, bump=0.14, things=(0.4, 0.25, 0.0, 0.0),
                         tone=0.15, spread=0.4, tall=0.6),

@@ -37,7 +37,7 @@ class FlightPlan(Section):
         None,
         ge=0,
         description="metres: of a lawn mower's lines (40), of the strips of an approach or of two heights "
-        "(0.4 of the greater height), over ground in a descent (a third of the height lost)",
+        "(0.35 of the greater height), over ground in a descent (a third of the height lost)",
     )
     lines: int = Field(4, ge=1, le=1000, description="lines of a lawn mower")
     spacing: float | None = Field(
@@ -164,4 +164,4 @@ def _two_heights(plan: FlightPlan) -> F64:
 
 
 def _strip(plan: FlightPlan) -> float:
-    return plan.length or 0.4 * max(plan.height, plan.end_height)
+    return plan.length or 0.35 * max(plan.height, plan.end_height)
