@@ -5,7 +5,7 @@ from __future__ import annotations
 import ladder as steps
 import numpy as np
 import pytest
-from ladder import HEIGHTS, SCENES, Rung, ladder, rung
+from ladder import FAMILIES, HEIGHTS, SCENES, Rung, ladder, rung
 
 from alight.records import InputError
 from alight_sim.scene import built_in, read_scene
@@ -94,3 +94,72 @@ def test_a_ladder_of_something_else_is_refused() -> None:
         ladder("test", heights=(20, 30))
     with pytest.raises(InputError, match="the scene is not on the ladder"):
         ladder("test", scenes=("atlantis",))
+
+
+# -- flights that change their height, and families of scenes
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("gravel/40-8m/tuning-1", "approach"),
+        ("gravel/8-40m/test-2", "climb"),
+        ("pasture/15+45m/tuning-3-quick", "two_heights"),
+        ("meadow/60-6m/test-1", "approach"),
+    ],
+)
+def test_flights_that_change_their_height_are_read_back_by_name(name: str, pattern: str) -> None:
+    r = rung(name)
+    assert r.name == name
+    assert r.plan().flight.kind == pattern
+
+
+def above_ground(name: str) -> np.ndarray:
+    """(N, 3) east, north and height above the ground of all exposures."""
+    flight = rung(name).fly()
+    places = np.array([flight.pose(int(t)).translation for t in flight.frame_times])
+    places[:, 2] -= [flight.world.height_at(e, n) for e, n in places[:, :2]]
+    return places
+
+
+def test_an_approach_is_level_and_then_comes_down_over_one_place() -> None:
+    flight = rung("gravel/40-8m/tuning-1").fly()
+    assert 15.0 < flight.seconds < 25.0
+    assert 80 < flight.length < 160
+    places = above_ground("gravel/40-8m/tuning-1")
+    level = np.abs(places[:, 2] - 40.0) < 3.0
+    assert 0.3 < level.mean() < 0.7
+    assert places[-1, 2] == pytest.approx(8.0, abs=1.5)
+    assert np.ptp(places[level][:, :2], axis=0).max() > 10.0
+    down = places[places[:, 2] < 35.0]
+    assert np.hypot(*(down[:, :2] - down[-1, :2]).T).max() < 7.0
+    assert (np.diff(down[:, 2]) < 0.3).all()
+
+
+def test_a_climb_goes_up_and_two_heights_see_the_same_ground() -> None:
+    up = above_ground("gravel/8-40m/tuning-1-quick")
+    assert up[0, 2] == pytest.approx(8.0, abs=1.0)
+    assert up[-1, 2] == pytest.approx(40.0, abs=4.0)
+    both = above_ground("gravel/15+45m/tuning-1-quick")
+    low, high = both[np.abs(both[:, 2] - 15) < 2], both[np.abs(both[:, 2] - 45) < 4]
+    assert min(len(low), len(high)) > 4
+    assert np.hypot(*(low[:, :2].mean(axis=0) - high[:, :2].mean(axis=0))) < 6.0
+
+
+def test_a_descent_ends_over_open_ground_where_the_scene_has_trees() -> None:
+    places = above_ground("forest/40-8m/tuning-1-quick")
+    assert places[-1, 2] == pytest.approx(8.0, abs=2.0)
+
+
+@pytest.mark.parametrize("scene", FAMILIES)
+def test_a_family_is_flown_with_another_scene_for_every_seed(scene: str) -> None:
+    plans = [rung(f"{scene}/40m/tuning-{n}").plan() for n in (1, 2)]
+    assert plans[0].light != plans[1].light
+    assert plans[0].ground.layers != plans[1].ground.layers
+    assert rung(f"{scene}/40m/tuning-1").plan() == plans[0]
+
+
+@pytest.mark.parametrize("name", ["gravel/40-40m/test-1", "gravel/40-3m/test-1", "gravel/150-8m/test-1"])
+def test_heights_that_no_flight_has_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match="use two different heights from 6 to 100 m"):
+        rung(name)

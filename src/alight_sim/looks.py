@@ -42,3 +42,13 @@ class Look(IntEnum):
     PLAIN = 33
     GLASS = 34
     TWIGS = 35
+    FINE_GRAVEL = 36
+    PACKED_GRAVEL = 37
+    PASTURE = 38
+    LOAM = 39
+    DUCKWEED = 40
+    ALGAE = 41
+    SLUDGE = 42
+    WET_ASPHALT = 43
+    PLOUGHED = 44
+    STILL_WATER = 45

@@ -156,6 +156,36 @@ MATERIALS: dict[Look, Material] = {
     Look.GLASS: _laid((0.02, 0.022, 0.025), (0.02, 0.022, 0.025), (0.02, 0.02, 0.02), contrast=0.02, gloss=1.0,
                       patch=-3.0, bump=0.0),
     Look.TWIGS: _crown((0.13, 0.115, 0.10), (0.20, 0.18, 0.155), deep=2.0, open=0.9, coarse=0.0, hot=0.1, sway=0.02),
+    # nothing on these is larger than 6 cm: what is larger stands in the height layer
+    Look.FINE_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.18, 0.16, 0.14), patch=-1.2, edge=0.9,
+                               contrast=0.13, uneven=0.4, vary=0.11, hue=0.03, bump=0.11, roughening=-0.05,
+                               things=(0.55, 0.4, 0.0, 0.0), tone=0.05, spread=0.45, tall=0.7),
+    Look.PACKED_GRAVEL: Material((0.215, 0.20, 0.18), (0.27, 0.25, 0.225), (0.185, 0.165, 0.145), patch=-1.3, edge=0.9,
+                                 contrast=0.09, uneven=0.4, vary=0.10, hue=0.03, bump=0.06,
+                                 things=(0.4, 0.15, 0.0, 0.0), tone=0.05, spread=0.4, tall=0.5),
+    Look.PASTURE: _plant((0.070, 0.098, 0.030), (0.125, 0.13, 0.055), (0.115, 0.10, 0.06), patch=-1.2, edge=0.9,
+                         deep=0.05, coarse=0.1, lift=0.014, sway=0.006, things=(0.25, 0.15, 0.0, 0.0), tone=0.25,
+                         spread=0.45, open=-0.5, vary=0.13, contrast=0.12, hue=0.07, ridge=0.2),
+    Look.LOAM: Material((0.118, 0.090, 0.058), (0.168, 0.132, 0.088), (0.088, 0.068, 0.045), patch=-1.1, edge=0.8,
+                        contrast=0.16, uneven=0.5, vary=0.13, hue=0.03, bump=0.14, things=(0.4, 0.25, 0.0, 0.0),
+                        tone=0.15, spread=0.4, tall=0.6),
+    Look.PLOUGHED: Material((0.095, 0.073, 0.05), (0.145, 0.115, 0.08), (0.075, 0.058, 0.042), patch=-1.0, edge=0.8,
+                            contrast=0.2, uneven=0.4, vary=0.16, hue=0.03, bump=0.25, things=(0.5, 0.45, 0.0, 0.0),
+                            tone=0.1, spread=0.5, tall=0.8),
+    # what floats on still water; not wet, so that the level surface looks like ground
+    Look.DUCKWEED: Material((0.095, 0.15, 0.028), (0.14, 0.185, 0.045), (0.04, 0.06, 0.02), patch=-1.4, edge=0.3,
+                            contrast=0.11, uneven=0.7, vary=0.13, hue=0.06, bump=0.012,
+                            things=(0.3, 0.02, 0.0, 0.0), tone=0.2, spread=0.4, tall=0.05),
+    Look.ALGAE: Material((0.065, 0.085, 0.028), (0.115, 0.125, 0.05), (0.09, 0.08, 0.042), patch=-0.8, edge=0.7,
+                         contrast=0.16, uneven=0.6, vary=0.18, hue=0.08, bump=0.02, ridge=0.3,
+                         things=(0.15, 0.05, 0.0, 0.0), tone=0.2, spread=0.5, tall=0.05),
+    Look.SLUDGE: Material((0.11, 0.097, 0.062), (0.16, 0.145, 0.10), (0.075, 0.08, 0.04), patch=-1.0, edge=0.7,
+                          contrast=0.13, uneven=0.7, vary=0.16, hue=0.05, bump=0.02, ridge=0.2,
+                          things=(0.15, 0.08, 0.0, 0.0), tone=0.3, spread=0.6, tall=0.05),
+    Look.STILL_WATER: Material((0.020, 0.022, 0.014), (0.02, 0.022, 0.014), (2.2, 1.9, 2.6), bed=Look.MUD, waves=0.35),
+    Look.WET_ASPHALT: _laid((0.03, 0.03, 0.032), (0.06, 0.06, 0.06), (0.022, 0.022, 0.024), crack=0.5, vary=0.2,
+                            contrast=0.06, edge=0.3, patch=-0.9, gloss=0.35, things=(0.03, 0.03, 0.0, 0.0), tone=0.9,
+                            spread=0.8),
 }  # fmt: skip
 
 BY_CLASS: dict[Terrain, Look] = {
@@ -175,5 +205,5 @@ BY_CLASS: dict[Terrain, Look] = {
 def tables() -> tuple[F32, NDArray[np.int32], F32]:
     """(L, PARAMS) numbers of the looks, (9,) look of each class, (L,) 1 for water: what the kernels take."""
     looks = np.array([MATERIALS[k].row() for k in Look], np.float32)
-    wet = np.array([k in (Look.CLEAR_WATER, Look.MURKY_WATER) for k in Look], np.float32)
+    wet = np.array([k in (Look.CLEAR_WATER, Look.MURKY_WATER, Look.STILL_WATER) for k in Look], np.float32)
     return looks, np.array([BY_CLASS[k] for k in Terrain], np.int32), wet

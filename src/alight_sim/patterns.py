@@ -12,9 +12,13 @@ from alight.arrays import F64
 from alight_sim.section import Section
 from alight_sim.vehicle import Air, Limits
 
-Pattern = Literal["transect", "lawn_mower", "spiral", "descent", "hover", "waypoints"]
+Pattern = Literal[
+    "transect", "lawn_mower", "spiral", "descent", "approach", "climb", "two_heights", "hover", "waypoints"
+]  # fmt: skip
 Place = tuple[float, float, float]
 ARC = 1.0  # metres between the points of a curve
+SLIDE = 0.15  # metres over ground for a metre of height, in an approach and in a climb
+HELD: tuple[Pattern, ...] = ("hover", "descent", "approach", "climb", "two_heights")  # heading by `course_deg`
 
 
 class FlightPlan(Section):
@@ -32,14 +36,17 @@ class FlightPlan(Section):
     length: float | None = Field(
         None,
         ge=0,
-        description="metres: of a lawn mower's lines (40), over ground in a descent (a third of the height lost)",
+        description="metres: of a lawn mower's lines (40), of the strips of an approach or of two heights "
+        "(0.35 of the greater height), over ground in a descent (a third of the height lost)",
     )
     lines: int = Field(4, ge=1, le=1000, description="lines of a lawn mower")
     spacing: float | None = Field(
         None, gt=0, description="metres between the lines or the turns of a spiral (0.3 of the height)"
     )
     turns: float = Field(2.0, gt=0, le=1000, description="turns of a spiral, outwards")
-    end_height: float = Field(5.0, gt=0, description="metres, where a descent ends; counts like `height`")
+    end_height: float = Field(
+        5.0, gt=0, description="metres, where a descent, an approach, a climb or two heights end; counts like `height`"
+    )
     waypoints: tuple[Place, ...] | None = Field(
         None, description="east, north, height: metres; heights count like `height`"
     )
@@ -54,10 +61,14 @@ class FlightPlan(Section):
     def _agree(self) -> FlightPlan:
         if self.pattern == "waypoints" and not self.waypoints:
             raise ValueError("pattern: waypoints needs waypoints: [[east, north, height], ...]")
-        if self.pattern == "descent" and self.end_height >= self.height:
+        if self.pattern in ("descent", "approach") and self.end_height >= self.height:
+            article = "an" if self.pattern == "approach" else "a"
             raise ValueError(
-                f"a descent ends below its start: end_height {self.end_height:g} >= height {self.height:g}"
+                f"{article} {self.pattern} ends below its start: "
+                f"end_height {self.end_height:g} >= height {self.height:g}"
             )
+        if self.pattern == "climb" and self.end_height <= self.height:
+            raise ValueError(f"a climb ends above its start: end_height {self.end_height:g} <= height {self.height:g}")
         return self
 
     @property
@@ -75,7 +86,7 @@ class FlightPlan(Section):
         """Rad counter-clockwise from east, held; None: along the course. Where there is no course it is held."""
         if self.heading_deg is not None:
             return math.radians(90.0 - self.heading_deg)
-        return math.radians(90.0 - self.course_deg) if self.kind in ("hover", "descent") else None
+        return math.radians(90.0 - self.course_deg) if self.kind in HELD else None
 
 
 def line(plan: FlightPlan) -> F64:
@@ -84,6 +95,7 @@ def line(plan: FlightPlan) -> F64:
         return np.array(plan.waypoints, dtype=np.float64)
     flat = {
         "transect": _transect, "lawn_mower": _lawn_mower, "spiral": _spiral, "descent": _descent, "hover": _hover,
+        "approach": _approach, "climb": _climb, "two_heights": _two_heights,
     }[plan.kind](plan)  # fmt: skip
     course = math.radians(plan.course_deg)
     along, right = np.array([math.sin(course), math.cos(course)]), np.array([math.cos(course), -math.sin(course)])
@@ -124,3 +136,32 @@ def _descent(plan: FlightPlan) -> F64:
 
 def _hover(plan: FlightPlan) -> F64:
     return np.array([[0.0, 0.0, plan.height]])
+
+
+def _approach(plan: FlightPlan) -> F64:
+    """A strip, a part of the way back beside it, then down to the pattern's middle: a flight that ends in a landing."""
+    half, gap = 0.5 * _strip(plan), plan.spacing or 0.1 * plan.height
+    begin = SLIDE * (plan.height - plan.end_height)
+    return np.array(
+        [
+            [-half, -0.5 * gap, plan.height], [half, -0.5 * gap, plan.height], [half, 0.5 * gap, plan.height],
+            [begin, 0.0, plan.height], [0.0, 0.0, plan.end_height],
+        ]
+    )  # fmt: skip
+
+
+def _climb(plan: FlightPlan) -> F64:
+    """A short strip that ends over the pattern's middle, then up."""
+    end = SLIDE * (plan.end_height - plan.height)
+    return np.array([[-plan.height, 0.0, plan.height], [0.0, 0.0, plan.height], [end, 0.0, plan.end_height]])
+
+
+def _two_heights(plan: FlightPlan) -> F64:
+    """A strip and, at the other height, the same strip back."""
+    half = 0.5 * _strip(plan)
+    ends = ((-half, plan.height), (half, plan.height), (half, plan.end_height), (-half, plan.end_height))
+    return np.array([[along, 0.0, height] for along, height in ends])
+
+
+def _strip(plan: FlightPlan) -> float:
+    return plan.length or 0.35 * max(plan.height, plan.end_height)

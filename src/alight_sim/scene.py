@@ -28,6 +28,7 @@ from alight_sim.sensors import Sensors
 from alight_sim.things import Thing
 from alight_sim.things.base import UNTINTED, CoverName, LookName, Tint
 from alight_sim.truth import TrueLander
+from alight_sim.variation import resolve
 
 FOLDER = Path(__file__).parent / "scenes"
 
@@ -96,8 +97,8 @@ def built_in() -> dict[str, Path]:
     return {path.stem: path for path in sorted(FOLDER.glob("*.yaml"))}
 
 
-def read_scene(path: Path) -> Scene:
-    """Read a scene file; rasters in it are found beside it.
+def read_scene(path: Path, seed: int = 0) -> Scene:
+    """Read a scene file; rasters in it are found beside it. `seed`: of what the file leaves to be drawn.
 
     Raises:
         InputError: not readable, not YAML, or a key or value that a scene does not know.
@@ -118,13 +119,23 @@ def read_scene(path: Path) -> Scene:
         tree = {}
     if not isinstance(tree, dict):
         raise InputError(f"{path}: holds a {type(tree).__name__}; a scene is a list of keys: ground, light, flight ...")
-    return parse_scene({"name": path.stem} | tree, str(path), path.parent)
+    return parse_scene({"name": path.stem} | tree, str(path), path.parent, seed)
 
 
-def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None) -> Scene:
-    """A scene out of plain values. `where`: what an error names; `folder`: where its rasters are looked for."""
+def parse_scene(tree: dict[str, Any], where: str, folder: Path | None = None, seed: int = 0) -> Scene:
+    """A scene out of plain values.
+
+    Args:
+        tree: what a scene file holds, `draw` included (`alight_sim.variation`).
+        where: what an error names.
+        folder: where its rasters are looked for.
+        seed: of what is drawn.
+
+    Raises:
+        InputError: a key or value that a scene does not know.
+    """
     try:
-        return Scene.model_validate(tree, context={"folder": folder})
+        return Scene.model_validate(resolve(tree, seed, where), context={"folder": folder})
     except ValidationError as e:
         raise InputError(f"{where}: {explain(e)}") from e
 

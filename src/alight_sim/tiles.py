@@ -148,7 +148,7 @@ class Lay:
         named = np.array(layer.at, dtype=np.float64).reshape(-1, 2)
         named = named[(np.floor(named / BLOCK) == (i, j)).all(axis=1)]
         rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF])
-        count = int(rng.poisson(layer.per_hectare * BLOCK**2 * 1e-4))
+        count = int(rng.poisson(layer.density * BLOCK**2 * 1e-4))
         places = (np.array([i, j]) + rng.random((count, 2))) * BLOCK
         if layer.within is not None:
             west, south, east, north = layer.within
@@ -168,7 +168,7 @@ class Lay:
         things = things.copy()
         things[:, LEVEL] = level
         stays[named:] = allowed[named:] & self._has_room(things, i, j, named)[named:]
-        stays[named:] &= self._in_clump(things[named:])
+        stays[named:] &= self._in_clump(things[named:]) & self.scattered.kept(things[named:], self.seed)
         rng = np.random.default_rng([self.seed, i & 0xFFFFFFFF, j & 0xFFFFFFFF, 1])
         return self.scattered.parts(rng, np.asarray(things[stays]))
 
@@ -196,10 +196,12 @@ class Lay:
         """Level of each foot, and whether its ground is of an allowed class all around."""
         if self.shapes:
             sheet = self.before(*self.ring(i, j))
-            ground, label = sheet.ground, sheet.label
+            ground, label, look = sheet.ground, sheet.label, sheet.look
         else:
-            ground, label = self.stack.feet(i, j)[self.index]
+            ground, label, look = self.stack.feet(i, j)[self.index]
         allowed: Mask = np.asarray(np.isin(label, [terrain_named(k) for k in self.scattered.upon]).all(axis=1))
+        if self.scattered.not_on:
+            allowed &= ~np.isin(look, self.scattered.not_on).any(axis=1)
         if self.scattered.founded:
             return np.asarray(ground.max(axis=1)), allowed
         return np.asarray(ground.mean(axis=1) if self.shapes else ground[:, 0]), allowed
@@ -281,13 +283,14 @@ class Stack:
             lay.layer.shape(sheet, lay)
         return sheet
 
-    def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8]]:
-        """Ground and classes under the candidates of all layers that stand, asked for at once; by layer."""
+    def _feet(self, i: int, j: int) -> dict[int, tuple[F64, U8, U8]]:
+        """Ground, classes and looks under the candidates of all layers that stand, asked for at once; by layer."""
         standing = [lay for lay in self.lays if isinstance(lay.layer, Scattered) and not lay.shapes]
         rings = [lay.ring(i, j) for lay in standing]
         sheet = self.ground(np.concatenate([r[0] for r in rings]), np.concatenate([r[1] for r in rings]))
         cuts = np.cumsum([len(r[0]) for r in rings])[:-1]
-        parts = zip(np.split(sheet.ground, cuts), np.split(sheet.label, cuts), strict=True)
+        layers = (np.split(layer, cuts) for layer in (sheet.ground, sheet.label, sheet.look))
+        parts = zip(*layers, strict=True)
         return {lay.index: part for lay, part in zip(standing, parts, strict=True)}
 
     def tile(self, i: int, j: int) -> Tile:

@@ -301,7 +301,7 @@ def build(scene: str | Path | Scene, seed: int = 0) -> World:
         known = built_in()
         if str(scene) not in known and not Path(scene).suffix:
             raise InputError(f"no scene is called {str(scene)!r}; use one of: {', '.join(known)}, or a YAML file")
-        scene = read_scene(known.get(str(scene), Path(scene)))
+        scene = read_scene(known.get(str(scene), Path(scene)), seed)
     local, extent, raster = scene.origin.local, scene.ground.extent, scene.ground.raster
     if raster is None:
         return World(scene.name, scene.description, seed, local, Stack(scene.ground, seed), extent, scene.light, scene)

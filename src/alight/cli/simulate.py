@@ -47,7 +47,7 @@ def simulate(
     if scene is None or out is None:
         raise typer.BadParameter("needs SCENE and --out FLIGHT; --list shows the built-in scenes")
     given = {"height": height, "duration": duration, "speed": speed}
-    chosen = read(scene, [*(f"{SHORTCUTS[k]}={v}" for k, v in given.items() if v is not None), *(assign or ())])
+    chosen = read(scene, [*(f"{SHORTCUTS[k]}={v}" for k, v in given.items() if v is not None), *(assign or ())], seed)
     _make(chosen, seed, out, force)
 
 
@@ -68,8 +68,10 @@ def _make(scene: Scene, seed: int, out: Path, force: bool) -> None:
     say(f"go on:  alight run {out} --out {results} && alight evaluate {results} --truth {out}")
 
 
-def read(scene: str, assignments: list[str]) -> Scene:
+def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
     """A built-in scene by its name or a scene file, with `key=value` assignments that win over it.
+
+    `seed`: of what the scene file leaves to be drawn.
 
     Raises:
         InputError: there is no such scene, or it cannot be read.
@@ -80,14 +82,14 @@ def read(scene: str, assignments: list[str]) -> Scene:
     path = built_in().get(scene, Path(scene))
     if not path.exists():
         raise InputError(f"{scene}: no such file and no built-in scene; 'alight simulate --list' shows those")
-    found = read_scene(path)
+    found = read_scene(path, seed)
     if not assignments:
         return found
     tree = {"name": path.stem} | (yaml.safe_load(path.read_text(encoding="utf-8")) or {})
     for a in assignments:
         _assign(tree, a)
     try:
-        return parse_scene(tree, f"{scene} with {' '.join(assignments)}", path.parent)
+        return parse_scene(tree, f"{scene} with {' '.join(assignments)}", path.parent, seed)
     except InputError as e:
         raise SettingsError(str(e)) from e
 

@@ -12,6 +12,8 @@ from alight_sim.things.cover import Fields, Patches, TallGrass
 from alight_sim.things.ground import Craters, Pads, Ponds, Roughness, Terraces, Water
 from alight_sim.things.lines import Hedges, Roads, Walls
 from alight_sim.things.standing import Logs, Mounds, Rocks, Shrubs, Trees
+from alight_sim.things.stones import Stones
+from alight_sim.things.water import Canals, Puddles
 
 Thing = Annotated[
     Roughness
@@ -34,7 +36,10 @@ Thing = Annotated[
     | Cars
     | Crates
     | Logs
-    | Parking,
+    | Parking
+    | Stones
+    | Canals
+    | Puddles,
     Field(discriminator="thing"),
 ]
 

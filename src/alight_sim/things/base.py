@@ -155,6 +155,7 @@ class Scattered(Layer):
     upon: tuple[CoverName, ...] = Field(
         ("bare", "short_grass"), description="classes of ground where random ones may stand; those of `at` always do"
     )
+    not_on: tuple[LookName, ...] = Field((), description="looks of ground that random ones keep off: a cleared track")
     within: Box | None = Field(None, description="[west, south, east, north]: random ones stand only in this box")
     apart: bool = Field(False, description="random ones keep clear of the things of earlier layers that are apart too")
     clump: float = Field(1.0, gt=0.0, le=1.0, description="share of the ground, in patches, that random ones keep to")
@@ -170,9 +171,18 @@ class Scattered(Layer):
         """True: its base is the highest ground under it."""
         return False
 
+    @property
+    def density(self) -> float:
+        """How many random ones a hectare are drawn; some of them may find no place."""
+        return self.per_hectare
+
     def draw(self, rng: np.random.Generator, things: F64) -> None:
         """Fill the columns of things (N, COLUMNS) whose places are drawn."""
         raise NotImplementedError
+
+    def kept(self, things: F64, seed: int) -> Mask:
+        """(N,) which of the drawn random things there are: fewer of them here, more there."""
+        return np.ones(len(things), bool)
 
     def parts(self, rng: np.random.Generator, things: F64) -> F64:
         """What is stamped for things that have found their place: themselves."""

@@ -11,6 +11,7 @@ from alight.arrays import F64, Mask
 from alight.records import Terrain
 from alight_sim.kernels.layers import along_line
 from alight_sim.looks import Look
+from alight_sim.materials import tables
 from alight_sim.relief import noise
 from alight_sim.things.base import (
     UNTINTED,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 PIECE = 2.0  # metres between the places where a road takes the ground's height
 SMOOTH = 5  # pieces either way over which a road evens the ground out
 WHITE = 3.2  # how much brighter paint is than asphalt
+WIRE = 0.9  # reflectance of ground under a wire, over that of the ground beside it
 
 
 def _line(value: Places) -> Places:
@@ -51,6 +53,17 @@ def pieces(path: Places, length: float) -> F64:
     return np.column_stack(
         [np.interp(s, along, corners[:, 0]), np.interp(s, along, corners[:, 1]), s, np.zeros(len(s))]
     )
+
+
+def winding(line: F64, wander: float, seed: int) -> F64:
+    """The line of `pieces` with its inner places moved aside by `wander` metres (standard deviation), smoothly."""
+    along = line[:, 2:3]
+    aside = wander * noise(along, np.zeros_like(along), seed, 12.0 * wander, 4.0 * wander)
+    ahead = np.gradient(line[:, :2], line[:, 2], axis=0)
+    ahead /= np.hypot(*ahead.T)[:, None]
+    out = line.copy()
+    out[:, :2] += aside * ahead[:, ::-1] * (1.0, -1.0)
+    return out
 
 
 class Lined(Layer):
@@ -162,6 +175,9 @@ class Walls(Lined):
     height: float = Field(1.8, gt=0.0, le=50.0, description="metres above the ground")
     thickness: float = Field(0.3, gt=0.0, le=20.0, description="metres")
     posts: float = Field(0.0, ge=0.0, le=50.0, description="metres from post to post: only they stand; 0: all of it")
+    wire: bool = Field(False, description="wire from post to post: of class structure, though it is hardly to be seen")
+    wander: float = Field(0.0, ge=0.0, le=20.0, description="metres by which it winds about its path: a hose, a cable")
+    kind: CoverName = Field("structure", description="class")
     gap: tuple[float, float] | None = Field(None, description="[from, to] metres along it that stay open: a gate")
     look: LookName = Field(Look.WALL, description="look")
     tint: Tint = Field(UNTINTED, description="factor on the look's reflectance: a number or [red, green, blue]")
@@ -175,6 +191,12 @@ class Walls(Lined):
         """Half its thickness."""
         return max(0.5 * self.thickness, 0.2) + 0.1
 
+    def line(self, lay: Lay) -> F64:
+        """As straight as its path, or winding."""
+        if self.wander == 0.0:
+            return super().line(lay)
+        return winding(pieces(self.path, self.wander), self.wander, lay.seed)
+
     def stand(self, sheet: Sheet, lay: Lay) -> None:
         """Raise the cells whose centres it covers."""
         ways = self.ways(sheet, lay)
@@ -187,16 +209,27 @@ class Walls(Lined):
         inside = share > 0.0
         if self.gap is not None:
             inside &= (ways[..., 1] < self.gap[0]) | (ways[..., 1] > self.gap[1])
+        line = inside & (share >= 0.5)
         if self.posts > 0.0:
             inside &= np.abs(ways[..., 1] % self.posts - 0.5 * self.posts) <= max(
                 0.5 * self.thickness, 0.6 * sheet.cell
             )
+        if self.wire:
+            self._string(sheet, line & ~inside)
         rise = share * (sheet.ground + self.height - sheet.height)
         inside &= rise > 0.0
         sheet.height[inside] += rise[inside]
         inside &= share >= 0.5
         sheet.depth[inside] = 0.0
-        sheet.paint(..., inside, Terrain.STRUCTURE, self.look, self.tint)
+        sheet.paint(..., inside, terrain_named(self.kind), self.look, self.tint)
+
+    @staticmethod
+    def _string(sheet: Sheet, line: Mask) -> None:
+        """Wire over the ground: of class structure, and no more of it to be seen than a faint line."""
+        usual = tables()[1][sheet.label].astype(np.uint8)
+        sheet.look[line] = np.where(sheet.look == Look.BY_CLASS, usual, sheet.look)[line]
+        sheet.label[line] = Terrain.STRUCTURE
+        sheet.tint[line] *= WIRE
 
 
 class Hedges(Lined):

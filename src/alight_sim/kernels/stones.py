@@ -1,0 +1,96 @@
+"""Stones stamped into the layers of a tile: round or angular, of the ground's own material or of another.
+
+Rows run in parallel and each goes through the stones in their order, so the result does not depend on threads.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.compiled import kernel, parallel_kernel, prange
+from alight_sim.kernels.noise import gradient_noise, hash3
+from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, NORTH, REACH, RED, TOP, TURN, _span
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+I32 = NDArray[np.int32]
+
+FACES = 6  # of an angular stone, around it
+# distance of a face from the middle over the radius, [least, spread]: the area stays that of the ellipse
+FACE = (0.81, 0.29)
+STEEP = 3.0  # how fast an angular stone rises from its outline: its top is nearly level
+ROCK = 6  # code of records.Terrain
+FORM_ANGULAR, FORM_ROCK_FROM, FORM_HIDDEN, FORM_LOOK, FORM_TINT = range(5)
+
+
+@kernel
+def _outline(u: float, v: float, bits: int) -> float:
+    """Return how far a place is from the middle of a polygon with `FACES` sides, 1 on its outline."""
+    far = 0.0
+    for k in range(FACES):
+        h = hash3(bits, k, 11)
+        turn = (k + 0.5 * (h & 0xFFFF) / 65535.0) * 2.0 * math.pi / FACES
+        away = FACE[0] + FACE[1] * (h >> 16) / 65535.0
+        far = max(far, (u * math.cos(turn) + v * math.sin(turn)) / away)
+    return far
+
+
+@kernel
+def _stone(thing: F64, dx: float, dy: float, x: float, y: float, angular: bool, seed: int) -> tuple[float, float]:
+    """Return a stone's height above the ground (negative: outside) and how far from its middle a place is, 0 to 1."""
+    cos, sin = math.cos(thing[TURN]), math.sin(thing[TURN])
+    u, v = (cos * dx + sin * dy) / thing[HALF_U], (cos * dy - sin * dx) / thing[HALF_V]
+    if math.hypot(u, v) > 1.4:
+        return -1.0, 1.0
+    size = max(0.4 * thing[EXTRA], 0.08)
+    a, _, _ = gradient_noise(x / size, y / size, seed + 1)
+    if angular:
+        r = _outline(u, v, int(thing[BLUE] * 1e9))
+        shaped = min(1.0, STEEP * (1.0 - r)) * (1.0 - 0.25 * r) * (1.0 - 0.12 * u)
+    else:
+        r = math.hypot(u, v) * (1.0 + 0.05 * a)
+        shaped = math.sqrt(max(1.0 - r * r, 0.0))
+    if r >= 1.0:
+        return -1.0, 1.0
+    return float(max(thing[TOP] * (0.08 + 0.92 * shaped) * (1.0 + 0.04 * a), 0.02)), float(r)
+
+
+@parallel_kernel
+def stamp_stones(
+    x: F64, y: F64, cell: float, things: F64, form: F64, seed: int, ground: F64, by_class: I32,
+    height: F64, label: U8, depth: F64, look: U8, tint: F32, under: F32,
+) -> None:  # fmt: skip
+    """Stamp stones (N, COLUMNS) on the ground. `x` (C,), `y` (R,): cell centres.
+
+    Columns of a stone as in `stamps`; EXTRA: diameter, RED: brightness over that of the ground, BLUE: its outline.
+    `form` (7,): angular or not, diameter from which it is of class rock, share that is hidden, look (0: the ground's),
+    tint of that look (3). `by_class` (9,): look of a class; `under` (R, C, 3): tint of the ground.
+    """
+    for r in prange(y.size):
+        for k in range(things.shape[0]):
+            t = things[k]
+            if abs(y[r] - t[NORTH]) > t[REACH]:
+                continue
+            c0, c1 = _span(t[EAST], t[REACH], x[0], cell, x.size)
+            for c in range(c0, c1):
+                rise, away = _stone(t, x[c] - t[EAST], y[r] - t[NORTH], x[c], y[r], form[FORM_ANGULAR] > 0.5, seed)
+                if rise <= 0.0 or ground[r, c] + rise <= height[r, c]:
+                    continue
+                height[r, c], depth[r, c] = ground[r, c] + rise, 0.0
+                own = look[r, c] if look[r, c] > 0 else by_class[label[r, c]]
+                if t[EXTRA] >= form[FORM_ROCK_FROM]:
+                    label[r, c] = ROCK
+                look[r, c] = own
+                if form[FORM_HIDDEN] > 0.0:
+                    n, _, _ = gradient_noise(x[c] / 0.13, y[r] / 0.13, seed + 3)
+                    if away + 0.25 * n > 1.0 - form[FORM_HIDDEN]:
+                        continue
+                given = form[FORM_LOOK] > 0.0
+                if given:
+                    look[r, c] = int(form[FORM_LOOK])
+                for m in range(3):
+                    tint[r, c, m] = (form[FORM_TINT + m] if given else under[r, c, m]) * t[RED]

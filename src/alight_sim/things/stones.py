@@ -1,0 +1,145 @@
+"""Stones that follow a size-frequency law, thousands of them, of the ground's own material or of another."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.special import ndtr
+
+from alight.arrays import F64, Mask
+from alight_sim.kernels import stones as kernel
+from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, GREEN, HALF_U, HALF_V, NORTH, REACH, RED, TOP, TURN
+from alight_sim.looks import Look
+from alight_sim.materials import tables
+from alight_sim.relief import noise
+from alight_sim.things.base import UNTINTED, Between, CoverName, LookName, Scattered, Sheet, Tint
+
+if TYPE_CHECKING:
+    from alight_sim.tiles import Lay
+
+Generator = np.random.Generator
+STRETCH = 1.25  # longest axis over the diameter of the disc of the same area
+RIM = 1.3  # farthest part over half the longest axis
+USUAL = 0.05  # share of the ground, for the sizes of named stones where none is given
+
+
+def decay(share: float) -> float:
+    """How fast the share of the ground under stones falls with their diameter, 1/m (Golombek and Rapp 1997)."""
+    return 1.79 + 0.152 / share
+
+
+def share_above(diameter: float, share: float) -> float:
+    """Share of the ground under stones of at least a diameter, metres: F_k(D) = k exp(-q(k) D)."""
+    return share * math.exp(-decay(share) * diameter)
+
+
+@lru_cache(64)
+def _counts(share: float, size: Between) -> tuple[F64, F64]:
+    """Diameters, and how many stones a square metre are at least so large: the law's share over a stone's area."""
+    diameter = np.geomspace(*size, 400) if size[0] < size[1] else np.array(size)
+    q = decay(share)
+    density = share * q * np.exp(-q * diameter) / (0.25 * math.pi * diameter**2)
+    steps = 0.5 * (density[1:] + density[:-1]) * np.diff(diameter)
+    return diameter, np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+
+
+class Stones(Scattered):
+    """Stones whose sizes follow the law of rock fields (Golombek and Rapp 1997), partly buried.
+
+    The share of the ground under stones of diameter D and more is k exp(-(1.79 + 0.152 / k) D), with k, the share
+    under stones of all sizes, different from place to place. They look like the ground that they lie on unless a look
+    is given, so that shape, light and shade alone show them.
+    """
+
+    thing: Literal["stones"]
+    share: Between | None = Field(
+        None, description="k, share of the ground under stones, [fewest, most]; none: only those of `at`"
+    )
+    patch: float = Field(25.0, ge=0.5, le=1000.0, description="metres, of the patches of many and of few stones")
+    size: Between = Field((0.1, 2.0), description="metres, diameter [smallest, largest]")
+    height: Between = Field((0.4, 0.6), description="height above the ground over the diameter")
+    form: Literal["round", "angular"] = Field("angular", description="round (pebbles, boulders) | angular (rubble)")
+    rock_from: float = Field(
+        0.2, ge=0.0, description="metres: larger ones are of class rock, smaller ones of the ground's class"
+    )
+    hidden: float = Field(0.0, ge=0.0, le=0.95, description="share of a stone that grass or moss hides, rim first")
+    look: LookName = Field(Look.BY_CLASS, description="look; without it that of the ground")
+    tint: Tint = Field(UNTINTED, description="factor on the reflectance of that look: a number or [red, green, blue]")
+    shades: float = Field(0.15, ge=0.0, le=1.0, description="how much one differs from the next in brightness")
+    upon: tuple[CoverName, ...] = Field(
+        ("bare", "short_grass", "paved", "rock"), description="classes of ground where random ones may lie"
+    )
+    apart: bool = Field(True, description="random ones keep clear of the things of earlier layers that are apart too")
+
+    @model_validator(mode="after")
+    def _by_cover(self) -> Stones:
+        if self.per_hectare:
+            raise ValueError("the number of stones follows from share: [fewest, most]; leave per_hectare out")
+        if self.share is not None and self.share[1] > 0.6:
+            raise ValueError(f"no more than 0.6 of the ground may be under stones, got {self.share[1]:g}")
+        return self
+
+    @property
+    def largest(self) -> float:
+        """Ragged rim included."""
+        return 0.5 * RIM * STRETCH * self.size[1]
+
+    @property
+    def rise(self) -> tuple[float, float]:
+        """The tallest."""
+        return 0.0, 1.2 * self.size[1] * self.height[1]
+
+    @property
+    def _most(self) -> float:
+        return self.share[1] if self.share else USUAL
+
+    @property
+    def density(self) -> float:
+        """Those where they lie densest."""
+        if self.share is None:
+            return 0.0
+        if self.size[0] == self.size[1]:  # of one size: the law's share, all in that size
+            return 1e4 * share_above(self.size[0], self._most) / (0.25 * math.pi * self.size[0] ** 2)
+        return 1e4 * float(_counts(self._most, self.size)[1][0])
+
+    def draw(self, rng: Generator, things: F64) -> None:
+        """A diameter of the law where stones lie densest, two axes, a height, a shade."""
+        n = len(things)
+        sizes, counts = _counts(self._most, self.size)
+        diameter = np.interp(-rng.random(n) * counts[0], -counts, sizes)
+        stretch = rng.uniform(1.0, STRETCH, n)
+        things[:, TURN] = rng.uniform(0.0, 2.0 * math.pi, n)
+        things[:, HALF_U], things[:, HALF_V] = 0.5 * diameter * stretch, 0.5 * diameter / stretch
+        things[:, TOP] = diameter * rng.uniform(*self.height, n)
+        things[:, EXTRA], things[:, REACH] = diameter, RIM * things[:, HALF_U]
+        things[:, RED] = np.exp(self.shades * rng.standard_normal(n))
+        things[:, GREEN], things[:, BLUE] = rng.random(n), rng.random(n)  # there or not; outline
+
+    def share_at(self, east: F64, north: F64, seed: int) -> F64:
+        """(N,) k at places (N,): evenly spread between the logarithms of fewest and most."""
+        few, most = self.share or (USUAL, USUAL)
+        field = noise(east, north, seed + 5, self.patch, 0.2 * self.patch)
+        return np.asarray(few * (most / few) ** ndtr(field))
+
+    def kept(self, things: F64, seed: int) -> Mask:
+        """Thinned, the large ones more, so that each place has the law of its own k."""
+        if self.share is None or not len(things):
+            return np.ones(len(things), bool)
+        k, most = self.share_at(things[:, EAST], things[:, NORTH], seed), self._most
+        q = 1.79 + 0.152 / k
+        chance = k * q / (most * decay(most)) * np.exp(-(q - decay(most)) * things[:, EXTRA])
+        return np.asarray(things[:, GREEN] < chance)
+
+    def stand(self, sheet: Sheet, lay: Lay) -> None:
+        """Stones on the ground as it is."""
+        things = lay.things(sheet.box)
+        if len(things):
+            form = np.array([float(self.form == "angular"), self.rock_from, self.hidden, float(self.look), *self.tint])
+            kernel.stamp_stones(
+                sheet.x[0], sheet.y[:, 0], sheet.cell, things, form, lay.seed, sheet.ground, tables()[1],
+                sheet.height, sheet.label, sheet.depth, sheet.look, sheet.tint, sheet.tint.copy(),
+            )  # fmt: skip
