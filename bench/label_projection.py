@@ -16,11 +16,12 @@ from label_file import HAZARDS, KINDS, OPEN, ROUGH, UNSURE, Label, Labels
 from alight.arrays import F32, F64, I64, Mask
 from alight.geometry import Camera, Grid, Pose
 from alight.outputs import Run, world_up
-from alight.raster import nearest_known
+from alight.raster import masked_gaussian, nearest_known
 from alight.records import Flag
 from alight.sources import read_tum
 from alight.sources.photo_pose import BODY_FROM_CAM
 
+NEAR = 2.0  # metres, 1-sigma of the narrowest mean that fills gaps between known heights
 HIDDEN_BY = 0.3  # metres above the line of sight by which known ground hides a cell
 
 
@@ -128,11 +129,11 @@ class PhotoCells:
     """The cells of a map that one photo shows, and the pixel of each."""
 
     def __init__(self, grid: Grid, up: F32, camera: Camera, world_from_cam: Pose) -> None:
-        """`up`: (R, C) metres, NaN = unknown; unknown cells take the height of the nearest known one."""
+        """`up`: (R, C) metres, NaN = unknown."""
         known = np.isfinite(up)
         self._shape = grid.shape
         east, north = grid.xy()
-        points = np.stack([*np.meshgrid(east, north), nearest_known(up, known).astype(np.float64)], axis=-1)
+        points = np.stack([*np.meshgrid(east, north), filled(up, grid)], axis=-1)
         points = points.reshape(-1, 3)
         pixels = np.rint(pixels_within(camera, world_from_cam.inverse.apply(points)))
         with np.errstate(invalid="ignore"):
@@ -157,6 +158,22 @@ def pixels_within(camera: Camera, points_cam: F64) -> F64:
     off_axis = np.linalg.norm(points_cam[:, :2], axis=1)
     within = off_axis <= widest * points_cam[:, 2]
     return camera.project(np.where(within[:, None], points_cam, np.nan))
+
+
+def filled(up: F32, grid: Grid) -> F64:
+    """Heights (R, C) in metres without gaps: the Gaussian mean of known ones, as narrow as one is near.
+
+    Raises:
+        ValueError: no cell is known.
+    """
+    known = np.isfinite(up)
+    if not known.any():
+        raise ValueError("the run knows no heights")
+    out, sigma = up, NEAR
+    while sigma < max(grid.shape) * grid.cell and not np.isfinite(out).all():
+        near = masked_gaussian(up, known.astype(np.float32), sigma / grid.cell)
+        out, sigma = np.where(np.isnan(out), near, out), 2 * sigma
+    return nearest_known(out, np.isfinite(out)).astype(np.float64)
 
 
 def hidden(grid: Grid, up: F32, points: F64, centre: F64) -> Mask:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from label_file import KINDS, Label, Labels, labels_json, problems, read_labels
-from label_projection import PhotoCells, hidden, labelled_map, photo_camera_of, pixels_within
+from label_projection import PhotoCells, filled, hidden, labelled_map, photo_camera_of, pixels_within
 from labelled import compare, table
 
 from alight.geometry import Camera, Grid, LocalFrame, Pose
@@ -139,6 +139,21 @@ def test_a_wall_hides_the_ground_behind_it() -> None:
     assert hidden(GRID, up, points, LOOK_DOWN.translation).tolist() == [False, False, True, True, False]
     cells = PhotoCells(GRID, np.where(up > 0, np.nan, up), CAMERA, LOOK_DOWN)  # unknown: hides nothing
     assert cells.under(LAWN, labels_of(LAWN))[75, 180]
+
+
+def test_unknown_heights_are_those_of_the_ground_about_them() -> None:
+    east, north = np.meshgrid(*GRID.xy())
+    up = (100 + 0.1 * east - 0.05 * north).astype(np.float32)
+    gappy = np.where(np.hypot(east, north) < 2, np.nan, up).astype(np.float32)
+    gappy[:, east[0] > 15] = np.nan
+    out = filled(gappy, GRID)
+    known = np.isfinite(gappy)
+    np.testing.assert_array_equal(out[known], gappy[known])
+    np.testing.assert_allclose(out[np.hypot(east, north) < 2], 100, atol=0.25)
+    beyond = out[:, east[0] > 15]
+    assert gappy[known].min() <= beyond.min() <= beyond.max() <= gappy[known].max()  # no extrapolation
+    with pytest.raises(ValueError, match="knows no heights"):
+        filled(np.full(GRID.shape, np.nan, np.float32), GRID)
 
 
 def test_a_lens_is_not_used_beyond_its_corners() -> None:
