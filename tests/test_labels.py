@@ -149,7 +149,7 @@ def test_unknown_heights_are_those_of_the_ground_about_them() -> None:
     out = filled(gappy, GRID)
     known = np.isfinite(gappy)
     np.testing.assert_array_equal(out[known], gappy[known])
-    np.testing.assert_allclose(out[np.hypot(east, north) < 2], 100, atol=0.25)
+    np.testing.assert_allclose(out[np.hypot(east, north) < 2], 100, atol=0.4)
     beyond = out[:, east[0] > 15]
     assert gappy[known].min() <= beyond.min() <= beyond.max() <= gappy[known].max()  # no extrapolation
     with pytest.raises(ValueError, match="knows no heights"):
