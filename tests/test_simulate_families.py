@@ -95,6 +95,15 @@ def test_a_family_can_be_read_for_every_seed_and_its_sun_is_low_and_high(name: s
     assert read_scene(built_in()[name], 5) == scenes[4]
 
 
+def test_a_family_that_is_written_down_makes_the_same_ground_again() -> None:
+    world = build("depot", 4)
+    assert world.scene is not None
+    again = build(parse_scene(world.scene.model_dump(mode="json"), "again.yaml"), 4)
+    box = (-6.0, -6.0, 6.0, 6.0)
+    assert np.array_equal(world.truth(box).height, again.truth(box).height)
+    assert np.array_equal(world.truth(box).label, again.truth(box).label)
+
+
 # -- stones
 
 
