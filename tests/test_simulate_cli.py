@@ -155,6 +155,14 @@ def test_a_mistake_on_the_line_is_told_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_seed_draws_what_a_family_of_scenes_leaves_open() -> None:
+    chosen = cli.simulate.read("gravel", ["flight.height=33"], 3)
+    drawn = read_scene(built_in()["gravel"], 3)
+    assert chosen.ground == drawn.ground
+    assert chosen.light == drawn.light != read_scene(built_in()["gravel"], 4).light
+    assert chosen.flight.height == 33.0
+
+
 def test_the_list_names_every_scene_and_its_picture(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.call(["simulate", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()

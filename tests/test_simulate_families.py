@@ -95,6 +95,15 @@ def test_a_family_can_be_read_for_every_seed_and_its_sun_is_low_and_high(name: s
     assert read_scene(built_in()[name], 5) == scenes[4]
 
 
+def test_a_family_that_is_written_down_makes_the_same_ground_again() -> None:
+    world = build("depot", 4)
+    assert world.scene is not None
+    again = build(parse_scene(world.scene.model_dump(mode="json"), "again.yaml"), 4)
+    box = (-6.0, -6.0, 6.0, 6.0)
+    assert np.array_equal(world.truth(box).height, again.truth(box).height)
+    assert np.array_equal(world.truth(box).label, again.truth(box).label)
+
+
 # -- stones
 
 
@@ -276,3 +285,13 @@ def test_a_family_has_safe_places_and_dangers_over_its_seeds(name: str) -> None:
         shares.append(truth.safe()[30:-30, 30:-30].mean())
     assert max(shares) > 0.01
     assert max(shares) < 0.9
+
+
+def test_grass_is_tall_from_a_height_on() -> None:
+    grass = {"thing": "tall_grass", "share": 0.4, "height": 0.5, "size": 3}
+    all_tall, some = flat(grass, cell=0.1).truth(), flat({**grass, "tall_from": 0.12}, cell=0.1).truth()
+    assert np.array_equal(all_tall.height, some.height)
+    grown = all_tall.label == Terrain.TALL_VEGETATION
+    tall = some.label == Terrain.TALL_VEGETATION
+    assert np.array_equal(tall, grown & (some.height >= np.float32(0.12)))
+    assert 0 < tall.sum() < grown.sum()

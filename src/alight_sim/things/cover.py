@@ -41,10 +41,13 @@ class Outline(Layer):
     upon: tuple[CoverName, ...] = Field(("short_grass",), description="classes of ground that may be covered")
     within: Box | None = Field(None, description="[west, south, east, north]: only in this box")
 
+    def field(self, sheet: Sheet, lay: Lay) -> F64:
+        """(R, C) noise of unit deviation that makes the outline."""
+        return noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
+
     def excess(self, sheet: Sheet, lay: Lay) -> F64:
         """How far the noise is above the threshold that leaves `share`, in deviations; negative outside."""
-        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
-        excess = field - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
+        excess = self.field(sheet, lay) - NormalDist().inv_cdf(min(max(1.0 - self.share, 1e-6), 1.0 - 1e-6))
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         if self.within is not None:
             west, south, east, north = self.within
@@ -73,6 +76,9 @@ class TallGrass(Outline):
     height: float = Field(0.55, gt=0.0, le=4.0, description="metres, tallest tufts")
     shallower: float = Field(0.3, ge=0.0, le=5.0, description="metres of water that it still grows in, where `upon` it")
     tuft: float = Field(0.3, gt=0.02, le=5.0, description="metres from tuft to tuft")
+    tall_from: float = Field(
+        0.0, ge=0.0, le=4.0, description="metres: lower blades are of the ground's class, though they look and stand so"
+    )
 
     @property
     def rise(self) -> tuple[float, float]:
@@ -87,7 +93,9 @@ class TallGrass(Outline):
         rim = ramp(0.0, 0.25, excess)
         blades = self.height * rim * np.clip(0.45 + 0.22 * tufts, 0.04, 1.0)
         sheet.height[mask], sheet.depth[mask] = (sheet.ground + blades)[mask], 0.0
-        sheet.paint(..., mask, Terrain.TALL_VEGETATION, self.look, self.tint)
+        usual = Look.TALL_GRASS if self.look == Look.BY_CLASS and self.tall_from > 0.0 else self.look
+        sheet.paint(..., mask, None, usual, self.tint)
+        sheet.label[mask & (blades >= self.tall_from)] = Terrain.TALL_VEGETATION
 
     def _lie(self, sheet: Sheet, lay: Lay) -> F64:
         """Of unit deviation: tufts, in swathes that the wind laid, streaks along them."""

@@ -124,12 +124,15 @@ class Puddles(Outline):
         """The surface."""
         return self.sunk, 0.0
 
+    def field(self, sheet: Sheet, lay: Lay) -> F64:
+        """Smooth: water fills what is small."""
+        return noise(sheet.x, sheet.y, lay.seed, self.size, 0.2 * self.size, 1.2)
+
     def shape(self, sheet: Sheet, lay: Lay) -> None:
         """Sink the ground, fill it, paint the margins."""
         excess = self.excess(sheet, lay)
         inside = excess > 0.0
-        field = noise(sheet.x, sheet.y, lay.seed, self.size, min(0.2, self.size), 0.8)
-        margin = above(field, self.share)
+        margin = above(self.field(sheet, lay), self.share)
         open_ground = np.isin(sheet.label, [terrain_named(k) for k in self.upon])
         sheet.ground -= np.where(open_ground, self.sunk * ramp(-0.5, 0.0, margin), 0.0)
         damp = open_ground & ~inside & (margin > -self.mud - self.wet)
