@@ -26,10 +26,11 @@ from alight_sim.world import World, build
 Kind = Literal["tuning", "test"]
 KINDS: tuple[Kind, ...] = ("tuning", "test")
 # metres above ground: exposures a second. The spacing is 2 % of the height: 8 exposures span 0.14 of it
-RATES = {20: 8.0, 40: 6.0, 50: 6.0, 60: 6.0, 100: 5.0, 150: 4.0}
+RATES = {8: 8.0, 10: 8.0, 12: 8.0, 15: 8.0, 20: 8.0, 30: 7.0, 40: 6.0, 50: 6.0, 60: 6.0, 100: 5.0, 150: 4.0}
 HEIGHTS = (20, 50, 100, 150)  # the standard; the others between are flown by name
 SPACING = 0.02  # of the height between exposures
 FRAMES, QUICK_FRAMES = 41, 11
+LOW, LOW_FRAMES = 16, 81  # metres below which a flight is longer: its pictures are small
 SCENES = (
     "meadow", "farmland", "village", "forest", "quarry", "lakes",
     "desert", "snow", "concrete", "car_park", "tall_grass", "yard",
@@ -94,7 +95,8 @@ class Rung:
     @property
     def duration(self) -> float:
         """Seconds from the first exposure to the last, of a transect."""
-        return ((QUICK_FRAMES if self.quick else FRAMES) - 1) / self.rate_hz
+        usual = LOW_FRAMES if self.height < LOW else FRAMES
+        return ((QUICK_FRAMES if self.quick else usual) - 1) / self.rate_hz
 
     @property
     def course_deg(self) -> float:

@@ -36,6 +36,7 @@ NEAR = 0.2  # metres by which an obstacle may be misplaced
 FALSE = 0.98  # of the even ground lies below what counts as found
 QUIET = 0.08  # root mean square relief over the height of an obstacle, of truly quiet ground
 RIM = 1.0  # metres from unknown ground within which heights are worse than elsewhere
+WIDEST = 5.0  # times the limit, the widest obstacle that counts: a wider one shows in the roughness
 EVEN, MOST = 500, 400  # least cells of even ground, most obstacles of a flight that count
 
 
@@ -88,10 +89,11 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
     if even.sum() < EVEN:
         return None
     least = [float(np.quantile(v[even], FALSE)) for v in (relief, spot)]
-    there = at(e.trusted.astype(np.uint8), e.grid, east, north) > 0
+    width = np.sqrt(4 * half[which] / np.pi)
+    there = (at(e.trusted.astype(np.uint8), e.grid, east, north) > 0) & (width < WIDEST * limit)
     got = [at(v, e.grid, east, north)[there] for v in (relief, spot, e.sampling, e.picture_sampling)]
     return Obstacles(
-        peak[which][there], np.sqrt(4 * half[which][there] / np.pi), got[2], got[3], got[1] / least[1],
+        peak[which][there], width[there], got[2], got[3], got[1] / least[1],
         got[0] > least[0], got[1] > least[1],
     )  # fmt: skip
 

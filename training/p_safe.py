@@ -214,13 +214,12 @@ def folds_of(families: Sequence[str]) -> dict[str, int]:
 
 
 def left_out(samples: list[Sample], what: str) -> tuple[Rows, F64]:
-    """Cells, and their log rates by what was fitted without their family's fold."""
+    """Cells, and their log rates by what was fitted without their family."""
     families = sorted({s.family for s in samples})
-    fold = np.array([folds_of(families)[f] for f in families])
     r = rows(samples, what, families)
     z = np.empty(len(r.hazard))
-    for k in range(FOLDS):
-        out = fold[r.family] == k
+    for k in range(len(families)):
+        out = r.family == k
         if out.any():
             kept = Rows(r.terms, r.values[~out], r.hazard[~out], r.family[~out], r.weight[~out] / r.weight[~out].sum())
             z[out] = log_rates(fit(kept), Rows(r.terms, r.values[out], r.hazard[out], r.family[out], r.weight[out]))

@@ -101,9 +101,7 @@ FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame i
     PictureTerm.BRIGHT,
     PictureTerm.TINT,
 )
-LAND_COVER_TERMS: tuple[str, ...] = (
-    *(t.value for t in SurfaceTerm),
-    *(band(octave) for octave in range(BANDS)),
-    *(t.value for t in PictureTerm),
-    *(name + RELATIVE for name in FRAME_TERMS),
+_PLAIN = (*(t.value for t in SurfaceTerm), *(band(octave) for octave in range(BANDS)), *(t.value for t in PictureTerm))
+LAND_COVER_TERMS: tuple[str, ...] = tuple(
+    name for plain in _PLAIN for name in ((plain, plain + RELATIVE) if plain in FRAME_TERMS else (plain,))
 )
