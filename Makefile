@@ -31,12 +31,13 @@ bench-heights: $(MADE)  ## heights: everything asked of them beside what they mu
 bench-coverage: $(MADE)  ## do heights from estimated poses lie within what the map claims; half an hour of CPU
 	$(BIN)/python bench/bench_coverage.py
 
-bench-ground: $(MADE)  ## hazards and cover: the contest's terrains, P(safe) on test flights, the terrain library, speed
+bench-ground: $(MADE)  ## P(safe) on other renderers and on test flights, the contest's terrains, the terrain library, speed
+	PYTHONPATH=bench $(BIN)/python bench/ground_domains.py
 	$(BIN)/python bench/bench_ground.py && $(BIN)/python bench/ground_flights.py && $(BIN)/python bench/bench_terrain.py library && $(BIN)/python bench/bench_terrain.py measure
 
 train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hours of CPU, maps kept between runs
 	$(BIN)/python -m pip install --quiet --editable '.[train]'
-	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py
+	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/detection.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py
 
 bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py

@@ -98,8 +98,9 @@ def lines(r: Row) -> list[str]:
     false = " / ".join("  none" if not c else f"{100 * f:6.2f}" for f, c in zip(r.false, r.claimed, strict=True))
     fine = f"{100 * r.found_fine[0] / max(r.found_fine[1], 1):5.1f} of {r.found_fine[1]}"
     out = [
-        f"{r.name:44s} safe {100 * r.safe:5.1f} %  false at 0.95 / 0.99 {false} % of {r.claimed[0]}/{r.claimed[1]} cells  "
-        f"found {100 * r.found:5.1f} %, fine pixels {fine}  not refused {100 * r.covered:5.1f} %  listed {''.join(r.listed) or '-'}"
+        f"{r.name:44s} safe {100 * r.safe:5.1f} %  false at 0.95 / 0.99 {false} % of "
+        f"{r.claimed[0]}/{r.claimed[1]} cells  found {100 * r.found:5.1f} %, fine pixels {fine}  "
+        f"not refused {100 * r.covered:5.1f} %  listed {''.join(r.listed) or '-'}"
     ]
     worst = [f"{c:.2f}:{t:.2f}" for c, t, _ in r.bins]
     return [*out, "      claimed:true " + "  ".join(worst)] if worst else out
@@ -122,10 +123,11 @@ def summary(all_of: Sequence[Row]) -> list[str]:
     """What must hold over all flights."""
     listed = [m for r in all_of for m in r.listed]
     fine = np.array([r.found_fine for r in all_of]).sum(axis=0)
+    first = sum(bool(r.listed) and r.listed[0].isupper() for r in all_of)
     over = [c - t for r in all_of for c, t, _ in r.bins]
     return [
         f"sites truly safe: {listed.count('S')} of {sum(m in 'Ss' for m in listed)}",
-        f"flights that list a true place first: {sum(bool(r.listed) and r.listed[0].isupper() for r in all_of)} of {sum(r.safe > 0 for r in all_of)}",
+        f"flights that list a true place first: {first} of {sum(r.safe > 0 for r in all_of)}",
         f"found at 0.95 where pixels are fine enough: {100 * fine[0] / max(fine[1], 1):.1f} % of {fine[1]} cells",
         f"largest overstatement of a bin: {100 * max(over, default=0):.1f} points",
     ]

@@ -25,37 +25,24 @@ from numpy.typing import NDArray
 
 from alight import hazards, terrain
 from alight.landing import sites
-from alight.learned import Net
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
 from alight.sources.library import read_model
+from alight.terrain.classify import Tables
 
 TUNING = (
-    "meadow/50m/tuning-1", "village/50m/tuning-1", "yard/20m/tuning-1", "desert/50m/tuning-1", "meadow/20m/tuning-2",
-    "car_park/50m/tuning-1", "lakes/50m/tuning-1", "farmland/100m/tuning-1", "quarry/50m/tuning-1",
-    "concrete/20m/tuning-1", "village/20m/tuning-2", "meadow/100m/tuning-2", "snow/50m/tuning-1",
-    "forest/50m/tuning-1", "desert/20m/tuning-2", "lakes/20m/tuning-2", "tall_grass/20m/tuning-1",
-    "farmland/50m/tuning-2", "yard/50m/tuning-2", "car_park/20m/tuning-2", "meadow/50m/tuning-3",
-    "village/50m/tuning-3", "quarry/20m/tuning-2", "forest/20m/tuning-2", "lakes/50m/tuning-3", "meadow/20m/tuning-1",
-    "snow/20m/tuning-2", "concrete/50m/tuning-2",
-    "yard/20m/tuning-4", "village/20m/tuning-4", "meadow/20m/tuning-4", "desert/20m/tuning-4",
-    "car_park/20m/tuning-4", "quarry/20m/tuning-4", "lakes/20m/tuning-4", "forest/20m/tuning-4",
-    "concrete/20m/tuning-4", "snow/20m/tuning-4", "farmland/20m/tuning-4", "village/50m/tuning-5",
-    "desert/50m/tuning-5", "meadow/50m/tuning-5", "car_park/50m/tuning-5", "quarry/50m/tuning-5",
-    "yard/50m/tuning-5", "concrete/50m/tuning-5", "lakes/50m/tuning-5", "forest/50m/tuning-5",
-    "farmland/50m/tuning-5", "yard/40m/tuning-6", "desert/40m/tuning-6", "car_park/40m/tuning-6",
-    "village/40m/tuning-6", "meadow/40m/tuning-6", "concrete/40m/tuning-6", "farmland/40m/tuning-6",
-    "meadow/20m/tuning-7", "village/20m/tuning-7", "yard/20m/tuning-7", "desert/20m/tuning-7",
-    "car_park/20m/tuning-7", "quarry/20m/tuning-7", "concrete/20m/tuning-7", "farmland/20m/tuning-7",
-    "lakes/20m/tuning-7", "forest/20m/tuning-7", "tall_grass/20m/tuning-7", "meadow/50m/tuning-8",
-    "village/50m/tuning-8", "yard/50m/tuning-8", "desert/50m/tuning-8", "car_park/50m/tuning-8",
-    "quarry/50m/tuning-8", "concrete/50m/tuning-8", "farmland/50m/tuning-8", "lakes/50m/tuning-8",
-    "forest/50m/tuning-8", "tall_grass/50m/tuning-8", "meadow/40m/tuning-9", "village/40m/tuning-9",
-    "yard/40m/tuning-9", "desert/40m/tuning-9", "car_park/40m/tuning-9", "quarry/40m/tuning-9",
-    "concrete/40m/tuning-9", "farmland/40m/tuning-9", "lakes/40m/tuning-9", "forest/40m/tuning-9",
-    "tall_grass/40m/tuning-9", "meadow/20m/tuning-10", "village/20m/tuning-10", "yard/20m/tuning-10",
-    "desert/20m/tuning-10", "car_park/20m/tuning-10", "quarry/20m/tuning-10", "concrete/20m/tuning-10",
-    "farmland/20m/tuning-10", "lakes/20m/tuning-10", "forest/20m/tuning-10", "tall_grass/20m/tuning-10",
+    "canal/12m/tuning-35", "canal/20m/tuning-31", "canal/20m/tuning-55", "canal/40m/tuning-39",
+    "car_park/12m/tuning-419", "car_park/20m/tuning-407", "concrete/12m/tuning-404", "concrete/20m/tuning-416",
+    "depot/12m/tuning-34", "depot/12m/tuning-57", "depot/20m/tuning-37", "desert/12m/tuning-415",
+    "desert/20m/tuning-403", "farmland/12m/tuning-405", "farmland/20m/tuning-417", "forest/12m/tuning-422",
+    "forest/20m/tuning-410", "furrows/30m/tuning-54", "gravel/10m/tuning-58", "gravel/12m/tuning-1",
+    "gravel/12m/tuning-21", "gravel/20m/tuning-5", "gravel/20m/tuning-57", "gravel/30m/tuning-23",
+    "gravel/40-8m/tuning-3", "gravel/40m/tuning-50", "gravel/40m/tuning-9", "lakes/20m/tuning-420",
+    "marsh/12m/tuning-53", "meadow/12m/tuning-400", "meadow/40-8m/tuning-11", "pasture/12m/tuning-2",
+    "pasture/12m/tuning-22", "pasture/20m/tuning-6", "pasture/30m/tuning-24", "pasture/40-8m/tuning-4",
+    "quarry/12m/tuning-402", "quarry/20m/tuning-414", "snow/12m/tuning-411", "tall_grass/12m/tuning-409",
+    "tall_grass/20m/tuning-421", "village/12m/tuning-418", "village/20m/tuning-406", "yard/12m/tuning-401",
+    "yard/20m/tuning-413",
 )  # fmt: skip
 TEST = (
     "meadow/50m/test-1", "village/50m/test-1", "yard/20m/test-1", "desert/50m/test-1", "meadow/20m/test-2",
@@ -99,9 +86,9 @@ def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
     return Judged(name, parts[0], parts[1], parts[2])
 
 
-def cover_of(j: Judgeable, net: Net | None = None) -> TerrainMap:
-    """The classes as the product finds them, or with another net."""
-    return terrain.classify(j.elevation, Settings().stages().terrain, read_model(), net)
+def cover_of(j: Judgeable, tables: Tables | None = None) -> TerrainMap:
+    """The classes as the product finds them, or with other tables."""
+    return terrain.classify(j.elevation, Settings().stages().terrain, read_model(), tables)
 
 
 def verdict(j: Judgeable) -> HazardMap:

@@ -15,10 +15,7 @@ from numpy.testing import assert_allclose
 from scipy.special import logit
 
 from alight.hazards import assess
-from alight.hazards.blob_contrast import blob_contrast
-from alight.hazards.evidence_probability import PRIOR_PENALTIES, evidence_probability, prior_penalties
-from alight.learned import read_net
-from alight.learned.terms import HAZARD_TERMS, HazardTerm
+from alight.hazards.picture_spots import picture_spots
 from alight.raster import clearance_of
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap
 from alight.settings import HazardsSettings, Lander
@@ -301,47 +298,54 @@ def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_m
     assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # heights that show all
 
 
-def test_a_brighter_exposure_and_another_white_balance_have_the_same_spots() -> None:
+def test_a_brighter_exposure_has_the_same_spots() -> None:
     rng = np.random.default_rng(0)
     rgb = rng.integers(40, 80, (81, 81, 3)).astype(np.uint8)
-    dim = blob_contrast(ground(flat(), rgb=rgb))
-    for gain in (np.array([3, 3, 3]), np.array([3, 2, 1])):
-        other = blob_contrast(ground(flat(), rgb=(gain * rgb).astype(np.uint8)))
-        assert_allclose(other["tint"], dim["tint"], atol=0.05)
-    bright = blob_contrast(ground(flat(), rgb=3 * rgb))
-    assert_allclose(bright["dark"], dim["dark"], atol=0.03)
-    assert dim["dark"].max() > 0.1
+    dim, bright = (picture_spots(ground(flat(), rgb=k * rgb), 0.15) for k in (1, 3))
+    assert_allclose(bright.dark, dim.dark, atol=0.03)
+    assert dim.dark.max() > 0.05
+    assert_allclose(bright.power.mean(), dim.power.mean(), rtol=0.1)
 
 
-def test_no_term_makes_a_touchdown_likelier_where_it_is_worse() -> None:
-    rng, net = np.random.default_rng(1), read_net("p_safe")
-    scales = dict(zip(net.terms, zip(net.usual, net.spread, strict=True), strict=True))
-    assert set(PRIOR_PENALTIES) < set(scales)
-    for name, (usual, spread) in scales.items():
-        for _ in range(20):
-            some = {k: np.full(50, u + s * rng.uniform(-3, 3), np.float32) for k, (u, s) in scales.items()}
-            some[name] = np.linspace(usual - 5 * spread, usual + 5 * spread, 50, dtype=np.float32)
-            assert (np.diff(evidence_probability(some)) <= 1e-6).all(), name
+def test_ground_seen_from_far_is_less_sure_than_the_same_ground_seen_from_near() -> None:
+    """The raster is the same: what counts is with which samples and pixels each cell was seen."""
+    e = pictured(False)
+    near, far = (
+        assess(
+            replace(e, sampling=np.full_like(e.height, 2 * g), fine_sampling=np.full_like(e.height, g)),
+            None, Lander(radius=1.0), HazardsSettings(),
+        )
+        for g in (0.02, 0.08)
+    )  # fmt: skip
+    assert near.p_safe[MID] > far.p_safe[MID]
+    assert near.resolved[MID] < 0.3 * far.resolved[MID]
+    assert_allclose(near.p_ground, far.p_ground)
 
 
-@pytest.mark.parametrize(
-    ("name", "least"), [("blob_dark", 5.0), ("blob_bright", 3.0), ("unknown", 8.0), ("roughness_trend", 3.0)]
-)
-def test_what_no_flight_teaches_costs_at_least_what_was_set(name: str, least: float) -> None:
-    low, high, _ = PRIOR_PENALTIES[HazardTerm(name)]
-    none = {k: np.full(2, PRIOR_PENALTIES[k].low if k in PRIOR_PENALTIES else 0.0, np.float32) for k in HAZARD_TERMS}
-    some = none | {name: np.array([low, high], np.float32)}
-    odds = -prior_penalties(some)
-    assert_allclose(odds[0] - odds[1], least * (high - low), rtol=1e-5)
-    assert_allclose(prior_penalties(none), 0.0)
-
-
-def test_cells_too_coarse_for_the_limits_are_less_sure() -> None:
-    fine, coarse = (
-        assess(pictured(False, cell), None, Lander(radius=10 * cell), HazardsSettings()).p_safe[MID]
-        for cell in (0.1, 0.6)
+def test_a_finer_raster_never_makes_coarse_ground_look_smooth() -> None:
+    """A map on cells of half the size, interpolated, with the samplings of the coarse one: as sure, or less."""
+    rng = np.random.default_rng(2)
+    coarse = ground(
+        cv2.GaussianBlur(rng.normal(0, 0.1, (81, 81)).astype(np.float32), (0, 0), 2.0), cell=0.1, sigma=0.01
     )
-    assert fine > HazardsSettings().p_safe > coarse
+    coarse = replace(
+        coarse, sampling=np.full_like(coarse.height, 0.12), fine_sampling=np.full_like(coarse.height, 0.08)
+    )
+    big = (162, 162)
+    fine = ground(cv2.resize(coarse.height, big, interpolation=cv2.INTER_LINEAR), cell=0.05, sigma=0.01)
+    fine = replace(fine, sampling=np.full_like(fine.height, 0.12), fine_sampling=np.full_like(fine.height, 0.08))
+    p, q = (assess(m, None, Lander(radius=1.0), HazardsSettings()) for m in (coarse, fine))
+    assert q.p_obstacle[80, 80] <= p.p_obstacle[40, 40] + 0.03
+    assert_allclose(q.resolved[80, 80], p.resolved[40, 40], rtol=1e-5)
+
+
+def test_the_view_that_settles_a_doubt_about_obstacles_has_the_pixel_that_shows_them() -> None:
+    e = pictured(False)
+    far = replace(e, sampling=np.full_like(e.height, 0.2), fine_sampling=np.full_like(e.height, 0.1))
+    found = assess(far, None, Lander(radius=1.0), HazardsSettings())
+    assert found.p_obstacle[MID] < min(found.p_relief[MID], found.p_ground[MID])
+    assert 0.005 < found.settles_at[MID] < 0.1
+    assert found.settles_at[MID] < far.picture_sampling[MID]
 
 
 def test_single_heights_far_beyond_their_sigma_refuse_even_where_their_mean_is_level() -> None:

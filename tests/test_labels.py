@@ -54,7 +54,7 @@ def some_run(folder: Path, safe: np.ndarray, height: np.ndarray | None = None) -
     height = np.full(GRID.shape, 500.0, np.float32) if height is None else height
     ortho = np.zeros((*GRID.shape, 3), np.uint8)
     flags = np.zeros(GRID.shape, np.uint16)
-    return Run(folder, info, local, GRID, height, height * 0, flags, None, safe.astype(np.float32), ortho)
+    return Run(folder, info, local, GRID, height, height * 0, flags, None, safe.astype(np.float32), None, ortho)
 
 
 def everywhere(p: float) -> np.ndarray:

@@ -50,7 +50,7 @@ def test_a_ring_of_7_to_10_frames_spans_a_tenth_to_a_fifth_of_the_height(height:
     spacing = r.speed / r.rate_hz / height
     assert 6 * spacing > 0.1
     assert 9 * spacing < 0.2
-    assert 2.0 < r.speed < 15.0
+    assert 1.2 < r.speed < 15.0
 
 
 def test_courses_differ_from_seed_to_seed() -> None:
@@ -79,7 +79,7 @@ def test_a_rung_flies_what_it_says(height: int) -> None:
     [
         ("meadow", "write one like meadow/50m/test-3"),
         ("nowhere/50m/test-1", "nowhere/50m/test-1: the scene is not on the ladder; use one of: "),
-        (f"{SCENES[0]}/35m/test-1", "use one of: 20, 40, 50, 60, 100, 150"),
+        (f"{SCENES[0]}/35m/test-1", "use one of: 8, 10, 12, 15, 20, 30, 40"),
         (f"{SCENES[0]}/50m/test-0", "use tuning-1 or test-1"),
         (f"{SCENES[0]}/50m/practice-1", "no rung"),
     ],
@@ -91,7 +91,7 @@ def test_a_rung_that_is_not_there_is_refused_by_name(name: str, words: str) -> N
 
 def test_a_ladder_of_something_else_is_refused() -> None:
     with pytest.raises(InputError, match="the height is not on the ladder"):
-        ladder("test", heights=(20, 30))
+        ladder("test", heights=(20, 35))
     with pytest.raises(InputError, match="the scene is not on the ladder"):
         ladder("test", scenes=("atlantis",))
 

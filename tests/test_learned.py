@@ -9,8 +9,19 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.learned import CLIP, AffineLayer, Net, monotone_costs, net_bytes, net_of, read_net, relu_net, table_path
-from alight.learned.terms import HAZARD_TERMS, LAND_COVER_TERMS
+from alight.learned import (
+    CLIP,
+    AffineLayer,
+    KnownGround,
+    Net,
+    net_bytes,
+    net_of,
+    read_known,
+    read_net,
+    relu_net,
+    table_path,
+)
+from alight.learned.terms import LAND_COVER_TERMS
 
 NAMES = ("a", "b", "c")
 
@@ -64,27 +75,17 @@ def test_the_rectified_net_is_its_formula_whatever_the_order_of_the_terms(net: N
     assert_allclose(relu_net(plain, list(given().items())[::-1])[..., 0].ravel(), want[:, 0], rtol=1e-4, atol=1e-5)
 
 
-def test_the_monotone_net_is_its_formula(net: Net) -> None:
-    x = standardised(net, given())
-    seen = np.hstack([np.tanh(x @ net.hidden.weights + net.hidden.bias), x])
-    assert_allclose(
-        monotone_costs(net, given()), (seen @ net.output.weights + net.output.bias)[:, 0], rtol=1e-4, atol=1e-5
-    )
-
-
 def test_terms_that_are_missing_strange_or_doubled_are_refused(net: Net) -> None:
     found = given()
     for wrong in ({"a": found["a"], "b": found["b"]}, found | {"d": found["a"]}):
         with pytest.raises(ValueError, match="terms"):
             relu_net(net, wrong.items())
-        with pytest.raises(ValueError, match="terms"):
-            monotone_costs(net, wrong)
     with pytest.raises(ValueError, match="doubled"):
         relu_net(net, [*found.items(), ("a", found["a"])])
 
 
 def damaged(**changes: object) -> bytes:
-    with np.load(table_path("p_safe"), allow_pickle=False) as z:
+    with np.load(table_path("land_cover"), allow_pickle=False) as z:
         arrays = {k: z[k] for k in z.files} | changes
     out = io.BytesIO()
     np.savez(out, **arrays)  # type: ignore[arg-type]
@@ -94,47 +95,40 @@ def damaged(**changes: object) -> bytes:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"terms": np.array(HAZARD_TERMS[::-1])}, "other terms"),
-        ({"usual": np.zeros(15, np.float32)}, "shapes"),
+        ({"terms": np.array(LAND_COVER_TERMS[::-1])}, "other terms"),
+        ({"usual": np.zeros(3, np.float32)}, "shapes"),
         ({"hidden_bias": np.zeros(3, np.float16)}, "biases"),
-        ({"output_weights": np.full((32, 1), np.nan, np.float16)}, "finite"),
-        ({"spread": np.zeros(16, np.float32)}, "spread"),
+        ({"output_weights": np.full((48, 8), np.nan, np.float16)}, "finite"),
+        ({"spread": np.zeros(45, np.float32)}, "spread"),
         ({"calibration": np.array([[1.0, 0.0], [0.0, 1.0]])}, "ascending"),
-        ({"terms": np.array(HAZARD_TERMS, object)}, "allow_pickle"),
+        ({"terms": np.array(LAND_COVER_TERMS, object)}, "allow_pickle"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused(changes: dict[str, object], message: str) -> None:
-    assert net_of(damaged(), HAZARD_TERMS).terms == HAZARD_TERMS
+    assert net_of(damaged(), LAND_COVER_TERMS).terms == LAND_COVER_TERMS
     with pytest.raises(ValueError, match=message):
-        net_of(damaged(**changes), HAZARD_TERMS)
+        net_of(damaged(**changes), LAND_COVER_TERMS)
 
 
-@pytest.mark.parametrize("name", ["p_safe", "land_cover"])
-def test_the_tables_of_the_package_are_read_once(name: str) -> None:
-    assert read_net(name) is read_net(name)
-    assert len(LAND_COVER_TERMS) == len(set(LAND_COVER_TERMS)) == 88
+def test_the_net_of_the_package_is_read_once() -> None:
+    assert read_net("land_cover") is read_net("land_cover")
+    assert len(LAND_COVER_TERMS) == len(set(LAND_COVER_TERMS)) == 45
 
 
-def test_the_costs_of_p_safe_never_fall_where_a_term_grows() -> None:
-    net = read_net("p_safe")
-    assert (net.hidden.weights >= 0).all()
-    assert (net.output.weights >= 0).all()
-    assert net.calibration is not None
-    assert (np.diff(net.calibration[1]) >= 0).all()
+def test_what_lies_on_the_mean_of_a_kind_is_known_and_what_is_far_from_all_is_not() -> None:
+    known = read_known()
+    on = known.usual + known.means * known.spread
+    assert known.novelty(on.astype(np.float32)).max() < 0.05
+    far = known.usual + 6 * known.spread * np.where(np.arange(45) % 2, 1, -1)
+    assert known.novelty(far[None].astype(np.float32))[0] > 1
 
 
-@pytest.mark.parametrize("name", ["p_safe", "land_cover", "appearance"])
-def test_every_table_has_a_card_that_says_what_it_is(name: str) -> None:
-    card = table_path(name).with_suffix(".md").read_text(encoding="utf-8")
-    for heading in ("What it is", "Fitted on", "Made by", "Metrics", "Limits"):
-        assert f"## {heading}" in card, heading
-
-
-def test_the_card_of_p_safe_quotes_its_own_numbers() -> None:
-    """The least probability it can give, and the spread of the coarseness, stand in the card as they are."""
-    net, card = read_net("p_safe"), table_path("p_safe").with_suffix(".md").read_text(encoding="utf-8")
-    assert net.calibration is not None
-    least, most = 1 / (1 + np.exp(-net.calibration[1][[0, -1]]))
-    assert f"never below {least:.2f}" in card
-    assert f"never above {most:.3f}" in card
-    assert f"spread of `coarseness` is {net.spread[0]:.3f}" in card
+def test_novelty_is_the_squared_distance_to_the_nearest_kind_over_its_limit() -> None:
+    rng = np.random.default_rng(3)
+    whitening = np.diag([1.0, 2.0]).astype(np.float32)
+    known = KnownGround(
+        ("a", "b"), np.zeros(2, np.float32), np.ones(2, np.float32), np.eye(2, dtype=np.float32), whitening, 4.0
+    )
+    x = rng.normal(size=(50, 2)).astype(np.float32)
+    want = np.min([((x - m) ** 2) @ np.array([1.0, 4.0]) for m in np.eye(2)], axis=0) / 4.0
+    assert_allclose(known.novelty(x), want, rtol=1e-4, atol=1e-5)

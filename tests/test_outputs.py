@@ -110,7 +110,7 @@ def test_the_curvature_term_agrees_with_geodesy_far_from_the_origin() -> None:
     grid = outputs.rasters.Grid(1000.0, 2000.0, 1.0, 1, 1)
     one = np.ones((1, 1), np.float32)
     e = elevation()
-    far = type(e)(grid, one, one, np.zeros((1, 1), np.uint16), e.views[:1, :1], e.rgb[:1, :1], one)
+    far = type(e)(grid, one, one, np.zeros((1, 1), np.uint16), e.views[:1, :1], e.rgb[:1, :1], one, one)
     height = outputs.ellipsoidal_height(far, LOCAL)
     assert height[0, 0] == pytest.approx(float(LOCAL.to_geodetic([1000.0, 2000.0, 1.0])[2]), abs=3e-3)
     assert world_up(height, grid, LOCAL)[0, 0] == pytest.approx(1.0, abs=1e-4)

@@ -39,7 +39,9 @@ def flight() -> tuple[SimulatedFlight, tuple[Event, ...]]:
 
 
 def settings_of(*assignments: str) -> Settings:
-    return load_settings("", ["parallax.cell=0.25", "tuning.elevation.tile=64", *assignments])
+    """Coarse and quick; no place is sure on cells of 0.25 m, and the way to a site is to be seen all the same."""
+    quick = ["parallax.cell=0.25", "tuning.elevation.tile=64", "hazards.p_safe=0.02"]
+    return load_settings("", [*quick, *assignments])
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from alight.records import ElevationMap, Hazard, HazardMap, NextView, Sites, Ter
 from alight.settings import HazardsSettings, Lander, SitesSettings
 
 LANDER = Lander(radius=1.0)
-EXACT = HazardsSettings(tilt_sigma=0.0)
+EXACT = HazardsSettings(tilt_sigma=0.0, smoothed=False)
 
 
 def choose(

@@ -64,19 +64,21 @@ def test_the_land_cover_net_learns_classes_that_its_terms_tell_apart() -> None:
     assert (relu_net(net, found.items())[0].argmax(axis=1) == kind).mean() > 0.9
 
 
-def test_the_net_of_p_safe_is_monotone_and_learns_a_term_that_matters() -> None:
-    pytest.importorskip("sklearn")
-    from p_safe import Sample, fit, odds
+def test_rates_are_monotone_and_learn_the_terms_that_matter() -> None:
+    from p_safe import Part, Rows, caution, expected, fit
 
-    from alight.learned.terms import HAZARD_TERMS
-
-    rng = np.random.default_rng(0)
-    samples = []
-    for name in ("a", "b"):
-        terms = {t: rng.normal(size=4000).astype(np.float32) for t in HAZARD_TERMS}
-        safe = terms["residual_mean"] + rng.normal(0, 0.3, 4000) < 0
-        samples.append(Sample(name, terms, safe, safe, np.ones(4000, np.float32), 1.0, 1.0))
-    net = fit(samples)
-    assert min(net.hidden.weights.min(), net.output.weights.min()) >= 0
-    s = samples[0]
-    assert odds(s, net)[s.safe].mean() > odds(s, net)[~s.safe].mean() + 2
+    rng, count = np.random.default_rng(0), 6000
+    x, y = rng.uniform(-1, 1, (2, count, 2))
+    unseen = rng.uniform(0, 1, count)
+    true = np.exp(-4 + 3 * (x[:, 0] > 0)) + unseen * np.exp(-3 + 3 * (y[:, 1] > 0))
+    r = Rows(
+        (Part(("a", "b"), x, np.ones(count)), Part(("c", "d"), y, unseen)),
+        rng.uniform(size=count) < -np.expm1(-true), rng.integers(0, 3, count), np.full(count, 1 / count),
+    )  # fmt: skip
+    rates = fit(r)
+    for k in rates:
+        assert (np.diff(k.heights, axis=1) >= 0).all()
+    got = expected(rates, r)
+    assert np.corrcoef(np.log(got), np.log(true))[0, 1] > 0.85
+    assert abs(got.mean() / true.mean() - 1) < 0.1
+    assert caution(4 * true, r) <= caution(true, r) <= caution(0.25 * true, r)

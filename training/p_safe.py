@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,26 +19,27 @@ from card import version, write_table
 from ground_flights import TUNING, cover_of
 from ground_maps import HOWS, How, judgeable
 from ground_truth import GroundTruth
-from land_cover import family_of, fit_net, joined, rows_of
+from land_cover import family_of, fit_net, joined, rows_of, with_limit
 from scipy.optimize import minimize
-from sklearn.isotonic import IsotonicRegression
 
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards.assessment import evidence
-from alight.learned import Net, Rate, rate_bytes
-from alight.learned.terms import GROUND_TERMS, OBSTACLE_TERMS
+from alight.learned import Rate, rate_bytes
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 from alight.records import Hazard
 from alight.settings import Settings
+from alight.terrain.classify import Tables
 
 SOME = 1500  # cells of a map
 KNOTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # quantiles of a term, families alike, at which its line bends
-PENALTY = 1e-4  # of squared rises of the lines
-ROUNDS, EAGER = 3, 1.0  # rounds in which a family weighs more by what was lost on it, and how much more
+PENALTY = 1e-5  # of squared rises of the lines
+ROUNDS, EAGER = 3, 0.5  # rounds in which a family weighs more by what was lost on it, and how much more
+NAMES = {"obstacle": ("relief_rate", "density_rate"), "ground": ("ground_rate",)}
 FOLDS = 5  # of families, each judged by what was fitted without it
-STEPS = np.concatenate([np.linspace(0, 0.6, 13), np.linspace(0.6, 1.0, 9)[1:]])  # shares of the cells, best first
-LEAST = 150  # cells of a family in a step that count
-LEVELS = (0.5, 0.8, 0.9, 0.95, 0.98, 0.99)
-MOST, FEWEST = 4.0, 1e-4  # hazards a footprint that are claimed at most and at least
+LEAST_STEP = 0.02  # of the range of a term: knots lie no nearer
+MOST = 3.0  # log of the largest rate of a part
+LEAST = 100  # cells of a family that count
+KEPT = ((0.95, 1.0), (0.99, 1.5))  # levels of P, and how often the hazards that they allow may be met
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,7 @@ class Sample:
     name: str
     family: str
     obstacle: dict[str, F32]
+    unseen: F32  # share of the obstacles above the limit that would not be found
     ground: dict[str, F32]
     tilt: F32  # P that the tilt keeps its limit
     even: Mask  # no limit of the ground's shape is broken by what the map shows
@@ -61,23 +62,36 @@ class Sample:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
-    """Cells of one rate: terms, whether a hazard is there, the family, and what each weighs."""
+class Part:
+    """One rate of a sum: its terms, and what it is multiplied by."""
 
     terms: tuple[str, ...]
     values: F64  # (N, T)
+    share: F64  # (N,)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Cells of one factor: the rates whose sum it rests on, whether a hazard is there, the family, the weight."""
+
+    parts: tuple[Part, ...]
     hazard: Mask
     family: I64
     weight: F64  # families alike, maps of a family alike
 
+    def some(self, which: Mask) -> Rows:
+        """Some of the cells."""
+        parts = tuple(Part(p.terms, p.values[which], p.share[which]) for p in self.parts)
+        return Rows(parts, self.hazard[which], self.family[which], self.weight[which] / self.weight[which].sum())
 
-def sample(name: str, how: How, scratch: Path, net: Net) -> Sample | None:
+
+def sample(name: str, how: How, scratch: Path, tables: Tables) -> Sample | None:
     """Draw cells of one map, and look up the truth."""
     j = judgeable(name, how, scratch)
     if j is None:
         return None
     s = Settings().stages()
-    found, reasons = evidence(j.elevation, cover_of(j, net), s.lander, s.hazards)
+    found, reasons = evidence(j.elevation, cover_of(j, tables), s.lander, s.hazards)
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
     seen = np.flatnonzero(discs.largest(j.seen.astype(np.float32)) > 0)
     some = np.random.default_rng(0).choice(seen, min(SOME, len(seen)), replace=False)
@@ -92,7 +106,8 @@ def sample(name: str, how: How, scratch: Path, net: Net) -> Sample | None:
 
     return Sample(
         f"{name}, {how}", family_of(name),
-        {k: v.ravel()[some] for k, v in found.obstacle.items()}, {k: v.ravel()[some] for k, v in found.ground.items()},
+        {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.unseen.ravel()[some],
+        {k: v.ravel()[some] for k, v in found.ground.items()},
         discs.coarse(np.nan_to_num(found.tilt)).ravel()[some], free(Hazard.TERRAIN), free(Hazard(0)),
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
         len(some) / max(len(seen), 1),
@@ -100,112 +115,125 @@ def sample(name: str, how: How, scratch: Path, net: Net) -> Sample | None:
 
 
 def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
-    """The cells of one rate: those that nothing refuses for another reason."""
-    parts = []
-    for s in samples:
-        use = s.even if what == "obstacle" else s.kept
-        safe = s.truly_even if what == "obstacle" else s.truly_bears
-        if use.sum() >= LEAST:
-            values = np.stack([v[use] for v in getattr(s, what).values()], axis=1).astype(np.float64)
-            parts.append((s.family, values, ~safe[use]))
-    count = {f: sum(p[0] == f for p in parts) for f in families}
-    weight = [np.full(len(v), 1 / len(v) / count[f]) for f, v, _ in parts]
-    terms = OBSTACLE_TERMS if what == "obstacle" else GROUND_TERMS
-    family = np.concatenate([np.full(len(v), families.index(f)) for f, v, _ in parts])
-    total = np.concatenate(weight)
-    return Rows(
-        terms,
-        np.nan_to_num(np.concatenate([p[1] for p in parts])),
-        np.concatenate([p[2] for p in parts]),
-        family,
-        total / total.sum(),
+    """The cells of one factor: those that nothing refuses for another reason."""
+    kept = [(s, s.even if what == "obstacle" else s.kept) for s in samples]
+    kept = [(s, use) for s, use in kept if use.sum() >= LEAST]
+    count = {f: sum(s.family == f for s, _ in kept) for f in families}
+    weight = np.concatenate([np.full(use.sum(), 1 / use.sum() / count[s.family]) for s, use in kept])
+
+    def part(terms: tuple[str, ...], unseen: bool) -> Part:
+        values = [np.stack([getattr(s, what)[t][use] for t in terms], axis=1) for s, use in kept]
+        share = [s.unseen[use] if unseen else np.ones(use.sum()) for s, use in kept]
+        return Part(
+            terms, np.nan_to_num(np.concatenate(values)).astype(np.float64), np.concatenate(share).astype(np.float64)
+        )
+
+    parts = (
+        (part(RELIEF_TERMS, False), part(DENSITY_TERMS, True)) if what == "obstacle" else (part(GROUND_TERMS, False),)
     )
+    hazard = np.concatenate([~(s.truly_even if what == "obstacle" else s.truly_bears)[use] for s, use in kept])
+    family = np.concatenate([np.full(use.sum(), families.index(s.family)) for s, use in kept])
+    return Rows(parts, hazard, family, weight / weight.sum())
 
 
-def _knots(r: Rows) -> F64:
+def _knots(values: F64, weight: F64) -> F64:
     out = []
-    order = np.argsort(r.values, axis=0)
-    for t in range(r.values.shape[1]):
-        share = np.cumsum(r.weight[order[:, t]])
-        at = r.values[order[np.searchsorted(share, np.array(KNOTS) * share[-1]).clip(0, len(share) - 1), t], t]
-        width = max(at[-1] - at[0], 1e-3)
-        out.append(np.maximum.accumulate(at + 1e-3 * width * np.arange(len(at))))
+    order = np.argsort(values, axis=0)
+    for t in range(values.shape[1]):
+        share = np.cumsum(weight[order[:, t]])
+        at = values[order[np.searchsorted(share, np.array(KNOTS) * share[-1]).clip(0, len(share) - 1), t], t]
+        least = max(at[-1] - at[0], 1e-3) * LEAST_STEP
+        for k in range(1, len(at)):
+            at[k] = max(at[k], at[k - 1] + least)
+        out.append(at)
     return np.array(out)
 
 
 def _ramps(values: F64, knots: F64) -> F64:
-    """(N, T (K - 1)): how far each value has come between two knots, 0 to 1."""
+    """(N, T (K - 1) + 1): how far each value has come between two knots, 0 to 1, and 1 for the bias."""
     parts = [((values[:, t, None] - k[:-1]) / np.diff(k)).clip(0, 1) for t, k in enumerate(knots)]
-    return np.concatenate(parts, axis=1)
+    return np.concatenate([*parts, np.ones((len(values), 1))], axis=1)
 
 
-def _loss(x: F64, ramps: F64, hazard: Mask, weight: F64) -> tuple[float, F64]:
-    log_rate = (ramps @ x[:-1] + x[-1]).clip(-12, 3)
-    rate = np.exp(log_rate)
-    some = -np.expm1(-rate)
-    lost = np.where(hazard, -np.log(np.maximum(some, 1e-12)), rate)
-    slope = weight * np.where(hazard, -rate * np.exp(-rate) / np.maximum(some, 1e-12), rate)
-    value = float(weight @ lost) + PENALTY * float(x[:-1] @ x[:-1])
-    return value, np.concatenate([ramps.T @ slope + 2 * PENALTY * x[:-1], [slope.sum()]])
+@dataclass(eq=False)
+class _Likelihood:
+    """Of the numbers of hazards, which are Poisson; one weight a ramp, the rates of the parts one after the other."""
+
+    ramps: list[F64]
+    share: list[F64]
+    hazard: Mask
+    weight: F64
+
+    def _logs(self, x: F64) -> list[F64]:
+        ends = np.cumsum([r.shape[1] for r in self.ramps])
+        return [r @ w for r, w in zip(self.ramps, np.split(x, ends[:-1]), strict=True)]
+
+    def rates(self, x: F64) -> list[F64]:
+        """Of every part, shares included."""
+        return [s * np.exp(np.minimum(z, MOST)) for z, s in zip(self._logs(x), self.share, strict=True)]
+
+    def lost(self, rate: F64) -> F64:
+        """Of every cell."""
+        return np.where(self.hazard, -np.log(np.maximum(-np.expm1(-rate), 1e-12)), rate)
+
+    def __call__(self, x: F64) -> tuple[float, F64]:
+        """The mean loss with its penalty, and the slope."""
+        rates = self.rates(x)
+        rate = np.sum(rates, axis=0)
+        slope = self.weight * np.where(self.hazard, -np.exp(-rate) / np.maximum(-np.expm1(-rate), 1e-12), 1.0)
+        free = [slope * own * (z < MOST) for z, own in zip(self._logs(x), rates, strict=True)]
+        back = np.concatenate([r.T @ v for r, v in zip(self.ramps, free, strict=True)])
+        penalised = x * np.concatenate([np.r_[np.ones(r.shape[1] - 1), 0] for r in self.ramps])
+        return float(self.weight @ self.lost(rate)) + PENALTY * float(penalised @ x), back + 2 * PENALTY * penalised
 
 
-def fit(r: Rows) -> Rate:
+def fit(r: Rows) -> tuple[Rate, ...]:
     """Maximum likelihood, no line falling; families on which more is lost weigh more (Sagawa et al. 2020)."""
-    knots = _knots(r)
-    ramps = _ramps(r.values, knots)
-    x = np.concatenate([np.full(ramps.shape[1], 0.05), [-3.0]])
-    bounds = [(0.0, None)] * ramps.shape[1] + [(-12.0, 3.0)]
+    knots = [_knots(p.values, r.weight) for p in r.parts]
+    ramps = [_ramps(p.values, k) for p, k in zip(r.parts, knots, strict=True)]
+    x = np.concatenate([np.r_[np.full(a.shape[1] - 1, 0.1), -5.0] for a in ramps])
+    bounds = [b for a in ramps for b in [*[(0.0, None)] * (a.shape[1] - 1), (-14.0, 3.0)]]
     favour = np.ones(r.family.max() + 1)
     for _ in range(ROUNDS):
         weight = r.weight * favour[r.family]
-        weight /= weight.sum()
+        likelihood = _Likelihood(ramps, [p.share for p in r.parts], r.hazard, weight / weight.sum())
         x = minimize(
-            _loss, x, (ramps, r.hazard, weight), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 150}
+            likelihood, x, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 400, "ftol": 1e-8}
         ).x
-        log_rate = (ramps @ x[:-1] + x[-1]).clip(-12, 3)
-        lost = np.where(r.hazard, -np.log(np.maximum(-np.expm1(-np.exp(log_rate)), 1e-12)), np.exp(log_rate))
-        each = np.array(
-            [
-                np.average(lost[r.family == f], weights=r.weight[r.family == f]) if (r.family == f).any() else 0.0
-                for f in range(len(favour))
-            ]
-        )
-        favour *= np.exp(EAGER * (each - each.mean()) / max(each.std(), 1e-9) / ROUNDS)
-    rises = x[:-1].reshape(len(knots), -1)
-    heights = np.concatenate([np.zeros((len(knots), 1)), np.cumsum(rises, axis=1)], axis=1)
-    same = np.array([[-20.0, 5.0], [-20.0, 5.0]])
-    return Rate(r.terms, knots, heights, float(x[-1]), same)
+        lost = likelihood.lost(np.sum(likelihood.rates(x), axis=0))
+        total = np.bincount(r.family, r.weight, len(favour))
+        each = np.bincount(r.family, r.weight * lost, len(favour)) / np.maximum(total, 1e-12)
+        favour = favour * np.exp(EAGER * (each - each.mean()) / max(each.std(), 1e-9) / ROUNDS)
+    out, ends = [], np.cumsum([a.shape[1] for a in ramps])
+    for p, k, w in zip(r.parts, knots, np.split(x, ends[:-1]), strict=True):
+        rises = w[:-1].reshape(len(k), -1)
+        heights = np.concatenate([np.zeros((len(k), 1)), np.cumsum(rises, axis=1)], axis=1)
+        out.append(Rate(p.terms, k, heights, float(w[-1])))
+    return tuple(out)
 
 
-def log_rates(rate: Rate, r: Rows) -> F64:
-    """Of every cell, as fitted."""
-    return (
-        replace(rate, claim=np.array([[-30.0, 10.0], [-30.0, 10.0]]))
-        .log_rate(dict(zip(r.terms, r.values.T, strict=True)))
-        .astype(np.float64)
-    )
+def expected(rates: Sequence[Rate], r: Rows) -> F64:
+    """Hazards of every cell."""
+    each = [
+        p.share * np.exp(rate.log_rate(dict(zip(p.terms, p.values.T, strict=True))))
+        for rate, p in zip(rates, r.parts, strict=True)
+    ]
+    return np.sum(each, axis=0)
 
 
-def claim(z: F64, r: Rows) -> F64:
-    """(2, steps): log rates, and those that held on the worst family left out, never less where the rate is higher."""
-    order = np.argsort(z)
-    z, hazard, family, weight = z[order], r.hazard[order], r.family[order], r.weight[order]
-    rank = np.cumsum(weight) / weight.sum()
-    at, worst = [], []
-    for low, high in pairwise(STEPS):
-        here = (rank > low) & (rank <= high)
-        shares = [
-            hazard[here & (family == f)].mean()
-            for f in range(family.max() + 1)
-            if (here & (family == f)).sum() >= LEAST
+def caution(rate: F64, r: Rows) -> float:
+    """The factor on all rates with which the worst family left out keeps what is claimed at `KEPT`."""
+    for factor in np.geomspace(0.25, 32, 85):
+        p = np.exp(-factor * rate)
+        false = [
+            r.hazard[sure].mean() - slack * (1 - level)
+            for level, slack in KEPT
+            for f in range(r.family.max() + 1)
+            if (sure := (r.family == f) & (p >= level)).sum() >= LEAST
         ]
-        if shares:
-            at.append(float(np.average(z[here], weights=weight[here])))
-            worst.append(float(max(shares)))
-    rising = IsotonicRegression(increasing=True).fit_transform(np.arange(len(worst)), worst)
-    rate = -np.log1p(-rising.clip(FEWEST, 1 - np.exp(-MOST)))
-    at_ = np.maximum.accumulate(np.array(at) + 1e-6 * np.arange(len(at)))
-    return np.array([at_, np.log(rate)])
+        if max(false, default=0.0) <= 0:
+            return float(factor)
+    return 32.0
 
 
 def folds_of(families: Sequence[str]) -> dict[str, int]:
@@ -214,22 +242,22 @@ def folds_of(families: Sequence[str]) -> dict[str, int]:
 
 
 def left_out(samples: list[Sample], what: str) -> tuple[Rows, F64]:
-    """Cells, and their log rates by what was fitted without their family."""
+    """Cells, and their rates by what was fitted without their family."""
     families = sorted({s.family for s in samples})
     r = rows(samples, what, families)
-    z = np.empty(len(r.hazard))
+    out = np.empty(len(r.hazard))
     for k in range(len(families)):
-        out = r.family == k
-        if out.any():
-            kept = Rows(r.terms, r.values[~out], r.hazard[~out], r.family[~out], r.weight[~out] / r.weight[~out].sum())
-            z[out] = log_rates(fit(kept), Rows(r.terms, r.values[out], r.hazard[out], r.family[out], r.weight[out]))
-    return r, z
+        own = r.family == k
+        if own.any():
+            out[own] = expected(fit(r.some(~own)), r.some(own))
+    return r, out
 
 
-def claimed(s: Sample, obstacle: Rate, ground: Rate) -> F32:
+def claimed(s: Sample, obstacle: Sequence[Rate], ground: Sequence[Rate]) -> F32:
     """P(safe) of the cells of one map."""
-    p = s.tilt * np.exp(-np.exp(obstacle.log_rate(s.obstacle))) * np.exp(-np.exp(ground.log_rate(s.ground)))
-    return np.where(s.kept, p, np.float32(0)).astype(np.float32)
+    relief, density = (np.exp(rate.log_rate(s.obstacle)) for rate in obstacle)
+    bad = relief + s.unseen * density + np.exp(ground[0].log_rate(s.ground))
+    return np.where(s.kept, s.tilt * np.exp(-bad), np.float32(0)).astype(np.float32)
 
 
 def table(samples: list[Sample], p_of: Callable[[Sample], F32]) -> list[str]:
@@ -245,7 +273,8 @@ def table(samples: list[Sample], p_of: Callable[[Sample], F32]) -> list[str]:
         for level in (0.9, 0.95, 0.99):
             sure = p >= level
             parts.append(
-                f"{level}: false {100 * (sure & ~near).sum() / max(sure.sum(), 1):5.2f} found {100 * (sure & safe).sum() / max(safe.sum(), 1):5.1f}"
+                f"{level}: false {100 * (sure & ~near).sum() / max(sure.sum(), 1):5.2f} "
+                f"found {100 * (sure & safe).sum() / max(safe.sum(), 1):5.1f}"
             )
         out.append(f"{f:12s} safe {100 * safe.mean():5.1f}   " + "   ".join(parts))
     return out
@@ -257,11 +286,11 @@ def samples_of(names: Sequence[str], scratch: Path, hows: Sequence[How] = HOWS) 
     fold = folds_of([family_of(n) for n in parts])
     out = []
     for k in sorted(set(fold.values())):
-        others = [r for n, r in parts.items() if fold[family_of(n)] != k]
+        others = {n: r for n, r in parts.items() if fold[family_of(n)] != k}
         if not others:
             continue
-        net = fit_net(joined(others))
-        found = [sample(n, how, scratch, net) for n in parts if fold[family_of(n)] == k for how in hows]
+        tables = Tables(fit_net(joined(list(others.values()))), with_limit(list(others.values()), list(others)))
+        found = [sample(n, how, scratch, tables) for n in parts if fold[family_of(n)] == k for how in hows]
         out += [s for s in found if s is not None]
     return out
 
@@ -271,14 +300,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     samples = samples_of(TUNING, parser.parse_args().scratch)
-    found = {what: left_out(samples, what) for what in ("obstacle", "ground")}
     families = sorted({s.family for s in samples})
-    rates = {}
-    for what, (r, z) in found.items():
-        rate = replace(fit(rows(samples, what, families)), claim=claim(z, r))
-        rates[what] = rate
-        fitted = f"Maps of {len(samples)} simulated tuning flights of {len(families)} families of scenes. {version()}"
-        write_table(f"{what}_rate", rate_bytes(rate), {"Fitted on": fitted})
+    fitted = f"Maps of {len(samples)} simulated tuning flights of {len(families)} families of scenes. {version()}"
+    rates: dict[str, tuple[Rate, ...]] = {}
+    for what, names in NAMES.items():
+        r, rate = left_out(samples, what)
+        shift = float(np.log(caution(rate, r)))
+        rates[what] = tuple(replace(k, bias=k.bias + shift) for k in fit(r))
+        for name, k in zip(names, rates[what], strict=True):
+            write_table(name, rate_bytes(k), {"Fitted on": fitted})
     print("\n".join(table(samples, lambda s: claimed(s, rates["obstacle"], rates["ground"]))))
 
 

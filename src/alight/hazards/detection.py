@@ -19,6 +19,7 @@ WIDE = 2.0  # width of an obstacle over its height: half a ball
 STEEP = 3.0  # exponent of the number of obstacles by width: twice as wide ones are an eighth as many
 LARGEST = 4.0  # widths of the smallest that matters, up to which obstacles count
 STEPS = 24  # of the integral over widths
+MOST_WIDE = 60.0  # pixels: wider obstacles are found in any case
 RATIOS = np.geomspace(0.02, 4.0, 60)  # sample over the height of the smallest that matters
 
 
@@ -49,19 +50,13 @@ class Detection:
 
     def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
         """Height of the smallest obstacle that is found with a probability of `share`, metres."""
-        widths = [_width_found(self.sizes, curve, share) for curve in (self.heights, self.pixels)]
-        return np.asarray(np.minimum(widths[0] * sampling, widths[1] * pixel) / WIDE, np.float32)
-
-
-def _width_found(sizes: F64, curve: F64, share: float) -> np.float32:
-    """Width over the sample at which the curve reaches the share; beyond the last size where it never does."""
-    above = np.flatnonzero(curve >= share)
-    if not above.size:
-        return np.float32(sizes[-1] * 1.5)
-    k = int(above[0])
-    if k == 0:
-        return np.float32(sizes[0])
-    return np.float32(np.exp(np.interp(share, curve[k - 1 : k + 1], np.log(sizes[k - 1 : k + 1]))))
+        ratios = np.geomspace(0.25, 32.0, 43)  # a sample of the heights over a pixel
+        widths = np.geomspace(0.5, MOST_WIDE, 200)[:, None]  # over a pixel
+        missed = self.missed(widths, ratios, np.ones_like(ratios))
+        first = np.argmax(missed <= 1 - share, axis=0)
+        found = np.where((missed <= 1 - share).any(axis=0), widths[first, 0], MOST_WIDE)
+        ratio = np.log((sampling / np.maximum(pixel, np.float32(1e-6))).clip(ratios[0], ratios[-1]))
+        return np.asarray(pixel * np.interp(ratio, np.log(ratios), found) / WIDE, np.float32)
 
 
 def _position(ratio: F32) -> F64:

@@ -15,7 +15,7 @@ from scipy.special import logit
 from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
-from alight.learned.terms import GroundTerm, ObstacleTerm
+from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
 from alight.raster import block_max, block_mean, disc_max, disc_mean, gaussian_mean, log_at_least, nearest_known
 from alight.records import ElevationMap, TerrainMap
 from alight.settings import Lander
@@ -25,6 +25,7 @@ BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are mor
 AROUND = 4.0  # metres, 1-sigma of the surroundings: ground with obstacles has more of them
 NARROW, WIDE = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
 PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are gathered
+UNMATCHED = 10.0  # cells that a sample covers where there is none
 COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 MIN_PROBABILITY = 1e-4  # keeps log odds finite
 CERTAIN = np.float32(9.2)  # log odds of landable ground where no land cover was given
@@ -97,39 +98,43 @@ def _log_rms(power: F32, floor: float) -> F32:
 
 
 def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
-    """Evidence that something stands there which heights and pictures do not show, on the cells of `discs`."""
-    cell, limit = elevation.grid.cell, lander.tallest_obstacle
+    """Evidence against an even footprint, and that obstacles are about, on the cells of `discs`."""
+    cell, limit, highest = elevation.grid.cell, lander.tallest_obstacle, np.float32(lander.max_roughness)
     relief = discs.coarse(relief_power(elevation, limit))
     spots = picture_spots(elevation, limit)
     spot = discs.coarse(gaussian_mean(spots.power, PATCH * limit / cell))
     residual = np.nan_to_num(elevation.residual)
-    sampling, pixel = (
-        discs.largest(log_at_least(np.asarray(np.nan_to_num(v, nan=2 * limit) / np.float32(limit), np.float32), 1e-3))
-        for v in (np.maximum(elevation.sampling, np.float32(cell)), elevation.picture_sampling)
-    )
-    smooth, trend = (
-        discs.largest(log_at_least(v / np.float32(lander.max_roughness), 0.03))
-        for v in (shape.roughness_smooth, shape.roughness_trend)
-    )
-    sigma = discs.coarse(np.nan_to_num(elevation.sigma, nan=1.0)) / np.float32(limit)
-    return {
-        ObstacleTerm.SAMPLING: discs.mean(sampling),
-        ObstacleTerm.PIXEL: discs.mean(pixel),
-        ObstacleTerm.RELIEF_WORST: _log_rms(discs.worst(relief), 0.02),
-        ObstacleTerm.RELIEF_MEAN: _log_rms(discs.mean(relief), 0.02),
-        ObstacleTerm.RELIEF_AROUND: _log_rms(discs.around(relief), 0.02),
-        ObstacleTerm.SPOT_WORST: _log_rms(discs.worst(spot), 0.005),
-        ObstacleTerm.SPOT_MEAN: _log_rms(discs.mean(spot), 0.005),
-        ObstacleTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
-        ObstacleTerm.DARK: discs.worst(discs.largest(spots.dark)),
-        ObstacleTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
-        ObstacleTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
-        ObstacleTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
-        ObstacleTerm.SIGMA: log_at_least(discs.mean(sigma), 0.02),
-        ObstacleTerm.ROUGHNESS_SMOOTH: smooth,
-        ObstacleTerm.ROUGHNESS_TREND: trend,
-        ObstacleTerm.UNKNOWN: discs.largest(shape.footprint.unknown),
+    deviations = {
+        ReliefTerm.ROUGHNESS: shape.footprint.roughness,
+        ReliefTerm.ROUGHNESS_SMOOTH: shape.roughness_smooth,
+        ReliefTerm.ROUGHNESS_TREND: shape.roughness_trend,
     }
+    sigma = discs.coarse(np.nan_to_num(elevation.sigma, nan=1.0)) / np.float32(limit)
+    return {k.value: discs.largest(log_at_least(v / highest, 0.03)) for k, v in deviations.items()} | {
+        ReliefTerm.RELIEF_WORST: _log_rms(discs.worst(relief), 0.02),
+        ReliefTerm.RELIEF_MEAN: _log_rms(discs.mean(relief), 0.02),
+        ReliefTerm.SAMPLING: np.log(discs.mean(discs.coarse(sampled(elevation))) / np.float32(limit)),
+        ReliefTerm.SIGMA: log_at_least(discs.mean(sigma), 0.02),
+        ReliefTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
+        ReliefTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
+        ReliefTerm.UNKNOWN: discs.largest(shape.footprint.unknown),
+        DensityTerm.RELIEF_AROUND: _log_rms(discs.around(relief), 0.02),
+        DensityTerm.SPOT_WORST: _log_rms(discs.worst(spot), 0.005),
+        DensityTerm.SPOT_MEAN: _log_rms(discs.mean(spot), 0.005),
+        DensityTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
+        DensityTerm.DARK: discs.worst(discs.largest(spots.dark)),
+        DensityTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
+    }
+
+
+def sampled(elevation: ElevationMap) -> F32:
+    """Metres of ground that a sample of the match covers, (R, C); where nothing was matched, several cells."""
+    return np.asarray(np.nan_to_num(elevation.sampling, nan=UNMATCHED * elevation.grid.cell), np.float32)
+
+
+def pictured(elevation: ElevationMap) -> F32:
+    """Metres of ground that a pixel of the picture covers, (R, C); where nothing was pictured, several cells."""
+    return np.asarray(np.nan_to_num(elevation.picture_sampling, nan=UNMATCHED * elevation.grid.cell), np.float32)
 
 
 def hazard_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
@@ -152,4 +157,12 @@ def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: 
         GroundTerm.WORST_BEYOND: discs.worst(smooth, BEYOND),
         GroundTerm.MEAN_BEYOND: discs.mean(mean, 3 * BEYOND),
         GroundTerm.AROUND: discs.around(mean),
+        GroundTerm.NOVELTY: discs.mean(discs.coarse(log_at_least(_or_nothing(land_cover, "novelty", odds), 0.05))),
+        GroundTerm.ENCLOSED: discs.worst(discs.largest(_or_nothing(land_cover, "enclosed", odds))),
     }
+
+
+def _or_nothing(land_cover: TerrainMap | None, field: str, like: F32) -> F32:
+    """A field of the land cover, 0 where there is none."""
+    found = None if land_cover is None else getattr(land_cover, field)
+    return np.zeros_like(like) if found is None else np.nan_to_num(found)

@@ -10,7 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
-from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms
+from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms, pictured, sampled
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.learned import read_rate
 from alight.records import ElevationMap, Terrain, TerrainMap
@@ -29,13 +29,14 @@ class Evidence:
 
     tilt: F32  # (R, C) P that the tilt keeps its limit
     discs: Discs  # the cells of the terms
-    obstacle: dict[str, F32]  # terms of `obstacle_rate`
+    obstacle: dict[str, F32]  # terms of `relief_rate` and `density_rate`
+    unseen: F32  # share of the obstacles above the limit that neither heights nor pictures would show
     ground: dict[str, F32]  # terms of `ground_rate`
 
 
 @dataclass(frozen=True, eq=False)
-class Factors:
-    """Factors of P(safe), and how far the pictures go, (R, C) each."""
+class SafetyFactors:
+    """SafetyFactors of P(safe), and how far the pictures go, (R, C) each."""
 
     relief: F32
     obstacle: F32
@@ -51,7 +52,9 @@ def evidence_of(
     discs = Discs(elevation, lander.radius)
     obstacle = obstacle_terms(elevation, shape, lander, discs)
     ground = ground_terms(elevation, terrain, discs)
-    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, ground)
+    sampling, pixel = (discs.mean(discs.coarse(v)) for v in (sampled(elevation), pictured(elevation)))
+    unseen = read_detection().unseen_share(lander.tallest_obstacle, sampling, pixel)
+    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, unseen, ground)
 
 
 def factors_of(
@@ -61,38 +64,35 @@ def factors_of(
     shape: FootprintShape,
     lander: Lander,
     settings: HazardsSettings,
-) -> Factors:
+) -> SafetyFactors:
     """From the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
-    cell, limit = elevation.grid.cell, lander.tallest_obstacle
+    cell = elevation.grid.cell
     tilt, rise = margins_over_sigma(margins, lander, settings, cell)
     if not settings.smoothed:
         certain, never = np.ones_like(tilt), np.full_like(tilt, np.nan)
         p = safe_probability(tilt, rise, margins.footprint.unknown, settings)
-        return Factors(p, certain, certain, np.full_like(tilt, cell), never)
+        return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
     found, curves = evidence_of(elevation, terrain, tilt, shape, lander), read_detection()
-    sampling, pixel = (_known(v, elevation) for v in (elevation.sampling, elevation.picture_sampling))
-    density = _density(terrain, elevation.grid.shape, found.discs, settings)
-    unseen = curves.unseen_share(limit, found.discs.coarse(sampling), found.discs.coarse(pixel))
-    expected = np.exp(read_rate("obstacle_rate").log_rate(found.obstacle))
-    expected += np.float32(math.pi * lander.radius**2) * density * unseen
+    usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
+    about = np.exp(read_rate("density_rate").log_rate(found.obstacle))
+    expected = np.exp(read_rate("relief_rate").log_rate(found.obstacle)) + found.unseen * np.maximum(about, usual)
     ground = np.exp(read_rate("ground_rate").log_rate(found.ground)) + _unlike_dry_ground(
         terrain, found.discs, settings
     )
-    out = Factors(
+    out = SafetyFactors(
         found.tilt,
         found.discs.fine(np.exp(-expected)),
         found.discs.fine(np.exp(-ground)),
-        curves.smallest_found(FOUND, sampling, pixel),
+        curves.smallest_found(FOUND, sampled(elevation), pictured(elevation)),
         np.full_like(tilt, np.nan),
     )
-    return Factors(
-        out.relief, out.obstacle, out.ground, out.resolved, _settles_at(out, tilt, pixel, curves, lander, settings)
+    return SafetyFactors(
+        out.relief,
+        out.obstacle,
+        out.ground,
+        out.resolved,
+        _settles_at(out, tilt, pictured(elevation), curves, lander, settings),
     )
-
-
-def _known(metres: F32, elevation: ElevationMap) -> F32:
-    """What a sample covers, at least a cell's share of it; unknown where nothing was matched: as coarse as can be."""
-    return np.where(np.isfinite(metres), metres, np.float32(10.0 * elevation.grid.cell))
 
 
 def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, settings: HazardsSettings) -> F32:
@@ -128,7 +128,9 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
     return float(pixels[good[-1]]) if good.size else float(pixels[0])
 
 
-def _settles_at(f: Factors, tilt: F32, pixel: F32, curves: Detection, lander: Lander, settings: HazardsSettings) -> F32:
+def _settles_at(
+    f: SafetyFactors, tilt: F32, pixel: F32, curves: Detection, lander: Lander, settings: HazardsSettings
+) -> F32:
     """The pixel by which the smallest factor would be settled, metres; NaN where a closer look would not tell more.
 
     An obstacle: the pixel that shows it, or half of the present one where that is fine enough already. Relief: sigma

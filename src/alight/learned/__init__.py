@@ -1,7 +1,7 @@
 """Fitted tables, each an `.npz` with a card beside it, and the evaluators of the nets in them."""
 
 from alight.learned.known import KnownGround, known_bytes, read_known
-from alight.learned.net import CLIP, AffineLayer, Net, monotone_costs, monotone_net, relu_net
+from alight.learned.net import CLIP, AffineLayer, Net, relu_net
 from alight.learned.rates import Rate, rate_bytes, rate_of, read_rate
 from alight.learned.tables import net_bytes, net_of, read_net, table_path
 
@@ -12,8 +12,6 @@ __all__ = [
     "Net",
     "Rate",
     "known_bytes",
-    "monotone_costs",
-    "monotone_net",
     "net_bytes",
     "net_of",
     "rate_bytes",

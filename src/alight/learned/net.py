@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice
 from typing import NamedTuple
@@ -13,7 +13,6 @@ from alight.arrays import F32, F64
 
 CLIP = np.float32(4.0)  # spreads; a term further from the training data counts no further
 TERMS_AT_A_TIME = 8  # all 88 of the land cover together would be several times the map
-CELLS_AT_A_TIME = 1 << 16
 
 
 class AffineLayer(NamedTuple):
@@ -67,31 +66,6 @@ def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
     assert total is not None
     out = np.maximum(total, 0, out=total) @ net.output.weights + net.output.bias
     return np.asarray(out, np.float32).reshape(*shape, -1)
-
-
-def monotone_net(net: Net, terms: F32) -> F32:
-    """Output (N,) of standardised terms (N, T) by a net whose weights are all at least 0.
-
-    The output layer reads the hidden units (tanh) and the terms themselves: no term ever lowers it by growing
-    (Sill 1998, monotonic networks).
-    """
-    hidden = np.tanh(terms @ net.hidden.weights + net.hidden.bias)
-    units = hidden.shape[1]
-    out: F32 = hidden @ net.output.weights[:units] + terms @ net.output.weights[units:] + net.output.bias
-    return out[:, 0]
-
-
-def monotone_costs(net: Net, found: Mapping[str, F32]) -> F32:
-    """Output of `monotone_net` at every cell, flat; a block of cells at a time.
-
-    Raises:
-        ValueError: not every term of the net was given.
-    """
-    _complete(net, list(found))
-    flat = [found[name].ravel() for name in net.terms]
-    blocks = range(0, flat[0].size, CELLS_AT_A_TIME)
-    parts = [net.standardised(net.terms, (v[i : i + CELLS_AT_A_TIME] for v in flat)) for i in blocks]
-    return np.concatenate([monotone_net(net, part) for part in parts])
 
 
 def _known(net: Net, names: list[str]) -> None:

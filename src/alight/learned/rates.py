@@ -12,9 +12,9 @@ import numpy as np
 
 from alight.arrays import F32, F64
 from alight.learned.tables import table_path
-from alight.learned.terms import GROUND_TERMS, OBSTACLE_TERMS
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 
-TERMS_OF = {"obstacle_rate": OBSTACLE_TERMS, "ground_rate": GROUND_TERMS}
+TERMS_OF = {"relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +24,7 @@ class Rate:
     terms: tuple[str, ...]  # identifiers (`terms`)
     knots: F64  # (T, K) values of each term, ascending; beyond the first and the last the line is level
     heights: F64  # (T, K) of the line at the knots, rising from 0
-    bias: float  # log of the rate where every line is 0
-    claim: F64  # (2, N) log rate as fitted, ascending, and the one that held on the worst domain left out
+    bias: float  # log of the rate where every line is 0: the caution is in it that the worst domain left out asked for
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
         """Natural logarithm of the expected number of hazards, of the shape of the terms.
@@ -36,12 +35,12 @@ class Rate:
         total: F64 | float = self.bias
         for name, at, height in zip(self.terms, self.knots, self.heights, strict=True):
             total = total + np.interp(found[name], at, height)
-        return np.asarray(np.interp(total, *self.claim), np.float32)
+        return np.asarray(total, np.float32)
 
 
 @cache
 def read_rate(name: str) -> Rate:
-    """A rate of the package (`obstacle_rate`, `ground_rate`), read and checked once.
+    """A rate of the package (`relief_rate`, `density_rate`, `ground_rate`), read and checked once.
 
     Raises:
         ValueError: the file does not fit this version: other terms, shapes that do not fit, a line that falls.
@@ -59,14 +58,14 @@ def rate_of(content: bytes, terms: tuple[str, ...]) -> Rate:
         arrays: dict[str, Any] = {key: z[key] for key in z.files}
     if tuple(map(str, arrays["terms"])) != terms:
         raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
-    knots, heights, claim = (arrays[k].astype(np.float64) for k in ("knots", "heights", "claim"))
-    if knots.shape != heights.shape or knots.shape[0] != len(terms) or claim.ndim != 2 or claim.shape[0] != 2:
+    knots, heights = (arrays[k].astype(np.float64) for k in ("knots", "heights"))
+    if knots.shape != heights.shape or knots.shape[0] != len(terms):
         raise ValueError("the shapes of the table's lines do not fit its terms")
-    if not all(np.isfinite(a).all() for a in (knots, heights, claim, arrays["bias"])):
+    if not all(np.isfinite(a).all() for a in (knots, heights, arrays["bias"])):
         raise ValueError("the table holds numbers that are not finite")
-    if (np.diff(knots, axis=1) <= 0).any() or (np.diff(heights, axis=1) < 0).any() or (np.diff(claim) < 0).any():
+    if (np.diff(knots, axis=1) <= 0).any() or (np.diff(heights, axis=1) < 0).any():
         raise ValueError("the table holds a line that falls, or knots that do not ascend")
-    return Rate(terms, knots, heights, float(arrays["bias"]), claim)
+    return Rate(terms, knots, heights, float(arrays["bias"]))
 
 
 def rate_bytes(rate: Rate) -> bytes:
@@ -74,6 +73,6 @@ def rate_bytes(rate: Rate) -> bytes:
     out = io.BytesIO()
     np.savez_compressed(
         out, terms=np.array(rate.terms), knots=rate.knots.astype(np.float32),
-        heights=rate.heights.astype(np.float32), bias=np.float64(rate.bias), claim=rate.claim,
+        heights=rate.heights.astype(np.float32), bias=np.float64(rate.bias),
     )  # fmt: skip
     return out.getvalue()

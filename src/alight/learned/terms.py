@@ -11,32 +11,40 @@ BANDS = 5  # octaves of detail of the picture, from 0.05 m
 RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the frame
 
 
-class ObstacleTerm(StrEnum):
-    """Evidence that something stands in a footprint unseen (docs/method/hazards.md, G7b).
+class ReliefTerm(StrEnum):
+    """Evidence of the heights against an even footprint (docs/method/hazards.md, G7b).
 
     Each is larger where it is less likely safe. Lengths are over the height that the lander just stands.
     """
 
-    SAMPLING = "sampling"  # log of what a sample of the match covers
-    PIXEL = "pixel"  # log of what a pixel of the picture covers
+    ROUGHNESS = "roughness"  # log of the largest deviation from the footprint's plane, over its limit
+    ROUGHNESS_SMOOTH = "roughness_smooth"  # the same of heights smoothed by 0.2 m
+    ROUGHNESS_TREND = "roughness_trend"  # the same of heights smoothed by 0.45 m
     RELIEF_WORST = "relief_worst"  # log root mean square relief as wide as an obstacle: of the worst patch
     RELIEF_MEAN = "relief_mean"
-    RELIEF_AROUND = "relief_around"
+    SAMPLING = "sampling"  # log of what a sample of the match covers
+    SIGMA = "sigma"  # log of the sigma of the heights
+    RESIDUAL_MEAN = "residual_mean"  # of the matches
+    RESIDUAL_WORST = "residual_worst"
+    UNKNOWN = "unknown"  # share of the footprint without a height
+
+
+class DensityTerm(StrEnum):
+    """Evidence that obstacles are about, by which those that remain unseen are reckoned (G7c)."""
+
     SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle: of the worst patch
     SPOT_MEAN = "spot_mean"
     SPOT_AROUND = "spot_around"
     DARK = "dark"  # contrast of the darkest spot
     BRIGHT = "bright"
-    RESIDUAL_MEAN = "residual_mean"  # of the matches
-    RESIDUAL_WORST = "residual_worst"
-    SIGMA = "sigma"  # log of the sigma of the heights
-    ROUGHNESS_SMOOTH = "roughness_smooth"  # log of the roughness of heights smoothed by 0.2 m, over its limit
-    ROUGHNESS_TREND = "roughness_trend"  # the same of heights smoothed by 0.45 m
-    UNKNOWN = "unknown"  # share of the footprint without a height
+    RELIEF_WORST = "relief_worst"
+    RELIEF_MEAN = "relief_mean"
+    RELIEF_AROUND = "relief_around"
+    ROUGHNESS_TREND = "roughness_trend"
 
 
 class GroundTerm(StrEnum):
-    """Evidence against ground that bears and is dry (G7c): log odds against landable ground of a footprint."""
+    """Evidence against ground that bears and is dry (G7e): log odds against landable ground of a footprint."""
 
     WORST = "worst"
     WORST_SMOOTH = "worst_smooth"  # of means over 0.2 m
@@ -44,6 +52,8 @@ class GroundTerm(StrEnum):
     WORST_BEYOND = "worst_beyond"  # to 1 m beyond the rim
     MEAN_BEYOND = "mean_beyond"  # to 3 m beyond the rim
     AROUND = "around"
+    NOVELTY = "novelty"  # log of how unlike all known ground it is: the mean
+    ENCLOSED = "enclosed"  # how much it is part of a level surface below its banks: the worst
 
 
 class SurfaceTerm(StrEnum):
@@ -90,7 +100,8 @@ def band(octave: int) -> str:
     return f"light_{octave}"
 
 
-OBSTACLE_TERMS: tuple[str, ...] = tuple(t.value for t in ObstacleTerm)
+RELIEF_TERMS: tuple[str, ...] = tuple(t.value for t in ReliefTerm)
+DENSITY_TERMS: tuple[str, ...] = tuple(t.value for t in DensityTerm)
 GROUND_TERMS: tuple[str, ...] = tuple(t.value for t in GroundTerm)
 FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame is a term as well
     SurfaceTerm.ROUGH_02,

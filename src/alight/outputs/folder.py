@@ -54,7 +54,7 @@ def _rasters(r: RunResult) -> Contents:
         files["dem.tif"] = lambda: tif(rasters.dem_raster(e, r.local), e.grid)
         files["flags.tif"] = lambda: tif(rasters.flags_raster(e), e.grid)
         files["ortho.tif"] = lambda: tif(rasters.ortho_raster(e), e.grid)
-    if (t := r.terrain) is not None:
+    if (t := r.terrain_as_mapped) is not None:
         files["terrain.tif"] = lambda: tif(rasters.terrain_raster(t), t.grid)
     if (h := r.hazards_as_mapped) is not None:
         files["safe.tif"] = lambda: tif(rasters.safe_raster(h), h.grid)

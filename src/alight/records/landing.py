@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, F64
 from alight.geometry import Grid
-from alight.records.surface import Terrain
+from alight.records.surface import Terrain, nearest_on
 
 Kind = Literal["site", "candidate"]
 Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
@@ -55,14 +55,10 @@ class HazardMap:
         """
         if grid == self.grid:
             return self
-        east, north = grid.xy()
-        row, col = (np.rint(i).astype(np.int64) for i in self.grid.index(east, north))
-        outside = ((row < 0) | (row >= self.grid.rows))[:, None] | ((col < 0) | (col >= self.grid.cols))[None, :]
-        nearest = np.ix_(row.clip(0, self.grid.rows - 1), col.clip(0, self.grid.cols - 1))
 
         def moved(values: NDArray[Any]) -> NDArray[Any]:
-            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else int(Hazard.UNKNOWN)
-            return np.asarray(np.where(outside, values.dtype.type(unknown), values[nearest]))
+            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Hazard.UNKNOWN)
+            return nearest_on(self.grid, grid, values, unknown)
 
         arrays = [f.name for f in fields(self) if f.name != "grid"]
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})

@@ -38,6 +38,13 @@ class RunResult:
     not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why
 
     @property
+    def terrain_as_mapped(self) -> TerrainMap | None:
+        """The land cover on the grid of the elevation, which files and pictures share."""
+        if self.terrain is None or self.elevation is None:
+            return self.terrain
+        return self.terrain.on(self.elevation.grid)
+
+    @property
     def hazards_as_mapped(self) -> HazardMap | None:
         """The hazards on the grid of the elevation, which files and pictures share."""
         if self.hazards is None or self.elevation is None:

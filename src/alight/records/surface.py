@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,6 +164,27 @@ class TerrainMap:
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
     probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
     enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
-    novelty: F32 | None = (
-        None  # (R, C) how unlike all ground that is known: 1 at the rim of what is known; NaN = unseen
-    )
+    novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
+
+    def on(self, grid: Grid) -> TerrainMap:
+        """The same on another grid, each cell with the value of the nearest one; unknown outside."""
+        if grid == self.grid:
+            return self
+
+        def moved(values: NDArray[Any] | None) -> NDArray[Any] | None:
+            if values is None:
+                return None
+            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Terrain.UNKNOWN)
+            return nearest_on(self.grid, grid, values, unknown)
+
+        names = ("label", "landable", "probability", "enclosed", "novelty")
+        return TerrainMap(grid, *(moved(getattr(self, name)) for name in names))  # type: ignore[arg-type]
+
+
+def nearest_on(source: Grid, target: Grid, values: NDArray[Any], outside: float) -> NDArray[Any]:
+    """The nearest value (R, C, ...) of one grid at every cell of another."""
+    row, col = (np.rint(i).astype(np.int64) for i in source.index(*target.xy()))
+    off = ((row < 0) | (row >= source.rows))[:, None] | ((col < 0) | (col >= source.cols))[None, :]
+    out = values[np.ix_(row.clip(0, source.rows - 1), col.clip(0, source.cols - 1))]
+    out[off] = outside
+    return np.asarray(out)

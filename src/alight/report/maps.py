@@ -128,8 +128,8 @@ def all_maps(result: RunResult, elevation: ElevationMap, c: Canvas) -> list[Figu
     if (hazards := result.hazards_as_mapped) is not None:
         figures += [reasons_figure(hazards, elevation, c), p_safe_figure(hazards, c)]
     figures += [heights_figure(result, elevation, c), sigma_figure(elevation, c)]
-    if result.terrain is not None:
-        figures.append(classes_figure(result.terrain, elevation, c))
+    if (cover := result.terrain_as_mapped) is not None:
+        figures.append(classes_figure(cover, elevation, c))
     figures.append(missing_figure(elevation, c))
     drawn, bar = marks(result, c), scale_bar(c)
     return [replace(f, marks=drawn, bar=bar, classes=("plain", "small")) for f in figures]

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.learned import Net, read_known, read_net, relu_net
+from alight.learned import KnownGround, Net, read_known, read_net, relu_net
 from alight.raster import close_mask, fill_pits, grow, without_specks
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
@@ -26,6 +27,18 @@ TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives 
 APART = 3  # cells between those whose likeness to known ground is judged
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
+
+
+class Tables(NamedTuple):
+    """What is fitted to the evidence of maps."""
+
+    net: Net
+    known: KnownGround
+
+
+def package_tables() -> Tables:
+    """Those of the package."""
+    return Tables(read_net("land_cover"), read_known())
 
 
 def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSettings) -> Mask:
@@ -103,7 +116,7 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 
 def _classified(
-    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, net: Net
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables
 ) -> tuple[U8, F32, F32, F32]:
     """Labels, P(landable), log probabilities and novelty of one map."""
     cell = elevation.grid.cell
@@ -113,7 +126,7 @@ def _classified(
     water = ponds(elevation, colours, shape, wet, settings)
     some: dict[str, F32] = {}
     terms = _kept(land_cover_terms(elevation, colours, shape), some)
-    plain = _with_water_and_tufts(relu_net(net, terms), water, cell, settings)
+    plain = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     odds = plain if added is None else plain + np.float32(settings.appearance) * added
     landable = fill_pits(
@@ -125,7 +138,7 @@ def _classified(
         _labels(odds, landable, colours, shape, settings),
         landable,
         log_softmax(odds),
-        _novelty(some, landable.shape),
+        _novelty(tables.known, some, landable.shape),
     )
 
 
@@ -136,9 +149,8 @@ def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tu
         yield name, values
 
 
-def _novelty(some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
+def _novelty(known: KnownGround, some: Mapping[str, F32], shape: tuple[int, int]) -> F32:
     """How unlike all known ground every cell is, (R, C), from the terms of some cells."""
-    known = read_known()
     values = np.stack([some[name].ravel() for name in known.terms], axis=1)
     found = known.novelty(values).reshape(some[known.terms[0]].shape)
     return np.asarray(cv2.resize(found, shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
@@ -160,7 +172,7 @@ def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
 
 
 def classify(
-    elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, net: Net | None = None
+    elevation: ElevationMap, settings: TerrainSettings, model: Model | None = None, tables: Tables | None = None
 ) -> TerrainMap:
     """Land cover of each cell, and the probability that it may be landed on.
 
@@ -168,7 +180,7 @@ def classify(
         elevation: heights, flags and colours.
         settings: scales and weights; `enabled` False gives UNKNOWN everywhere, which refuses nothing.
         model: of appearance; None: the map's own evidence alone.
-        net: over the map's own evidence; None: the package's (`learned/land_cover.md`).
+        tables: fitted to the map's own evidence; None: the package's (`learned/land_cover.md`, `known_ground.md`).
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
@@ -177,7 +189,7 @@ def classify(
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p, strange = _classified(elevation, settings, model, net or read_net("land_cover"))
+    label, landable, log_p, strange = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
     shut = enclosed(elevation, settings)
     return TerrainMap(
