@@ -65,6 +65,7 @@ def test_the_land_cover_net_learns_classes_that_its_terms_tell_apart() -> None:
 
 
 def test_rates_are_monotone_and_learn_the_terms_that_matter() -> None:
+    pytest.importorskip("sklearn")
     from p_safe import Part, Rows, caution, expected, fit
 
     rng, count = np.random.default_rng(0), 6000
@@ -75,7 +76,7 @@ def test_rates_are_monotone_and_learn_the_terms_that_matter() -> None:
         (Part(("a", "b"), x, np.ones(count)), Part(("c", "d"), y, unseen)),
         rng.uniform(size=count) < -np.expm1(-true), rng.integers(0, 3, count), np.full(count, 1 / count),
     )  # fmt: skip
-    rates = fit(r)
+    rates = fit(r, 0.5)
     for k in rates:
         assert (np.diff(k.heights, axis=1) >= 0).all()
     got = expected(rates, r)
