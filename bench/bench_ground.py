@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,9 +20,13 @@ from numpy.typing import NDArray
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.sharpen import sharpen
+from alight.landing.next_view import Observer
+from alight.landing.sites import choose_sites
+from alight.pipeline.judging import land_cover
 from alight.records import ElevationMap, HazardMap
-from alight.settings import HazardsSettings, Lander
+from alight.settings import HazardsSettings, Lander, Settings
 from alight.settings.tuning.hazards import SharpenTuning
+from alight.sources.library import read_model
 
 CELL = 0.2  # metres, dem.raw
 RIM = 21  # pixels at the rim that the truth calls unsafe: rows 0 to 20 and the last 21
@@ -105,11 +110,7 @@ LANDERS = {
 
 def speed(cells: int = 1000) -> None:
     """The whole verdict with its probabilities on rolling ground with 400 rocks, 0.1 m cells; the best of three."""
-    rng = np.random.default_rng(0)
-    z = 8 * cv2.GaussianBlur(rng.normal(0, 1, (cells, cells)), (0, 0), 30) + rng.normal(0, 0.01, (cells, cells))
-    for row, col in rng.integers(0, cells, (400, 2)):
-        cv2.circle(z, (int(col), int(row)), int(rng.integers(1, 5)), float(z[row, col] + rng.uniform(0.1, 0.5)), -1)
-    e = as_map(z.astype(np.float32), 0.1, np.full(z.shape, 0.02, np.float32))
+    e = rolling(cells)
     for name, lander in LANDERS.items():
         assess(e, None, lander, HazardsSettings())  # compile
         took = []
@@ -118,6 +119,48 @@ def speed(cells: int = 1000) -> None:
             assess(e, None, lander, HazardsSettings())
             took.append((time.perf_counter() - wall, time.process_time() - cpu))
         print(f"{name:26s} wall {min(t[0] for t in took):.2f} s  cpu {min(t[1] for t in took):.2f} s")
+
+
+def rolling(cells: int) -> ElevationMap:
+    """Rolling ground with 400 rocks on 0.1 m cells, with a picture on pixels of half that."""
+    rng = np.random.default_rng(0)
+    z = 8 * cv2.GaussianBlur(rng.normal(0, 1, (cells, cells)), (0, 0), 30) + rng.normal(0, 0.01, (cells, cells))
+    for row, col in rng.integers(0, cells, (400, 2)):
+        cv2.circle(z, (int(col), int(row)), int(rng.integers(1, 5)), float(z[row, col] + rng.uniform(0.1, 0.5)), -1)
+    return as_map(z.astype(np.float32), 0.1, np.full(z.shape, 0.02, np.float32))
+
+
+def verdict_speed(cells: int = 600) -> None:
+    """CPU of the whole verdict of 60 x 60 m: land cover, hazards, sites; and over StereoSGBM(64) of 640 x 480."""
+    e, s, model = rolling(cells), Settings().stages(), read_model()
+    rng = np.random.default_rng(1)
+    grey = cv2.GaussianBlur(rng.normal(120, 60, (2 * cells, 2 * cells)), (0, 0), 1.5).clip(1, 255).astype(np.uint8)
+    fine = np.repeat(grey[..., None], 3, axis=2)
+    fine[..., 0] //= 2
+    e = replace(
+        e, rgb=np.ascontiguousarray(fine[::2, ::2]), fine=fine, fine_sampling=np.full(e.grid.shape, 0.05, np.float32)
+    )
+    above = Observer(np.array([e.grid.east, e.grid.north, 40.0]), 40.0, 480.0, True)
+    pair = [np.ascontiguousarray(grey[:480, k : k + 640]) for k in (20, 0)]
+    matcher = cv2.StereoSGBM_create(0, 64, 5)
+
+    def once() -> tuple[float, float, float, float]:
+        at = [time.process_time()]
+        cover = land_cover(e, s.terrain, model)
+        at.append(time.process_time())
+        danger = assess(e, cover, s.lander, s.hazards)
+        at.append(time.process_time())
+        choose_sites(danger, cover, e, s.sites, s.lander, above)
+        at.append(time.process_time())
+        matcher.compute(*pair)
+        at.append(time.process_time())
+        return tuple(np.diff(at))  # type: ignore[return-value]
+
+    once()  # compile
+    took = np.median([once() for _ in range(7)], axis=0)
+    parts = ", ".join(f"{n} {t:.2f}" for n, t in zip(("land cover", "hazards", "sites"), took, strict=False))
+    print(f"verdict of {cells / 10:g} x {cells / 10:g} m: {took[:3].sum():.2f} s of CPU ({parts}), "
+          f"{took[:3].sum() / took[3]:.1f} x StereoSGBM(64) of 640 x 480")  # fmt: skip
 
 
 def main() -> None:
@@ -130,6 +173,7 @@ def main() -> None:
         hazards(arguments.data)
     if arguments.part in ("all", "speed"):
         speed()
+        verdict_speed()
 
 
 if __name__ == "__main__":

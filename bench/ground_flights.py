@@ -23,8 +23,9 @@ from ground_maps import HOWS, Judgeable, judgeable
 from heights_figures import Axis, chart
 from numpy.typing import NDArray
 
-from alight import hazards, terrain
+from alight import hazards
 from alight.landing import sites
+from alight.pipeline.judging import land_cover
 from alight.records import LANDABLE, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
 from alight.settings import Settings
 from alight.sources.library import read_model
@@ -32,17 +33,21 @@ from alight.terrain.classify import Tables
 
 TUNING = (
     "canal/12m/tuning-35", "canal/20m/tuning-31", "canal/20m/tuning-55", "canal/40m/tuning-39",
-    "car_park/12m/tuning-419", "car_park/20m/tuning-407", "concrete/12m/tuning-404", "concrete/20m/tuning-416",
-    "depot/12m/tuning-34", "depot/12m/tuning-57", "depot/20m/tuning-37", "desert/12m/tuning-415",
-    "desert/20m/tuning-403", "farmland/12m/tuning-405", "farmland/20m/tuning-417", "forest/12m/tuning-422",
-    "forest/20m/tuning-410", "furrows/30m/tuning-54", "gravel/10m/tuning-58", "gravel/12m/tuning-1",
+    "car_park/12m/tuning-419", "car_park/20m/tuning-407", "car_park/30m/tuning-73", "concrete/12m/tuning-404",
+    "concrete/20m/tuning-416", "concrete/30m/tuning-77", "depot/12m/tuning-34", "depot/12m/tuning-57",
+    "depot/20m/tuning-37", "depot/30m/tuning-67", "desert/12m/tuning-415", "desert/20m/tuning-403",
+    "desert/30m/tuning-70", "farmland/12m/tuning-405", "farmland/20m/tuning-417", "farmland/30m/tuning-79",
+    "forest/12m/tuning-422", "forest/20m/tuning-410", "forest/30m/tuning-72", "furrows/12m/tuning-63",
+    "furrows/20m/tuning-75", "furrows/30m/tuning-54", "gravel/10m/tuning-58", "gravel/12m/tuning-1",
     "gravel/12m/tuning-21", "gravel/20m/tuning-5", "gravel/20m/tuning-57", "gravel/30m/tuning-23",
-    "gravel/40-8m/tuning-3", "gravel/40m/tuning-50", "gravel/40m/tuning-9", "lakes/20m/tuning-420",
-    "marsh/12m/tuning-53", "meadow/12m/tuning-400", "meadow/40-8m/tuning-11", "pasture/12m/tuning-2",
-    "pasture/12m/tuning-22", "pasture/20m/tuning-6", "pasture/30m/tuning-24", "pasture/40-8m/tuning-4",
-    "quarry/12m/tuning-402", "quarry/20m/tuning-414", "snow/12m/tuning-411", "tall_grass/12m/tuning-409",
-    "tall_grass/20m/tuning-421", "village/12m/tuning-418", "village/20m/tuning-406", "yard/12m/tuning-401",
-    "yard/20m/tuning-413",
+    "gravel/40-8m/tuning-3", "gravel/40m/tuning-9", "gravel/40m/tuning-50", "lakes/12m/tuning-62",
+    "lakes/20m/tuning-420", "lakes/30m/tuning-68", "marsh/12m/tuning-53", "marsh/20m/tuning-61",
+    "marsh/30m/tuning-74", "meadow/12m/tuning-400", "meadow/20m/tuning-64", "meadow/30m/tuning-66",
+    "meadow/40-8m/tuning-11", "pasture/12m/tuning-2", "pasture/12m/tuning-22", "pasture/20m/tuning-6",
+    "pasture/30m/tuning-24", "pasture/40-8m/tuning-4", "quarry/12m/tuning-402", "quarry/20m/tuning-414",
+    "quarry/30m/tuning-71", "snow/12m/tuning-411", "snow/20m/tuning-76", "tall_grass/12m/tuning-409",
+    "tall_grass/20m/tuning-421", "tall_grass/30m/tuning-65", "village/12m/tuning-418", "village/20m/tuning-406",
+    "village/30m/tuning-69", "yard/12m/tuning-401", "yard/20m/tuning-413", "yard/30m/tuning-78",
 )  # fmt: skip
 TEST = (
     "meadow/50m/test-1", "village/50m/test-1", "yard/20m/test-1", "desert/50m/test-1", "meadow/20m/test-2",
@@ -88,7 +93,7 @@ def pooled(all_of: list[Judged], name: str = "all of them") -> Judged:
 
 def cover_of(j: Judgeable, tables: Tables | None = None) -> TerrainMap:
     """The classes as the product finds them, or with other tables."""
-    return terrain.classify(j.elevation, Settings().stages().terrain, read_model(), tables)
+    return land_cover(j.elevation, Settings().stages().terrain, read_model(), tables)
 
 
 def verdict(j: Judgeable) -> HazardMap:

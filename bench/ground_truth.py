@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
@@ -18,6 +18,7 @@ from alight_sim import TrueFootprint
 from alight_sim.truth import safe_mask
 
 Bool = NDArray[np.bool_]
+STANDS = 0.08  # metres above the ground about it: flat rock is no obstacle
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,27 +30,33 @@ class GroundTruth:
 
     @cached_property
     def even(self) -> Bool:
-        """Slope and roughness of the true surface keep their limits, and no cell of the footprint is rock."""
+        """Slope and roughness of the true surface keep their limits, and no rock stands in the footprint."""
         foot = TrueFootprint(self.lander.radius, self.lander.max_slope, self.lander.max_roughness)
         bare = np.full_like(self.truth.label, int(Terrain.BARE))
         level = np.asarray(safe_mask(self.truth.dem, bare, self.truth.grid.cell, foot), np.bool_)
-        return level & self._without([Terrain.ROCK])
+        return level & self._away_from((self.truth.label == Terrain.ROCK) & self._standing)
 
     @cached_property
     def bears(self) -> Bool:
         """No cell of the footprint has a class that may not be landed on, rock left aside."""
-        return self._without([k for k in Terrain if k not in (*LANDABLE, Terrain.ROCK)])
+        return self._away_from(~np.isin(self.truth.label, [int(k) for k in (*LANDABLE, Terrain.ROCK)]))
 
-    def _without(self, kinds: Sequence[Terrain]) -> Bool:
-        barred = np.isin(self.truth.label, [int(k) for k in kinds])
+    @cached_property
+    def safe(self) -> Bool:
+        """The shape keeps its limits, and no cell of the footprint has a class that may not be landed on."""
+        return self.even & self._away_from(~np.isin(self.truth.label, [int(k) for k in LANDABLE]))
+
+    @property
+    def _standing(self) -> Bool:
+        """What is higher than the ground about it: than an opening by a window of 2 m."""
+        window = np.ones((2 * round(1.0 / self.truth.grid.cell) + 1,) * 2, np.uint8)
+        dem = np.nan_to_num(self.truth.dem, nan=float(np.nanmin(self.truth.dem))).astype(np.float32)
+        return np.asarray(dem - cv2.morphologyEx(dem, cv2.MORPH_OPEN, window) > STANDS)
+
+    def _away_from(self, barred: Bool) -> Bool:
         if not barred.any():
             return ~barred
         return np.asarray(distance_transform_edt(~barred) * self.truth.grid.cell > self.lander.radius)
-
-    @property
-    def safe(self) -> Bool:
-        """Both."""
-        return self.even & self.bears
 
     def near(self, mask: Bool, metres: float = NEAR) -> Bool:
         """The mask, and what lies within `metres` of it: edges are drawn no better than that."""

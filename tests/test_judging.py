@@ -1,4 +1,4 @@
-"""The judging lane: who looks, and from where next."""
+"""The judging lane: on which cells, who looks, and from where next."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from some_run import candidate, elevation, hazards, site
 
-from alight.geometry import Camera, Pose
-from alight.pipeline.judging import Verdict, observer
+from alight.elevation import FIELDS, on_cells_up_to
+from alight.geometry import Camera, Grid, Pose
+from alight.pipeline.judging import Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
-from alight.records import NextView, Sites, View
+from alight.raster import block_mean, cells_as_blocks
+from alight.records import ElevationMap, NextView, Sites, View
+from alight.settings import TerrainSettings
 
 
 def look_down(t_ns: int, cam: int, focal: float) -> View:
@@ -42,3 +45,45 @@ def test_the_next_look_is_that_of_the_first_candidate_that_has_one_while_there_i
     assert look(Sites((), "fog", candidates=(blind, seen))) == seen.look
     assert look(Sites((site(),), candidates=(seen,))) is None
     assert look(Sites((), "fog", candidates=(blind,))) is None
+
+
+def cells(shape: tuple[int, int], cell: float, factor: int) -> ElevationMap:
+    """Level ground, every pixel of the finest picture its own grey."""
+    rng = np.random.default_rng(0)
+    fine = rng.integers(1, 255, (shape[0] * factor, shape[1] * factor, 3)).astype(np.uint8)
+    full = {"height": 0.0, "sigma": 0.02, "flags": 0, "views": 5, "residual": 0.1, "sampling": cell}
+    types = {k: FIELDS[k][0] for k in full}
+    fields = {k: np.full(shape, v, types[k]) for k, v in full.items()}
+    rgb = fine[::factor, ::factor].copy()
+    own = np.full(shape, cell / factor, np.float32)
+    return ElevationMap(Grid(0.0, 0.0, cell, *shape), rgb=rgb, fine=fine, fine_sampling=own, **fields)  # type: ignore[arg-type]
+
+
+def test_wider_cells_keep_the_finest_picture_where_it_is() -> None:
+    fine = cells((31, 40), 0.05, 2)
+    wide = on_cells_up_to(fine, 0.2)
+    assert (wide.grid.cell, wide.grid.shape) == (0.2, (8, 10))
+    picture, n = wide.finest
+    assert n == 8
+    np.testing.assert_array_equal(picture[:62, :80], fine.fine)
+    assert not picture[62:].any()
+    np.testing.assert_allclose(wide.picture_sampling, 0.025)
+
+
+@pytest.mark.parametrize(("pixel", "n"), [(0.01, 8), (0.05, 4), (0.1, 2), (0.2, 1), (9.0, 1)])
+def test_a_picture_is_asked_for_by_the_width_of_its_pixels(pixel: float, n: int) -> None:
+    wide = on_cells_up_to(cells((32, 40), 0.05, 2), 0.2)
+    picture, got = wide.picture(pixel)
+    assert got == n
+    want = block_mean(wide.finest[0][..., 1].astype(np.float32), 8 // n)
+    np.testing.assert_allclose(picture[..., 1], want, atol=0.5)
+
+
+def test_land_cover_is_found_on_cells_that_fit_its_evidence_and_given_on_those_of_the_map() -> None:
+    fine = cells((40, 40), 0.1, 2)
+    cover = land_cover(fine, TerrainSettings(), None)
+    assert cover.grid == fine.grid
+    blocks = cells_as_blocks(cover.landable, 2)
+    assert (blocks == blocks[:, :1, :, :1]).all()
+    coarse = cells((20, 20), 0.2, 4)
+    assert land_cover(coarse, TerrainSettings(), None).grid == coarse.grid

@@ -264,6 +264,28 @@ def test_the_ring_never_fills_what_it_does_not_see() -> None:
     assert ((found.flags[:, :60] & np.uint16(Flag.UNSEEN)) != 0).all()
 
 
+def test_a_seam_starts_from_the_heights_beside_it_and_a_wide_hole_does_not() -> None:
+    """Before there is baseline for a sweep: of what a first look left open, only what is narrow can be told."""
+    s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
+    truth = s.surface(EAST, NORTH).astype(np.float32)
+    seam, hole = np.zeros(GRID.shape, np.bool_), np.zeros(GRID.shape, np.bool_)
+    seam[:, 20:23], hole[10:30, 35:60] = True, True
+    known, seen = nothing_known(GRID), ~(seam | hole)
+    values = {"height": truth, "sigma": 0.02, "flags": 0, "views": 5, "residual": 0.1, "sampling": CELL}
+    fields = {k: np.where(seen, v, getattr(known, k)).astype(getattr(known, k).dtype) for k, v in values.items()}
+    rgb = np.where(seen[..., None], np.uint8(90), np.uint8(0))
+    never = ParallaxSettings().recursive.model_copy(update={"first_baseline": 9.0})
+    ring = RecursiveParallax(ParallaxSettings().model_copy(update={"recursive": never}), CELL, 0.0)
+    for v in s.views(COUNT)[:3]:
+        ring.push([v])
+    found = ring.step(GRID, replace(known, rgb=rgb, **fields), LOW, HIGH)
+    assert found is not None
+    inner = seam & (np.arange(GRID.rows)[:, None] > 5) & (np.arange(GRID.rows)[:, None] < GRID.rows - 6)
+    assert np.isfinite(found.height[inner]).all()
+    assert np.abs(found.height - truth)[inner].max() < 0.25 * PX
+    assert np.isnan(found.height[18:22, 44:50]).all()
+
+
 # -- where the ground is
 
 

@@ -271,7 +271,7 @@ def test_a_hover_without_history_holds_little() -> None:
 def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> None:
     """What earlier keyframes showed is kept although the newest does not look there any more."""
     f, events = flight()
-    settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
+    settings = settings_of("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.1", "sites.margin=0")
     p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
     reserves = [p.reserve]
     for e in events:

@@ -25,8 +25,9 @@ from ground_truth import GroundTruth
 
 from alight.arrays import F32, F64, I64, Mask
 from alight.evaluation.flight import at
-from alight.hazards.evidence import NARROW, PATCH, WIDE, relief_power, spot_power
-from alight.raster import distance_to, ellipse, gaussian_mean, local_max
+from alight.hazards.evidence import patch_mean, power_of_bumps, relief_power
+from alight.hazards.picture_spots import picture_spots
+from alight.raster import distance_to, ellipse, local_max
 from alight.records import LANDABLE, Terrain
 from alight.settings import Lander, Settings
 
@@ -53,10 +54,8 @@ class Obstacles:
     by_pixels: Mask
 
 
-def _true_relief(dem: F32, cell: float, limit: float) -> F32:
-    """Root mean square relief as wide as an obstacle, over its height, of the true surface."""
-    bumps = gaussian_mean(dem, NARROW * limit / cell) - gaussian_mean(dem, WIDE * limit / cell)
-    return np.sqrt(np.maximum(gaussian_mean(bumps * bumps, PATCH * limit / cell), 0)) / np.float32(limit)
+def _root(power: F32) -> F32:
+    return np.sqrt(np.maximum(power, 0))
 
 
 def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacles | None:
@@ -82,8 +81,10 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
     which = np.random.default_rng(0).choice(which, min(MOST, len(which)), replace=False)
     east, north = grid.east + cols[which] * grid.cell, grid.north - rows[which] * grid.cell
     reach = max(1, round(NEAR / e.grid.cell))
-    relief, spot = (local_max(np.sqrt(np.maximum(v, 0)), reach) for v in (relief_power(e, limit), spot_power(e, limit)))
-    quiet = local_max(_true_relief(dem, grid.cell, limit), max(1, round(2 * NEAR / grid.cell))) < QUIET
+    spots = patch_mean(picture_spots(e, limit).power, e.grid.cell, limit)
+    relief, spot = (local_max(_root(v), reach) for v in (relief_power(e, limit), spots))
+    true = _root(power_of_bumps(dem, grid.cell, limit))
+    quiet = local_max(true, max(1, round(2 * NEAR / grid.cell))) < QUIET
     inner = distance_to(~(e.trusted & j.seen)) * e.grid.cell > RIM
     even = truth.on(e.grid, quiet & truth.bears) & inner
     if even.sum() < EVEN:
@@ -99,7 +100,7 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
 
 
 def share_found(size: F64, found: Mask) -> tuple[F64, I64]:
-    """Share found in every bin of `SIZES`, never less for larger ones, and the number of obstacles; NaN where few."""
+    """Share found in every bin of `SIZES`, and the number of obstacles; NaN where few."""
     at_, count = np.full(len(SIZES), np.nan), np.zeros(len(SIZES), np.int64)
     edges = np.concatenate([[0.0], np.sqrt(SIZES[:-1] * SIZES[1:]), [np.inf]])
     for k, (low, high) in enumerate(pairwise(edges)):

@@ -1,4 +1,4 @@
-"""Fit `learned/land_cover.npz`: a small net over the evidence of single cells, from flights with truth.
+"""Fit `learned/land_cover.npz`, a small net over the evidence of single cells, and `known_ground.npz`.
 
     PYTHONPATH=bench python training/land_cover.py
 
@@ -23,7 +23,8 @@ from scipy.ndimage import distance_transform_edt
 from sklearn.neural_network import MLPClassifier
 
 from alight.arrays import F32, F64, I64, U8
-from alight.learned import CLIP, AffineLayer, KnownGround, Net, net_bytes
+from alight.elevation import on_cells_up_to
+from alight.learned import CLIP, AffineLayer, KnownGround, Net, known_bytes, net_bytes
 from alight.learned.known import CLIP as KNOWN_CLIP
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain
 from alight.settings import TerrainSettings
@@ -96,6 +97,7 @@ def rows_of(flights: Iterable[str], scratch: Path) -> list[Rows]:
             j = judgeable(name, "batch", scratch)
             if j is None:
                 continue
+            j = replace(j, elevation=on_cells_up_to(j.elevation, TerrainSettings().cell))
             at, kind, weight = _drawn(j)
             found = evidence_of(j.elevation)
             values = np.stack([v.ravel()[at] for v in found.values()], axis=1)
@@ -193,9 +195,10 @@ def main() -> None:
     )
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"
-    write_table(
-        "land_cover", net_bytes(fit_net(joined(parts))), {"Fitted on": fitted, "Made by": made, "Metrics": measure}
-    )
+    sections = {"Fitted on": fitted, "Made by": made}
+    write_table("land_cover", net_bytes(fit_net(joined(parts))), sections | {"Metrics": measure})
+    known = with_limit(parts, [TUNING[int(p.flight[0])] for p in parts])
+    write_table("known_ground", known_bytes(known), sections)
 
 
 if __name__ == "__main__":

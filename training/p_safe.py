@@ -1,17 +1,17 @@
-"""Fit `learned/obstacle_rate.npz` and `learned/ground_rate.npz`, and print what they are worth on scenes left out.
+"""Fit the tables of rates in `learned/`, and print what they are worth on families of scenes left out.
 
     PYTHONPATH=bench python training/p_safe.py
 
 Each rate is a sum of rising broken lines, fitted by maximum likelihood to whether a touchdown truly meets no obstacle,
-or truly lies on ground that bears and is dry. The caution that the worst family of scenes left out asks for is printed,
-and is not applied yet. Nothing but simulated flights is fitted to; other renderers and real places only judge.
+or truly lies on ground that bears and is dry. What the worst family of scenes left out asks for is printed, and is not
+applied: docs/lab/p-safe.md. Nothing but simulated flights is fitted to; other renderers and real places only judge.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +26,6 @@ from alight.arrays import F32, F64, I64, Mask
 from alight.hazards.assessment import evidence
 from alight.learned import Rate, rate_bytes
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
-from alight.records import Hazard
 from alight.settings import Settings
 from alight.terrain.classify import Tables
 
@@ -34,10 +33,9 @@ SOME = 1500  # cells of a map
 KNOTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # quantiles of a term, families alike, at which its line bends
 PENALTY = 1e-5  # of squared rises of the lines
 ROUNDS = 3  # in which a family weighs more by what was lost on it
-EAGER = {"obstacle": 0.5, "ground": 0.0}  # how much more; families whose ground no other teaches would take all weight
-CAUTION = 1.0  # factor on all rates that is applied; what the worst family asks for is printed (docs/lab/p-safe.md)
+EAGER = {"obstacle": 1.0, "ground": 0.5}  # how much more: dense stones and ground that looks safe and is not
 NAMES = {"obstacle": ("relief_rate", "density_rate"), "ground": ("ground_rate",)}
-FOLDS = 5  # of families, each judged by what was fitted without it
+FOLDS = 5  # of flights, or of families, each judged by a net that was fitted without it
 LEAST_STEP = 0.02  # of the range of a term: knots lie no nearer
 MOST = 3.0  # log of the largest rate of a part
 LEAST = 100  # cells of a family that count
@@ -51,16 +49,14 @@ class Sample:
     name: str
     family: str
     obstacle: dict[str, F32]
-    unseen: F32  # share of the obstacles above the limit that would not be found
+    hidden: F32  # share of the obstacles above the limit that the heights would not show
     ground: dict[str, F32]
     tilt: F32  # P that the tilt keeps its limit
-    even: Mask  # no limit of the ground's shape is broken by what the map shows
-    kept: Mask  # no limit at all
+    kept: Mask  # the map shows no limit that is broken
     truly_even: Mask  # or within 0.3 m of it
     truly_bears: Mask
     truly_safe: Mask
     truly_near: Mask
-    share: float  # of the cells that were seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,34 +94,29 @@ def sample(name: str, how: How, scratch: Path, tables: Tables) -> Sample | None:
     seen = np.flatnonzero(discs.largest(j.seen.astype(np.float32)) > 0)
     some = np.random.default_rng(0).choice(seen, min(SOME, len(seen)), replace=False)
 
-    def free(but: Hazard) -> Mask:
-        return np.asarray(
-            discs.largest((reasons & np.uint8(0xFF & ~int(but)) != 0).astype(np.float32)).ravel()[some] == 0
-        )
-
     def truly(mask: Mask) -> Mask:
         return truth.on(discs.grid, mask).ravel()[some]
 
     return Sample(
         f"{name}, {how}", family_of(name),
-        {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.unseen.ravel()[some],
+        {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.hidden.ravel()[some],
         {k: v.ravel()[some] for k, v in found.ground.items()},
-        discs.coarse(np.nan_to_num(found.tilt)).ravel()[some], free(Hazard.TERRAIN), free(Hazard(0)),
+        discs.coarse(np.nan_to_num(found.tilt)).ravel()[some],
+        discs.largest((reasons != 0).astype(np.float32)).ravel()[some] == 0,
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
-        len(some) / max(len(seen), 1),
     )  # fmt: skip
 
 
 def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
-    """The cells of one factor: those that nothing refuses for another reason."""
-    kept = [(s, s.even if what == "obstacle" else s.kept) for s in samples]
+    """The cells of one factor: those that nothing refuses, and that the other factor's hazards leave alone."""
+    kept = [(s, s.kept & (s.truly_bears if what == "obstacle" else s.truly_even)) for s in samples]
     kept = [(s, use) for s, use in kept if use.sum() >= LEAST]
     count = {f: sum(s.family == f for s, _ in kept) for f in families}
     weight = np.concatenate([np.full(use.sum(), 1 / use.sum() / count[s.family]) for s, use in kept])
 
-    def part(terms: tuple[str, ...], unseen: bool) -> Part:
+    def part(terms: tuple[str, ...], hidden: bool) -> Part:
         values = [np.stack([getattr(s, what)[t][use] for t in terms], axis=1) for s, use in kept]
-        share = [s.unseen[use] if unseen else np.ones(use.sum()) for s, use in kept]
+        share = [s.hidden[use] if hidden else np.ones(use.sum()) for s, use in kept]
         return Part(
             terms, np.nan_to_num(np.concatenate(values)).astype(np.float64), np.concatenate(share).astype(np.float64)
         )
@@ -170,9 +161,12 @@ class _Likelihood:
         ends = np.cumsum([r.shape[1] for r in self.ramps])
         return [r @ w for r, w in zip(self.ramps, np.split(x, ends[:-1]), strict=True)]
 
-    def rates(self, x: F64) -> list[F64]:
-        """Of every part, shares included."""
-        return [s * np.exp(np.minimum(z, MOST)) for z, s in zip(self._logs(x), self.share, strict=True)]
+    def _rates(self, logs: list[F64]) -> list[F64]:
+        return [s * np.exp(np.minimum(z, MOST)) for z, s in zip(logs, self.share, strict=True)]
+
+    def rate(self, x: F64) -> F64:
+        """Of all parts together, shares included."""
+        return np.asarray(np.sum(self._rates(self._logs(x)), axis=0))
 
     def lost(self, rate: F64) -> F64:
         """Of every cell."""
@@ -180,10 +174,11 @@ class _Likelihood:
 
     def __call__(self, x: F64) -> tuple[float, F64]:
         """The mean loss with its penalty, and the slope."""
-        rates = self.rates(x)
+        logs = self._logs(x)
+        rates = self._rates(logs)
         rate = np.sum(rates, axis=0)
         slope = self.weight * np.where(self.hazard, -np.exp(-rate) / np.maximum(-np.expm1(-rate), 1e-12), 1.0)
-        free = [slope * own * (z < MOST) for z, own in zip(self._logs(x), rates, strict=True)]
+        free = [slope * own * (z < MOST) for z, own in zip(logs, rates, strict=True)]
         back = np.concatenate([r.T @ v for r, v in zip(self.ramps, free, strict=True)])
         penalised = x * np.concatenate([np.r_[np.ones(r.shape[1] - 1), 0] for r in self.ramps])
         return float(self.weight @ self.lost(rate)) + PENALTY * float(penalised @ x), back + 2 * PENALTY * penalised
@@ -202,7 +197,7 @@ def fit(r: Rows, eager: float) -> tuple[Rate, ...]:
         x = minimize(
             likelihood, x, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 400, "ftol": 1e-8}
         ).x
-        lost = likelihood.lost(np.sum(likelihood.rates(x), axis=0))
+        lost = likelihood.lost(likelihood.rate(x))
         total = np.bincount(r.family, r.weight, len(favour))
         each = np.bincount(r.family, r.weight * lost, len(favour)) / np.maximum(total, 1e-12)
         favour = favour * np.exp(eager * (each - each.mean()) / max(each.std(), 1e-9) / ROUNDS)
@@ -238,27 +233,31 @@ def caution(rate: F64, r: Rows) -> float:
     return 32.0
 
 
-def folds_of(families: Sequence[str]) -> dict[str, int]:
-    """The fold of every family."""
-    return {f: i % FOLDS for i, f in enumerate(sorted(set(families)))}
+def folds_of(names: Sequence[str], whole_families: bool) -> dict[str, int]:
+    """The fold of every flight: each family's flights spread over all folds, or each family in one."""
+    families = sorted({family_of(n) for n in names})
+    if whole_families:
+        return {n: families.index(family_of(n)) % FOLDS for n in names}
+    own = {f: [n for n in names if family_of(n) == f] for f in families}
+    return {n: own[family_of(n)].index(n) % FOLDS for n in names}
 
 
-def left_out(samples: list[Sample], what: str) -> tuple[Rows, F64]:
-    """Cells, and their rates by what was fitted without their family."""
+def left_out(samples: list[Sample], strange: list[Sample], what: str) -> tuple[Rows, F64]:
+    """The `strange` cells, and their rates by what was fitted to the samples of all other families."""
     families = sorted({s.family for s in samples})
-    r = rows(samples, what, families)
+    known, r = rows(samples, what, families), rows(strange, what, families)
     out = np.empty(len(r.hazard))
     for k in range(len(families)):
         own = r.family == k
         if own.any():
-            out[own] = expected(fit(r.some(~own), EAGER[what]), r.some(own))
+            out[own] = expected(fit(known.some(known.family != k), EAGER[what]), r.some(own))
     return r, out
 
 
 def claimed(s: Sample, obstacle: Sequence[Rate], ground: Sequence[Rate]) -> F32:
     """P(safe) of the cells of one map."""
     relief, density = (np.exp(rate.log_rate(s.obstacle)) for rate in obstacle)
-    bad = relief + s.unseen * density + np.exp(ground[0].log_rate(s.ground))
+    bad = relief + s.hidden * density + np.exp(ground[0].log_rate(s.ground))
     return np.where(s.kept, s.tilt * np.exp(-bad), np.float32(0)).astype(np.float32)
 
 
@@ -282,17 +281,15 @@ def table(samples: list[Sample], p_of: Callable[[Sample], F32]) -> list[str]:
     return out
 
 
-def samples_of(names: Sequence[str], scratch: Path, hows: Sequence[How] = HOWS) -> list[Sample]:
-    """Cells of every flight, their cover judged by a net that has not seen the flight's family."""
+def samples_of(names: Sequence[str], scratch: Path, whole_families: bool, hows: Sequence[How] = HOWS) -> list[Sample]:
+    """Cells of every flight, their cover judged by a net that has not seen the flight, or nothing of its family."""
     parts = {names[r.flight[0]]: r for r in rows_of(names, scratch)}
-    fold = folds_of([family_of(n) for n in parts])
+    fold = folds_of(list(parts), whole_families)
     out = []
     for k in sorted(set(fold.values())):
-        others = {n: r for n, r in parts.items() if fold[family_of(n)] != k}
-        if not others:
-            continue
+        others = {n: r for n, r in parts.items() if fold[n] != k}
         tables = Tables(fit_net(joined(list(others.values()))), with_limit(list(others.values()), list(others)))
-        found = [sample(n, how, scratch, tables) for n in parts if fold[family_of(n)] == k for how in hows]
+        found = [sample(n, how, scratch, tables) for n in parts if fold[n] == k for how in hows]
         out += [s for s in found if s is not None]
     return out
 
@@ -301,15 +298,15 @@ def main() -> None:
     """Fit, and write the tables and their cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
-    samples = samples_of(TUNING, parser.parse_args().scratch)
+    scratch = parser.parse_args().scratch
+    samples, strange = (samples_of(TUNING, scratch, whole_families) for whole_families in (False, True))
     families = sorted({s.family for s in samples})
-    fitted = f"Maps of {len(samples)} simulated tuning flights of {len(families)} families of scenes. {version()}"
+    fitted = f"{len(samples)} maps of {len(TUNING)} simulated tuning flights, {len(families)} families of scenes. {version()}"
     rates: dict[str, tuple[Rate, ...]] = {}
     for what, names in NAMES.items():
-        r, rate = left_out(samples, what)
-        print(f"{what}: the worst family left out asks for a caution of {caution(rate, r):.2f}, applied is {CAUTION}")
-        shift = float(np.log(CAUTION))
-        rates[what] = tuple(replace(k, bias=k.bias + shift) for k in fit(r, EAGER[what]))
+        r, rate = left_out(samples, strange, what)
+        print(f"{what}: the worst family left out asks for {caution(rate, r):.1f} times these rates")
+        rates[what] = fit(rows(samples, what, families), EAGER[what])
         for name, k in zip(names, rates[what], strict=True):
             write_table(name, rate_bytes(k), {"Fitted on": fitted})
     print("\n".join(table(samples, lambda s: claimed(s, rates["obstacle"], rates["ground"]))))

@@ -49,17 +49,20 @@ def double_fields(coarse: Fields, inflation: np.float32) -> Fields:
 def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
     """The map on the largest cells that are its own doubled again and again and not above `cell` metres.
 
-    The last row and column may reach beyond the map. Pictures on finer pixels are left out.
+    The last row and column may reach beyond the map. The finest picture stays as it is.
     """
     while 2 * elevation.grid.cell <= cell * (1 + 1e-6):
         rows, cols = elevation.grid.shape
+        odd = ((0, rows % 2), (0, cols % 2))
         padded = nothing((rows + rows % 2, cols + cols % 2))
         for k, field in padded.items():
             field[:rows, :cols] = getattr(elevation, k)
-        warp = elevation.warp
-        if warp is not None:
-            warp = np.pad(warp, ((0, rows % 2), (0, cols % 2)), mode="edge")[::2, ::2].copy()
-        fields = halve_fields(padded)
-        grid = elevation.grid.coarser(2)
-        elevation = replace(elevation, grid=grid, warp=warp, fine=None, fine_sampling=None, **fields)  # type: ignore[arg-type]
+        picture, n = elevation.finest
+        corners = [
+            None if v is None else np.pad(v, odd, mode="edge")[::2, ::2].copy()
+            for v in (elevation.warp, elevation.fine_sampling)
+        ]
+        fine = np.pad(picture, (*((0, n * k[1]) for k in odd), (0, 0)))
+        grid, fields = elevation.grid.coarser(2), halve_fields(padded)
+        elevation = replace(elevation, grid=grid, warp=corners[0], fine=fine, fine_sampling=corners[1], **fields)  # type: ignore[arg-type]
     return elevation

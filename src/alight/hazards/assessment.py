@@ -18,7 +18,7 @@ from alight.hazards.evidence import FootprintShape
 from alight.hazards.factors import Evidence, evidence_of, factors_of
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma
 from alight.hazards.usable_heights import smoothed_height, usable_height
-from alight.raster import clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share
+from alight.raster import block_quantile, clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share, upsample
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -57,6 +57,16 @@ def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[in
     return terrain.landable < settings.min_landable
 
 
+def _smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
+    """Largest deviation of heights smoothed by `length`, metres; on wider cells where that length allows them."""
+    smooth = smoothed_height(height, cell, length)
+    n = int(length / cell + ROUNDING)
+    if n < 2:
+        return footprint_of(smooth, radius, cell).roughness
+    wide = block_quantile(smooth, 2, 0.5)
+    return upsample(footprint_of(wide, radius, 2 * cell).roughness, 2, height.shape)
+
+
 def _find(
     height: F32,
     unseen: Mask,
@@ -84,8 +94,10 @@ def _find(
     vetoed = disc_any(_veto(terrain, settings, height.shape), lander.radius, cell)
     smooth = trend = fp.roughness
     if settings.smoothed:
-        smooth = footprint_of(smoothed_height(height, cell, settings.even_length), lander.radius, cell).roughness
-        trend = footprint_of(smoothed_height(height, cell, settings.broad_length), lander.radius, cell).roughness
+        smooth, trend = (
+            _smoothed_roughness(height, lander.radius, cell, length)
+            for length in (settings.even_length, settings.broad_length)
+        )
     return _Findings(
         fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, smooth, trend
     )

@@ -6,14 +6,13 @@ match, or a pixel of the picture, covers of the ground.
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
 from alight.arrays import F32, F64
-from alight.learned import table_path
+from alight.learned import arrays_of, table_path
 
 WIDE = 2.0  # width of an obstacle over its height: half a ball
 STEEP = 3.0  # exponent of the number of obstacles by width: twice as wide ones are an eighth as many
@@ -41,12 +40,15 @@ class Detection:
 
     def unseen_share(self, limit: float, sampling: F32, pixel: F32) -> F32:
         """Share that stays unseen of the obstacles that are higher than `limit` metres, of the shape of `sampling`."""
-        width = WIDE * limit * np.geomspace(1, LARGEST, STEPS)
-        weight = width ** (1 - STEEP)
-        sizes, g, p = width[None, None], limit * RATIOS[:, None, None], limit * RATIOS[None, :, None]
-        table = np.average(self.missed(sizes, g, p), axis=-1, weights=weight)
         at = [_position(v / np.float32(limit)) for v in (sampling, pixel)]
-        return _bilinear(table, at[0], at[1])
+        return _bilinear(self._unseen, at[0], at[1])
+
+    @cached_property
+    def _unseen(self) -> F64:
+        """The share at `RATIOS` of the sampling (rows) and of the pixel (columns): lengths over the limit."""
+        width = WIDE * np.geomspace(1, LARGEST, STEPS)
+        missed = self.missed(width[None, None], RATIOS[:, None, None], RATIOS[None, :, None])
+        return np.asarray(np.average(missed, axis=-1, weights=width ** (1 - STEEP)))
 
     def smallest_found(self, share: float, sampling: F32, pixel: F32) -> F32:
         """Height of the smallest obstacle that is found with a probability of `share`, metres."""
@@ -80,8 +82,8 @@ def read_detection() -> Detection:
     Raises:
         ValueError: the file holds curves that fall, or shares beyond 0 to 1.
     """
-    with np.load(io.BytesIO(table_path("detection").read_bytes()), allow_pickle=False) as z:
-        sizes, heights, pixels = (z[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))
+    arrays = arrays_of(table_path("detection").read_bytes())
+    sizes, heights, pixels = (arrays[k].astype(np.float64) for k in ("sizes", "heights", "pixels"))
     for curve in (heights, pixels):
         if curve.shape != sizes.shape or (np.diff(curve) < 0).any() or not ((curve >= 0) & (curve <= 1)).all():
             raise ValueError("a curve of the table falls, or leaves 0 to 1")

@@ -1,4 +1,4 @@
-"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/hazards.md, G7b).
+"""Evidence against a footprint: terms that are larger where it is less likely safe (docs/method/p-safe.md, G7b).
 
 Lengths are in units of the height that the lander just stands. So what is learned with one lander, one camera and one
 height above ground is said of what can be seen, not of metres.
@@ -17,7 +17,7 @@ from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
 from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
 from alight.raster import block_max, block_mean, disc_max, disc_mean, gaussian_mean, log_at_least, nearest_known
-from alight.records import ElevationMap, TerrainMap
+from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap
 from alight.settings import Lander
 
 RIM = 0.25  # metres; an object this near to the rim may as well lie outside
@@ -83,14 +83,19 @@ def relief_power(elevation: ElevationMap, limit: float) -> F32:
     """Mean square relief as wide as an obstacle of height `limit` (metres), over that height, (R, C)."""
     cell, known = elevation.grid.cell, np.isfinite(elevation.height)
     middle = np.float32(np.median(elevation.height[known])) if known.any() else np.float32(0)
-    height = np.nan_to_num(nearest_known(elevation.height - middle, known)) / np.float32(limit)
-    bumps = gaussian_mean(height, NARROW * limit / cell) - gaussian_mean(height, WIDE * limit / cell)
-    return gaussian_mean(bumps * bumps, PATCH * limit / cell)
+    return power_of_bumps(np.nan_to_num(nearest_known(elevation.height - middle, known)), cell, limit)
 
 
-def spot_power(elevation: ElevationMap, limit: float) -> F32:
-    """Mean square contrast of spots as wide as an obstacle of height `limit` (metres), log brightness, (R, C)."""
-    return gaussian_mean(picture_spots(elevation, limit).power, PATCH * limit / elevation.grid.cell)
+def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
+    """The same of any surface, (R, C) metres, all known."""
+    over = height / np.float32(limit)
+    bumps = gaussian_mean(over, NARROW * limit / cell) - gaussian_mean(over, WIDE * limit / cell)
+    return patch_mean(bumps * bumps, cell, limit)
+
+
+def patch_mean(power: F32, cell: float, limit: float) -> F32:
+    """Mean over what an obstacle of height `limit` (metres) covers, (R, C)."""
+    return gaussian_mean(power, PATCH * limit / cell)
 
 
 def _log_rms(power: F32, floor: float) -> F32:
@@ -102,7 +107,7 @@ def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lande
     cell, limit, highest = elevation.grid.cell, lander.tallest_obstacle, np.float32(lander.max_roughness)
     relief = discs.coarse(relief_power(elevation, limit))
     spots = picture_spots(elevation, limit)
-    spot = discs.coarse(gaussian_mean(spots.power, PATCH * limit / cell))
+    spot = discs.coarse(patch_mean(spots.power, cell, limit))
     residual = np.nan_to_num(elevation.residual)
     deviations = {
         ReliefTerm.ROUGHNESS: shape.footprint.roughness,
@@ -118,12 +123,12 @@ def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lande
         ReliefTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
         ReliefTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
         ReliefTerm.UNKNOWN: discs.largest(shape.footprint.unknown),
-        DensityTerm.RELIEF_AROUND: _log_rms(discs.around(relief), 0.02),
         DensityTerm.SPOT_WORST: _log_rms(discs.worst(spot), 0.005),
         DensityTerm.SPOT_MEAN: _log_rms(discs.mean(spot), 0.005),
         DensityTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
         DensityTerm.DARK: discs.worst(discs.largest(spots.dark)),
         DensityTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
+        DensityTerm.PIXEL: np.log(discs.mean(discs.coarse(pictured(elevation))) / np.float32(limit)),
     }
 
 
@@ -137,17 +142,33 @@ def pictured(elevation: ElevationMap) -> F32:
     return np.asarray(np.nan_to_num(elevation.picture_sampling, nan=UNMATCHED * elevation.grid.cell), np.float32)
 
 
-def hazard_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
-    """Log odds (R, C) against landable ground; a cell without a class counts as landable."""
+def _odds_against(probability: F32) -> F32:
+    return np.asarray(-logit(probability.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
+
+
+def _of_class(land_cover: TerrainMap, kind: Terrain) -> F32:
+    assert land_cover.probability is not None
+    return np.asarray(np.nan_to_num(land_cover.probability[..., kind - 1]), np.float32)
+
+
+def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
+    """Log odds (R, C) against ground that bears and is dry, rock counted as such: stones are obstacles.
+
+    A cell without a class counts as landable. What refuses a landable class refuses rock as much.
+    """
     if land_cover is None:
         return np.full(shape, -CERTAIN, np.float32)
-    landable = np.where(np.isfinite(land_cover.landable), land_cover.landable, 1.0)
-    return np.asarray(-logit(landable.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
+    landable = np.where(np.isfinite(land_cover.landable), land_cover.landable, np.float32(1))
+    if land_cover.probability is not None:
+        flat = np.sum([_of_class(land_cover, k) for k in LANDABLE], axis=0)
+        rock = _of_class(land_cover, Terrain.ROCK) / np.maximum(flat, np.float32(MIN_PROBABILITY))
+        landable = np.minimum(landable * (1 + rock), 1)
+    return _odds_against(landable)
 
 
 def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: Discs) -> dict[str, F32]:
     """Evidence against ground that bears and is dry, on the cells of `discs`."""
-    odds = hazard_odds(land_cover, elevation.grid.shape)
+    odds = ground_odds(land_cover, elevation.grid.shape)
     smooth = discs.coarse(gaussian_mean(odds, 0.2 / elevation.grid.cell))
     mean = discs.coarse(odds)
     return {

@@ -1,4 +1,4 @@
-"""P(safe) as a product of three chances, each with evidence of its own (docs/method/hazards.md, G7, G7b to G7e)."""
+"""P(safe) as a product of three chances, each with evidence of its own (docs/method/p-safe.md, G7, G7b to G7e)."""
 
 from __future__ import annotations
 
@@ -30,13 +30,14 @@ class Evidence:
     tilt: F32  # (R, C) P that the tilt keeps its limit
     discs: Discs  # the cells of the terms
     obstacle: dict[str, F32]  # terms of `relief_rate` and `density_rate`
-    unseen: F32  # share of the obstacles above the limit that neither heights nor pictures would show
+    hidden: F32  # share of the obstacles above the limit that the heights would not show
+    unseen: F32  # share of them that neither heights nor pictures would show
     ground: dict[str, F32]  # terms of `ground_rate`
 
 
 @dataclass(frozen=True, eq=False)
 class SafetyFactors:
-    """SafetyFactors of P(safe), and how far the pictures go, (R, C) each."""
+    """Factors of P(safe), and how far the pictures go, (R, C) each."""
 
     relief: F32
     obstacle: F32
@@ -53,8 +54,9 @@ def evidence_of(
     obstacle = obstacle_terms(elevation, shape, lander, discs)
     ground = ground_terms(elevation, terrain, discs)
     sampling, pixel = (discs.mean(discs.coarse(v)) for v in (sampled(elevation), pictured(elevation)))
-    unseen = read_detection().unseen_share(lander.tallest_obstacle, sampling, pixel)
-    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, unseen, ground)
+    curves, nothing = read_detection(), np.full_like(pixel, np.nan)
+    hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
+    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, hidden, unseen, ground)
 
 
 def factors_of(
@@ -74,25 +76,15 @@ def factors_of(
         return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
     found, curves = evidence_of(elevation, terrain, tilt, shape, lander), read_detection()
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
-    about = np.exp(read_rate("density_rate").log_rate(found.obstacle))
-    expected = np.exp(read_rate("relief_rate").log_rate(found.obstacle)) + found.unseen * np.maximum(about, usual)
-    ground = np.exp(read_rate("ground_rate").log_rate(found.ground)) + _unlike_dry_ground(
-        terrain, found.discs, settings
-    )
-    out = SafetyFactors(
-        found.tilt,
-        found.discs.fine(np.exp(-expected)),
-        found.discs.fine(np.exp(-ground)),
-        curves.smallest_found(FOUND, sampled(elevation), pictured(elevation)),
-        np.full_like(tilt, np.nan),
-    )
-    return SafetyFactors(
-        out.relief,
-        out.obstacle,
-        out.ground,
-        out.resolved,
-        _settles_at(out, tilt, pictured(elevation), curves, lander, settings),
-    )
+    shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
+    expected = shown + np.maximum(found.hidden * about, found.unseen * usual)
+    wet = np.exp(read_rate("ground_rate").log_rate(found.ground))
+    wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
+    obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
+    sampling, pixel = sampled(elevation), pictured(elevation)
+    enough = pixel_that_settles(curves, lander, settings)
+    settles_at = _settles_at((found.tilt, obstacle, ground), tilt, pixel, enough, lander, settings)
+    return SafetyFactors(found.tilt, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
 
 
 def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, settings: HazardsSettings) -> F32:
@@ -129,18 +121,18 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
 
 
 def _settles_at(
-    f: SafetyFactors, tilt: F32, pixel: F32, curves: Detection, lander: Lander, settings: HazardsSettings
+    factors: tuple[F32, F32, F32], tilt: F32, pixel: F32, shows: float, lander: Lander, settings: HazardsSettings
 ) -> F32:
     """The pixel by which the smallest factor would be settled, metres; NaN where a closer look would not tell more.
 
-    An obstacle: the pixel that shows it, or half of the present one where that is fine enough already. Relief: sigma
+    An obstacle: the pixel that `shows` it, or half of the present one where that is fine enough already. Relief: sigma
     shrinks with the pixel. Ground: half of the present one.
     """
-    fine = np.float32(pixel_that_settles(curves, lander, settings))
+    (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(NEARER) * pixel
     closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
     enough = np.float32(ndtri(1 - SETTLED * (1 - settings.p_safe)))
     flatter = pixel * (tilt / enough).clip(0, 1)
-    out = np.where(f.relief < np.minimum(f.obstacle, f.ground), np.minimum(flatter, half), closer)
-    out = np.where(f.ground < np.minimum(f.obstacle, f.relief), np.minimum(half, fine), out)
+    out = np.where(relief < np.minimum(obstacle, ground), np.minimum(flatter, half), closer)
+    out = np.where(ground < np.minimum(obstacle, relief), np.minimum(half, fine), out)
     return np.where(out >= np.float32(FINEST * lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)

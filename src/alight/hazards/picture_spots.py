@@ -1,19 +1,16 @@
-"""Spots of the picture as wide as an obstacle: difference of Gaussians on fine pixels (docs/method/hazards.md, G9b)."""
+"""Spots of the picture as wide as an obstacle: difference of Gaussians on fine pixels (docs/method/p-safe.md, G9b)."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
 from alight.arrays import F32
-from alight.raster import block_max, block_mean, gaussian_mean
+from alight.raster import block_max, block_mean, gaussian_mean, log_brightness
 from alight.records import ElevationMap
 
 NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
-GREY = 2.0  # levels added: noise in the dark is no contrast
-LOG = np.log(np.arange(256, dtype=np.float32) + np.float32(GREY))
 
 
 class PictureSpots(NamedTuple):
@@ -35,7 +32,7 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     halves = min(factor, 2)
     inner = factor // halves
     pixel = elevation.grid.cell / halves
-    light = block_mean(LOG[cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)], inner)
+    light = block_mean(log_brightness(rgb), inner)
     seen = (block_mean((rgb[..., 1] > 0).astype(np.float32), inner) > 0.999).astype(np.float32)
     if seen.min() < 1:
         share = np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))

@@ -3,7 +3,7 @@
 from alight.learned.known import KnownGround, known_bytes, read_known
 from alight.learned.net import CLIP, AffineLayer, Net, relu_net
 from alight.learned.rates import Rate, rate_bytes, rate_of, read_rate
-from alight.learned.tables import net_bytes, net_of, read_net, table_path
+from alight.learned.tables import arrays_of, net_bytes, net_of, read_net, table_path
 
 __all__ = [
     "CLIP",
@@ -11,6 +11,7 @@ __all__ = [
     "KnownGround",
     "Net",
     "Rate",
+    "arrays_of",
     "known_bytes",
     "net_bytes",
     "net_of",

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from alight.arrays import F32
-from alight.learned.tables import table_path
+from alight.learned.tables import arrays_of, table_path
 from alight.learned.terms import LAND_COVER_TERMS
 
 CLIP = np.float32(8.0)  # spreads
@@ -41,11 +41,8 @@ def read_known() -> KnownGround:
     Raises:
         ValueError: it was fitted on other terms than this version computes, or its shapes do not fit.
     """
-    with np.load(io.BytesIO(table_path("known_ground").read_bytes()), allow_pickle=False) as z:
-        a = {key: z[key] for key in z.files}
+    a = arrays_of(table_path("known_ground").read_bytes(), LAND_COVER_TERMS)
     count = len(LAND_COVER_TERMS)
-    if tuple(map(str, a["terms"])) != LAND_COVER_TERMS:
-        raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
     if a["means"].shape[1:] != (count,) or a["whitening"].shape != (count, count) or not (a["spread"] > 0).all():
         raise ValueError("the shapes of the table do not fit its terms")
     usual, spread, means, whitening = (a[k].astype(np.float32) for k in ("usual", "spread", "means", "whitening"))

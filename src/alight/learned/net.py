@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from alight.arrays import F32, F64
 
 CLIP = np.float32(4.0)  # spreads; a term further from the training data counts no further
-TERMS_AT_A_TIME = 8  # all 88 of the land cover together would be several times the map
+CELLS_AT_A_TIME = 8192  # whose hidden units stay in the cache
 
 
 class AffineLayer(NamedTuple):
@@ -34,38 +33,33 @@ class Net:
     calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
 
     def standardised(self, names: Iterable[str], values: Iterable[F32]) -> F32:
-        """Terms of N cells, (N, terms), in spreads about their mean and clipped.
+        """Terms of N cells, (terms, N), in spreads about their mean and clipped.
 
         Raises:
             KeyError: a term is not one of the net's.
         """
         row = {name: i for i, name in enumerate(self.terms)}
-        columns = [
-            ((v.ravel() - self.usual[row[n]]) / self.spread[row[n]]).clip(-CLIP, CLIP)
-            for n, v in zip(names, values, strict=True)
-        ]
-        return np.stack(columns, axis=1)
+        rows = [(v.ravel() - self.usual[row[n]]) / self.spread[row[n]] for n, v in zip(names, values, strict=True)]
+        return np.stack(rows).clip(-CLIP, CLIP)
 
 
 def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
-    """Outputs (R, C, outputs) of a net with rectified hidden units; the terms (R, C) are taken a few at a time.
+    """Outputs (outputs, R, C) of a net with rectified hidden units, of terms (R, C) each.
 
     Raises:
         ValueError: not every term of the net was given, each once.
     """
+    names, values = zip(*found, strict=True)
+    _complete(net, list(names))
     row = {name: i for i, name in enumerate(net.terms)}
-    left, total, shape = iter(found), None, (0, 0)
-    seen: list[str] = []
-    while some := list(islice(left, TERMS_AT_A_TIME)):
-        names, shape = [name for name, _ in some], some[0][1].shape
-        _known(net, names)
-        part = net.standardised(names, (v for _, v in some)) @ net.hidden.weights[[row[n] for n in names]]
-        total = part + net.hidden.bias if total is None else total + part
-        seen += names
-    _complete(net, seen)
-    assert total is not None
-    out = np.maximum(total, 0, out=total) @ net.output.weights + net.output.bias
-    return np.asarray(out, np.float32).reshape(*shape, -1)
+    hidden, output = net.hidden.weights[[row[n] for n in names]].T, net.output.weights.T
+    x = net.standardised(names, values)
+    out = np.empty((len(output), x.shape[1]), np.float32)
+    for begin in range(0, x.shape[1], CELLS_AT_A_TIME):
+        some = slice(begin, begin + CELLS_AT_A_TIME)
+        units = hidden @ x[:, some] + net.hidden.bias[:, None]
+        out[:, some] = output @ np.maximum(units, 0, out=units) + net.output.bias[:, None]
+    return out.reshape(-1, *values[0].shape)
 
 
 def _known(net: Net, names: list[str]) -> None:

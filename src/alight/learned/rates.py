@@ -6,12 +6,11 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import numpy as np
 
 from alight.arrays import F32, F64
-from alight.learned.tables import table_path
+from alight.learned.tables import arrays_of, table_path
 from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 
 TERMS_OF = {"relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS}
@@ -24,7 +23,7 @@ class Rate:
     terms: tuple[str, ...]  # identifiers (`terms`)
     knots: F64  # (T, K) values of each term, ascending; beyond the first and the last the line is level
     heights: F64  # (T, K) of the line at the knots, rising from 0
-    bias: float  # log of the rate where every line is 0: the caution is in it that the worst domain left out asked for
+    bias: float  # log of the rate where every line is 0, the caution that was applied included
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
         """Natural logarithm of the expected number of hazards, of the shape of the terms.
@@ -54,10 +53,7 @@ def rate_of(content: bytes, terms: tuple[str, ...]) -> Rate:
     Raises:
         ValueError: as `read_rate`.
     """
-    with np.load(io.BytesIO(content), allow_pickle=False) as z:
-        arrays: dict[str, Any] = {key: z[key] for key in z.files}
-    if tuple(map(str, arrays["terms"])) != terms:
-        raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
+    arrays = arrays_of(content, terms)
     knots, heights = (arrays[k].astype(np.float64) for k in ("knots", "heights"))
     if knots.shape != heights.shape or knots.shape[0] != len(terms):
         raise ValueError("the shapes of the table's lines do not fit its terms")

@@ -22,9 +22,22 @@ def table_path(name: str) -> Path:
     return Path(__file__).parent / f"{name}.npz"
 
 
+def arrays_of(content: bytes, terms: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of a table, by name; checked against `terms` where they are given.
+
+    Raises:
+        ValueError: the table was fitted on other terms, or holds Python objects.
+    """
+    with np.load(io.BytesIO(content), allow_pickle=False) as z:
+        arrays = {key: z[key] for key in z.files}
+    if terms is not None and tuple(map(str, arrays["terms"])) != terms:
+        raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
+    return arrays
+
+
 @cache
 def read_net(name: str) -> Net:
-    """A net of the package (`p_safe`, `land_cover`), read and checked once.
+    """A net of the package (`land_cover`), read and checked once.
 
     Raises:
         ValueError: the file does not fit this version: other terms, shapes that do not fit, numbers not finite.
@@ -38,10 +51,7 @@ def net_of(content: bytes, terms: tuple[str, ...]) -> Net:
     Raises:
         ValueError: as `read_net`.
     """
-    with np.load(io.BytesIO(content), allow_pickle=False) as z:
-        arrays = {key: z[key] for key in z.files}
-    if tuple(map(str, arrays["terms"])) != terms:
-        raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
+    arrays = arrays_of(content, terms)
     layers = [
         AffineLayer(arrays[f"{k}_weights"].astype(np.float32), arrays[f"{k}_bias"].astype(np.float32))
         for k in ("hidden", "output")

@@ -12,7 +12,7 @@ RELATIVE = "_vs_frame"  # ends the identifier of a term less its median over the
 
 
 class ReliefTerm(StrEnum):
-    """Evidence of the heights against an even footprint (docs/method/hazards.md, G7b).
+    """Evidence of the heights against an even footprint (docs/method/p-safe.md, G7b).
 
     Each is larger where it is less likely safe. Lengths are over the height that the lander just stands.
     """
@@ -30,21 +30,18 @@ class ReliefTerm(StrEnum):
 
 
 class DensityTerm(StrEnum):
-    """Evidence that obstacles are about, by which those that remain unseen are reckoned (G7c)."""
+    """Evidence of the picture that obstacles are about, which the heights may have smoothed away (G7c)."""
 
     SPOT_WORST = "spot_worst"  # log root mean square contrast of spots as wide as an obstacle: of the worst patch
     SPOT_MEAN = "spot_mean"
     SPOT_AROUND = "spot_around"
     DARK = "dark"  # contrast of the darkest spot
     BRIGHT = "bright"
-    RELIEF_WORST = "relief_worst"
-    RELIEF_MEAN = "relief_mean"
-    RELIEF_AROUND = "relief_around"
-    ROUGHNESS_TREND = "roughness_trend"
+    PIXEL = "pixel"  # log of what a pixel of the picture covers
 
 
 class GroundTerm(StrEnum):
-    """Evidence against ground that bears and is dry (G7e): log odds against landable ground of a footprint."""
+    """Evidence against ground that bears and is dry (G7e): log odds of a footprint against it, rock left aside."""
 
     WORST = "worst"
     WORST_SMOOTH = "worst_smooth"  # of means over 0.2 m

@@ -18,7 +18,7 @@ from alight.geometry import Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
+from alight.parallax.views import Buffers, Prepared, centres_of, maps, pixels_on_ground, stack
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
@@ -79,12 +79,8 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
 
 def _sampling(prepared: list[Prepared], wide: Grid, level: F32, seen: NDArray[np.bool_], cell: float) -> F32:
     """The second finest pixel on the ground of the views that see a block, metres: it takes two for a height."""
-    xs, ys = (v.astype(np.float32) for v in wide.xy())
-    pixels = np.full(seen.shape, np.inf, np.float32)
-    for k, p in enumerate(prepared):
-        e, n, u = p.centre.astype(np.float32)
-        distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + (level - u) ** 2)
-        np.divide(distance, np.float32(p.camera.fu), out=pixels[k], where=seen[k])
+    each = np.array([pixels_on_ground(p.centre, p.camera.fu, wide, level) for p in prepared])
+    pixels = np.where(seen, each, np.float32(np.inf))
     second = np.partition(pixels, 1, axis=0)[1] if len(pixels) > 1 else pixels[0]
     return np.where(np.isfinite(second), np.maximum(second, np.float32(cell)), np.float32(np.nan))
 

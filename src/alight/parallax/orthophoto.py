@@ -1,7 +1,7 @@
 """Orthophoto on finer pixels than the heights have: the mean of the nearest views of each place.
 
 Matching takes cells of nearly two pixels; stones and tufts that its windows flatten are three pixels wide. One view
-shows them in its noise, the mean of five does not have it (docs/method/hazards.md, G9b).
+shows them in its noise, the mean of five does not have it (docs/method/p-safe.md, G9b).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from alight.arrays import F32, U8
 from alight.geometry import Grid, ground_projection
-from alight.parallax.views import ground_sampling, project_cells, radius2_limit, rgb_of
+from alight.parallax.views import ground_sampling, pixels_on_ground, project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
@@ -41,14 +41,6 @@ def _seen_by(view: View, grid: Grid, height: F32) -> F32:
     return seen
 
 
-def _pixel_of(view: View, grid: Grid, height: float) -> F32:
-    """Metres of ground that a pixel of the view covers, (R, C), on level ground."""
-    xs, ys = (v.astype(np.float32) for v in grid.xy())
-    e, n, u = view.centre.astype(np.float32)
-    distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + np.float32((height - u) ** 2))
-    return np.asarray(distance / np.float32(view.camera.fu), np.float32)
-
-
 def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32, F32]:
     """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first.
 
@@ -64,7 +56,8 @@ def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[
     for i in np.argsort(away, kind="stable"):
         if (number >= count).all():
             break
-        seen, pixel = _seen_by(views[i], grid, height), _pixel_of(views[i], grid, level)
+        seen = _seen_by(views[i], grid, height)
+        pixel = pixels_on_ground(views[i].centre, views[i].camera.fu, grid, np.float32(level))
         use = np.isfinite(seen[..., 0]) & (number < count) & (pixel <= np.float32(COARSER) * finest)
         if not use.any():
             continue

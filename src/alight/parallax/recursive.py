@@ -24,9 +24,11 @@ from alight.parallax.batch import judged, picture_at
 from alight.parallax.plane_sweep import sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment, Kept
 from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
+from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Heights, KeyframePosterior, View
 from alight.settings import ParallaxSettings
 
+GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
 FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
 
 
@@ -117,6 +119,8 @@ class RecursiveParallax:
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
         start, wrong = self._sweep_new(fine, grid, known.height, ratio, seen, per_px, (low, high))
         self._ratio = (grid, ratio)
+        enough = (seen.count >= self._tuning.first_views).astype(np.float32)
+        start = _bridged(start, ~np.isnan(ratio) & (refine.enlarged(enough, grid, refine.SEEN_BLOCK) > 0.5))
         if not np.isfinite(start).any():
             return None
         tuning = self._settings.refinement
@@ -206,6 +210,19 @@ def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     nearest = np.rint(index).astype(np.intp)
     has = np.flatnonzero((nearest >= 0) & (nearest < size))
     return nearest[has], has
+
+
+def _bridged(start: F32, wanted: NDArray[np.bool_]) -> F32:
+    """Narrow gaps that are `wanted` start from the heights beside them.
+
+    A sweep at the rim of the pictures is often in vain, and the next one has to wait for twice the baseline. Without
+    this, the rims of earlier steps stay in the map as seams, one cell wide, that no touchdown may cross.
+    """
+    known = np.isfinite(start)
+    gaps = wanted & ~known & close_mask(known, GAP)
+    if not gaps.any():
+        return start
+    return np.where(gaps, weighted_gaussian(start, known.astype(np.float32), GAP).mean, start)
 
 
 def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:

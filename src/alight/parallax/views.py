@@ -64,6 +64,21 @@ def ground_sampling(view: View, height: float) -> float:
     return float(drop / tilt / view.camera.fu)
 
 
+def pixels_on_ground(centre: F64, focal: float, grid: Grid, height: F32 | np.float32) -> F32:
+    """Metres of ground that a pixel covers at every cell of a grid, (R, C): distance over focal length in pixels.
+
+    Args:
+        centre: (3,) metres, of the camera.
+        focal: pixels.
+        grid: the cells.
+        height: metres, (R, C) or one for all.
+    """
+    xs, ys = (v.astype(np.float32) for v in grid.xy())
+    e, n, u = centre.astype(np.float32)
+    distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + (height - u) ** 2)
+    return np.asarray(distance / np.float32(focal), np.float32)
+
+
 def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
     """Halve while a cell spans two pixels, then blur what is left; returns pixels a cell as well."""
     while ratio >= 1.9:

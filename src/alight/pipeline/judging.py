@@ -17,7 +17,7 @@ from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap
-from alight.settings import Lander, StageSettings
+from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
@@ -78,7 +78,7 @@ class JudgingLane:
         cover = None
         if s.terrain.enabled:
             with self._timings.of("terrain"):
-                cover = terrain.classify(elevation, s.terrain, self._appearance)
+                cover = land_cover(elevation, s.terrain, self._appearance)
         with self._timings.of("hazards"):
             danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         with self._timings.of("sites"):
@@ -134,6 +134,17 @@ def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
     elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
     picture, sampling = orthophoto(seen.views, elevation)
     return replace(elevation, fine=picture, fine_sampling=sampling)
+
+
+def land_cover(
+    elevation: ElevationMap,
+    settings: TerrainSettings,
+    appearance: terrain.Model | None,
+    tables: terrain.Tables | None = None,
+) -> TerrainMap:
+    """The classes on the map's grid, found on cells that fit their evidence: it is gathered over 0.4 m."""
+    coarse = on_cells_up_to(elevation, settings.cell)
+    return terrain.classify(coarse, settings, appearance, tables).on(elevation.grid)
 
 
 def observer(seen: MapSnapshot) -> Observer:

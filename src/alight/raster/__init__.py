@@ -1,6 +1,7 @@
 """Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
 
 from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
+from alight.raster.brightness import log_brightness, log_levels
 from alight.raster.disc import (
     DiscWindow,
     disc_any,
@@ -43,6 +44,8 @@ __all__ = [
     "linear_ramp",
     "local_max",
     "log_at_least",
+    "log_brightness",
+    "log_levels",
     "log_offset",
     "masked_gaussian",
     "nearest_known",

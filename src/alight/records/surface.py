@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -95,6 +96,7 @@ class Terrain(IntEnum):
     STRUCTURE = 8
 
 
+NEARLY = 0.9  # of a width asked for, that counts as that width
 LANDABLE = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED)  # kinds of ground that may be landed on
 
 
@@ -137,6 +139,15 @@ class ElevationMap:
         """The finest picture of the ground that there is, (f R, f C, 3), and its pixels a cell, f."""
         picture = self.rgb if self.fine is None else self.fine
         return picture, picture.shape[0] // self.grid.rows
+
+    def picture(self, pixel: float) -> tuple[U8, int]:
+        """The finest picture on pixels of `pixel` metres or wider, (n R, n C, 3), and its pixels a cell, n."""
+        picture, n = self.finest
+        while n % 2 == 0 and self.grid.cell / n < NEARLY * pixel:
+            n //= 2
+        size = (n * self.grid.cols, n * self.grid.rows)
+        same = picture.shape[:2] == size[::-1]
+        return picture if same else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8), n
 
     @property
     def picture_sampling(self) -> F32:

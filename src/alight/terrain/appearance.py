@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.arrays import F32, Mask
-from alight.raster import masked_gaussian
+from alight.arrays import F32, U8, Mask
+from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap
+
+PIXEL = 0.1  # metres: the finest detail that is looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,30 +25,41 @@ class Appearance:
 
 def seen(elevation: ElevationMap) -> Mask:
     """Cells that any camera saw."""
-    return np.asarray((elevation.views > 0) & (elevation.rgb.max(axis=2) > 0))
+    return np.asarray((elevation.views > 0) & lit(elevation.rgb))
 
 
-def appearance(elevation: ElevationMap, scale: float = 0.1) -> Appearance:
+def lit(picture: U8) -> Mask:
+    """Pixels that are not black."""
+    return np.asarray((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0)
+
+
+def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
     """Measure colour and texture.
 
     Args:
-        elevation: its `rgb` and `views` are used.
+        elevation: its `finest` picture and `views` are used.
         scale: metres, the finest detail looked at, so that maps of any cell size compare.
     """
-    known = seen(elevation)
+    rgb, n = elevation.picture(scale)
+    known = lit(rgb) & upsample(elevation.views > 0, n)
     weight = known.astype(np.float32)
-    per_m = 1 / elevation.grid.cell
+    per_m = n / elevation.grid.cell
     fine = max(0.5, scale * per_m)
-    r, g, b = (masked_gaussian(elevation.rgb[..., k].astype(np.float32), weight, fine) + 1 for k in range(3))
+    r, g, b = (masked_gaussian(rgb[..., k].astype(np.float32), weight, fine) + 1 for k in range(3))
     total = r + g + b
-    light = np.log(total / 3)
-    detail = light - masked_gaussian(np.nan_to_num(light), weight, 0.5 * per_m)
-    power = masked_gaussian(np.nan_to_num(detail) ** 2, weight, 0.25 * per_m)
-    spread = np.abs(elevation.rgb[..., 0].astype(np.int16) - elevation.rgb[..., 2])[known]
-    nan = np.float32(np.nan)
+    light = np.nan_to_num(np.log(total / 3))
+    detail = light - np.nan_to_num(masked_gaussian(light, weight, 0.5 * per_m))
+    power = masked_gaussian(detail**2, weight, 0.25 * per_m)
+    spread = np.abs(rgb[..., 0].astype(np.int16) - rgb[..., 2])[known]
+    share, nan = np.maximum(block_mean(weight, n), np.float32(1e-6)), np.float32(np.nan)
+
+    def of_cells(values: F32) -> F32:
+        mean = block_mean(np.where(known, values, np.float32(0)), n) / share
+        return np.where(seen(elevation), mean, nan)
+
     return Appearance(
-        cool=np.where(known, (b - r) / total, nan),
-        green=np.where(known, (2 * g - r - b) / total, nan),
-        texture=np.where(known, np.sqrt(np.maximum(power, 0)), nan),
+        cool=of_cells((b - r) / total),
+        green=of_cells((2 * g - r - b) / total),
+        texture=of_cells(np.sqrt(np.maximum(power, 0))),
         coloured=bool(spread.size and np.percentile(spread, 90) > 2),
     )

@@ -10,10 +10,10 @@ import numpy as np
 
 from alight.arrays import F32, U8, Mask
 from alight.learned import KnownGround, Net, read_known, read_net, relu_net
-from alight.raster import close_mask, fill_pits, grow, without_specks
+from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import Appearance, appearance, seen
+from alight.terrain.appearance import PIXEL, Appearance, appearance, seen
 from alight.terrain.enclosed import enclosed
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
@@ -21,7 +21,7 @@ from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
-KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the last axis of log odds and probabilities
+KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds, the last of probabilities
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
 APART = 3  # cells between those whose likeness to known ground is judged
@@ -60,26 +60,27 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
 
 
 def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appearance) -> F32 | None:
-    """Log odds (R, C, 8) that the model of appearance adds; None for grey pictures or cells too coarse for it.
+    """Log odds (8, R, C) that the model of appearance adds; None for grey pictures or cells too coarse for it.
 
     They are 0 for classes that the model does not know, and where the ground is unlike every patch it was trained on.
     """
     if model is None or not colours.coloured:
         return None
-    log_p = appearance_evidence(model, elevation.rgb, elevation.grid.cell, seen(elevation))
+    picture, n = elevation.picture(PIXEL)
+    log_p = appearance_evidence(model, picture, elevation.grid.cell / n, upsample(seen(elevation), n))
     if log_p is None:
         return None
     lift = np.nan_to_num(log_p + np.float32(np.log(len(model.classes)))).astype(np.float32)
-    out = np.zeros((*elevation.grid.shape, len(KINDS)), np.float32)
+    out = np.zeros((len(KINDS), *elevation.grid.shape), np.float32)
     size = elevation.grid.shape[::-1]
     for i, code in enumerate(model.classes):
-        out[..., int(code) - 1] = cv2.resize(np.ascontiguousarray(lift[..., i]), size, interpolation=cv2.INTER_LINEAR)
+        out[int(code) - 1] = cv2.resize(np.ascontiguousarray(lift[..., i]), size, interpolation=cv2.INTER_LINEAR)
     return out
 
 
 def landable_of(odds: F32) -> F32:
-    """Probability of ground that may be landed on, (R, C), of log odds (R, C, 8)."""
-    return np.asarray(np.exp(log_softmax(odds))[..., OPEN].sum(axis=-1), np.float32)
+    """Probability of ground that may be landed on, (R, C), of log odds (8, R, C)."""
+    return np.asarray(np.exp(log_softmax(odds, axis=0)[OPEN]).sum(axis=0), np.float32)
 
 
 def _open_kind(colours: Appearance, leafy: float) -> U8:
@@ -92,22 +93,20 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
     """Log odds with standing water made certain, and gaps between tufts given to the tufts."""
     out = odds.copy()
-    best = odds.max(axis=-1)
-    wet = Terrain.WATER - 1
-    out[..., wet] = np.where(water, best + np.float32(settings.basin_odds), odds[..., wet])
-    plants = np.argmax(out, axis=-1) == Terrain.TALL_VEGETATION - 1
+    best = odds.max(axis=0)
+    wet, tall = Terrain.WATER - 1, Terrain.TALL_VEGETATION - 1
+    out[wet] = np.where(water, best + np.float32(settings.basin_odds), odds[wet])
+    plants = out[tall] >= out.max(axis=0)
     tufts = close_mask(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
-    out[..., Terrain.TALL_VEGETATION - 1] = np.where(
-        tufts, np.maximum(best, best + 1), out[..., Terrain.TALL_VEGETATION - 1]
-    )
+    out[tall] = np.where(tufts, best + 1, out[tall])
     return out
 
 
 def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
     """The likeliest class; colour decides between open grounds, height between tall vegetation and tree."""
     hazards = odds.copy()
-    hazards[..., OPEN] = -np.inf
-    kind = (np.argmax(hazards, axis=-1) + 1).astype(np.uint8)
+    hazards[OPEN] = -np.inf
+    kind = (np.argmax(hazards, axis=0) + 1).astype(np.uint8)
     height_above, leafy = np.nan_to_num(shape.height_above), np.nan_to_num(colours.green) > settings.leafy
     raised = (height_above > settings.raised) & (kind != Terrain.WATER)
     plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
@@ -137,7 +136,7 @@ def _classified(
     return (
         _labels(odds, landable, colours, shape, settings),
         landable,
-        log_softmax(odds),
+        log_softmax(odds, axis=0),
         _novelty(tables.known, some, landable.shape),
     )
 
@@ -165,9 +164,10 @@ def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
         return alone + "no model of appearance"
     if not appearance(elevation).coloured:
         return alone + "the pictures are grey"
-    level = level_of(elevation.grid.cell)
+    pixel = elevation.grid.cell / elevation.picture(PIXEL)[1]
+    level = level_of(pixel)
     if level is None or model.heads[level] is None:
-        return alone + f"cells of {elevation.grid.cell:g} m are too coarse for the model of appearance"
+        return alone + f"pixels of {pixel:g} m are too coarse for the model of appearance"
     return "shape, matching and texture of the map, and a model of appearance, which may only refuse"
 
 
@@ -196,7 +196,7 @@ def classify(
         elevation.grid,
         np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         np.where(known, landable, nothing),
-        np.where(known[..., None], np.exp(log_p), nothing).astype(np.float16),
+        np.where(known, np.exp(log_p), nothing).astype(np.float16).transpose(1, 2, 0),
         shut,
         np.where(known, strange, nothing),
     )

@@ -62,10 +62,10 @@ def scores(head: Head, features: F32) -> F32:
     return out
 
 
-def log_softmax(values: NDArray[Real]) -> NDArray[Real]:
-    """Logarithms of probabilities that are proportional to exp(values) along the last axis."""
-    shifted = values - values.max(axis=-1, keepdims=True)
-    out: NDArray[Real] = shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True))
+def log_softmax(values: NDArray[Real], axis: int = -1) -> NDArray[Real]:
+    """Logarithms of probabilities that are proportional to exp(values) along an axis."""
+    shifted = values - values.max(axis=axis, keepdims=True)
+    out: NDArray[Real] = shifted - np.log(np.exp(shifted).sum(axis=axis, keepdims=True))
     return out
 
 

@@ -5,27 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import cv2
 import numpy as np
 
 from alight.arrays import F32
-from alight.raster import block_mean, gaussian_mean, local_max
+from alight.raster import block_mean, gaussian_mean, local_max, log_brightness, log_levels
 from alight.records import ElevationMap
 
 WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands lie between each and the next
 TINT = (0.1, 0.8)  # metres: the band of the tints
 SPOT = (0.07, 0.35)  # metres: the band of dark and bright spots
 REACH = 0.4  # metres over which spots are looked for
-GREY = 2.0  # levels added: noise in the dark is no contrast
-FLOOR = np.float32(0.003)  # log brightness, added before the logarithm of a strength
-LOG = np.log(np.arange(256, dtype=np.float32) + np.float32(GREY))
 
 
 @dataclass(frozen=True, eq=False)
 class PictureBands:
     """Each (R, C) float32, natural logarithms of brightness or of a ratio of two colours."""
 
-    below: F32  # variance within half a cell: what is finer than all bands
+    below: F32  # variance within a pixel of about the narrowest width: what is finer than all bands
     bands: tuple[F32, ...]  # of log brightness, fine to coarse
     dark: F32  # largest darkness of a spot within `REACH`, against its surroundings
     bright: F32
@@ -48,15 +44,15 @@ def _difference(values: F32, narrow: float, wide: float, pixel: float) -> F32:
 
 
 def picture_bands(elevation: ElevationMap) -> PictureBands:
-    """Measure the finest picture of the map, at half a cell and wider.
+    """Measure the finest picture of the map, on pixels of about the narrowest width and wider.
 
     Widths are in metres, so that maps of any cell compare; what the pixels do not show is weak. Exposure and white
     balance cancel.
     """
     rgb, factor = elevation.finest
-    cell, halves = elevation.grid.cell, min(factor, 2)
-    light = LOG[cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)]
-    inner = max(factor // 2, 1)
+    cell, halves = elevation.grid.cell, elevation.picture(WIDTHS[0])[1]
+    light = log_brightness(rgb)
+    inner = factor // halves
     seen = block_mean((rgb[..., 1] > 0).astype(np.float32), inner)
     mean = block_mean(light, inner)
     below = np.maximum(block_mean(light * light, inner) - mean * mean, 0) if inner > 1 else np.zeros_like(mean)
@@ -80,5 +76,5 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
 
 def _tints(elevation: ElevationMap) -> tuple[F32, F32]:
     """Log ratio of red and of blue to green, (R, C) each."""
-    r, g, b = (LOG[elevation.rgb[..., k]] for k in range(3))
+    r, g, b = (log_levels(elevation.rgb[..., k]) for k in range(3))
     return r - g, b - g

@@ -64,7 +64,7 @@ class Stones(Scattered):
     height: Between = Field((0.4, 0.6), description="height above the ground over the diameter")
     form: Literal["round", "angular"] = Field("angular", description="round (pebbles, boulders) | angular (rubble)")
     rock_from: float = Field(
-        0.25, ge=0.0, description="metres: larger ones are of class rock, smaller ones of the ground's class"
+        0.3, ge=0.0, description="metres: larger ones are of class rock, smaller ones of the ground's class"
     )
     hidden: float = Field(0.0, ge=0.0, le=0.95, description="share of a stone that grass or moss hides, rim first")
     look: LookName = Field(Look.BY_CLASS, description="look; without it that of the ground")

@@ -14,6 +14,7 @@ class TerrainTuning(FrozenModel):
         0.5, description="Weight of the model of appearance: neighbouring pixels are not independent"
     )
     block: Positive = Field(0.5, description="Side of the blocks on which the shape of the ground is judged, m")
+    cell: Positive = Field(0.2, description="Cells up to which finer ones are joined before they are classified, m")
     ground_window: Positive = Field(10.0, description="Width below which what is raised stands on the ground, m")
     bulge: NonNegative = Field(0.04, description="Height that a hilltop may have per metre of its width, m/m")
     raised: Positive = Field(0.5, description="Height above the ground from which something counts as an object, m")
