@@ -16,8 +16,8 @@ import numpy as np
 from ground_flights import FRESH
 from ground_maps import judgeable
 
-from alight import terrain
 from alight.arrays import U8
+from alight.pipeline.judging import land_cover
 from alight.records import LANDABLE, ElevationMap, Terrain
 from alight.settings import TerrainSettings
 from alight.sources.library import is_labelled, read_labelled, read_library, read_model
@@ -44,7 +44,7 @@ def measure(flights: list[str], scratch: Path, model: Path | None) -> None:
     print(f"{'refused %, class / class or height':<36}" + "".join(f"{k.name.lower()[:11]:>13}" for k in ALL))
     rows: list[list[tuple[float, float] | None]] = []
     for name, e, label in maps(flights, scratch):
-        cover = terrain.classify(e, TerrainSettings(), known)
+        cover = land_cover(e, TerrainSettings(), known)
         refused, doubtful, looked = ~(cover.landable >= 0.5), ~e.trusted, seen(e)
         row: list[tuple[float, float] | None] = []
         for kind in ALL:

@@ -24,9 +24,9 @@ import alight_sim as simulate
 from alight.arrays import F32
 from alight.geometry import Grid
 from alight.pipeline import without_water
+from alight.pipeline.judging import land_cover
 from alight.records import ElevationMap, Flag, Terrain, View
 from alight.settings import TerrainSettings
-from alight.terrain import classify
 
 SCENES = Path(__file__).parent / "scenes"
 WRONG, DEEP = 0.25, 0.5  # metres: a height that must be flagged; the same on water whose bed shows
@@ -71,7 +71,7 @@ def through(found: ElevationMap, ground: Ground, limit: float, water: bool) -> N
     kind = label == Terrain.WATER if water else np.isin(label, OPEN)
     given = seen & found.trusted
     off = kind & (np.abs(found.height - height) > limit)
-    wrong, dry = given & off, seen & without_water(found, classify(found, TerrainSettings())).trusted
+    wrong, dry = given & off, seen & without_water(found, land_cover(found, TerrainSettings(), None)).trusted
     return {
         OF_GIVEN: _share(wrong, given),
         OF_KIND: _share(wrong, seen & kind),

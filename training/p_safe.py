@@ -301,7 +301,8 @@ def main() -> None:
     scratch = parser.parse_args().scratch
     samples, strange = (samples_of(TUNING, scratch, whole_families) for whole_families in (False, True))
     families = sorted({s.family for s in samples})
-    fitted = f"{len(samples)} maps of {len(TUNING)} simulated tuning flights, {len(families)} families of scenes. {version()}"
+    maps = f"{len(samples)} maps of {len(TUNING)} simulated tuning flights"
+    fitted = f"{maps}, {len(families)} families of scenes. {version()}"
     rates: dict[str, tuple[Rate, ...]] = {}
     for what, names in NAMES.items():
         r, rate = left_out(samples, strange, what)
