@@ -19,7 +19,7 @@ from alight.hazards import assess
 from alight.hazards.evidence import ground_odds
 from alight.hazards.picture_spots import picture_spots
 from alight.raster import clearance_of
-from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, Terrain, TerrainMap
+from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 EXACT = HazardsSettings(tilt_sigma=0.0, smoothed=False)
@@ -300,26 +300,12 @@ def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_m
     assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # heights that show all
 
 
-def cover(landable: float, rock: float) -> TerrainMap:
-    """Land cover of one cell: its P(landable), of which all is bare ground, and its P(rock)."""
-    p = np.zeros((1, 1, 8), np.float16)
-    p[..., Terrain.BARE - 1], p[..., Terrain.ROCK - 1], p[..., Terrain.WATER - 1] = landable, rock, 1 - landable - rock
-    return TerrainMap(Grid(0.0, 0.0, 0.1, 1, 1), np.ones((1, 1), np.uint8), np.full((1, 1), landable, np.float32), p)
-
-
-def test_rock_bears_and_water_does_not() -> None:
-    rock, water, both = (
-        float(ground_odds(cover(a, b), (1, 1))[0, 0]) for a, b in ((0.6, 0.39), (0.6, 0.0), (0.3, 0.3))
-    )
-    assert_allclose(water, logit(0.4), atol=0.01)
-    assert_allclose(rock, logit(0.01), atol=0.1)
-    assert_allclose(both, logit(0.4), atol=0.01)
-
-
-def test_what_refuses_landable_ground_refuses_rock_as_much() -> None:
-    """Beside a tree, say: P(landable) is held down there whatever the classes say."""
-    held = replace(cover(0.5, 0.4), landable=np.full((1, 1), 0.1, np.float32))
-    assert_allclose(ground_odds(held, (1, 1)), logit(1 - 0.1 * (0.9 / 0.5)), atol=0.01)
+def test_rock_counts_as_ground_that_bears_where_the_classes_say_so() -> None:
+    grid, label = Grid(0.0, 0.0, 0.1, 1, 1), np.ones((1, 1), np.uint8)
+    landable, bears = (np.full((1, 1), p, np.float32) for p in (0.6, 0.99))
+    assert_allclose(ground_odds(TerrainMap(grid, label, landable, bears=bears), (1, 1)), logit(0.01), atol=0.01)
+    assert_allclose(ground_odds(TerrainMap(grid, label, landable), (1, 1)), logit(0.4), atol=0.01)
+    assert ground_odds(None, (1, 1))[0, 0] < logit(0.001)
 
 
 def test_a_brighter_exposure_has_the_same_spots() -> None:

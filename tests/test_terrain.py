@@ -52,6 +52,18 @@ def test_a_pond_with_a_visible_bed_is_refused() -> None:
     assert (t.landable[shore] > 0.5).mean() > 0.99
 
 
+def test_ground_bears_where_it_may_be_landed_on_and_where_it_is_rock() -> None:
+    """The two differ by the share of rock alone; what is held down beside a tree is held down in both."""
+    e, water = pond(0.7)
+    t = classify(e, SETTINGS)
+    assert t.bears is not None
+    assert t.probability is not None
+    assert (t.bears >= t.landable - 1e-6).all()
+    rock = t.probability[..., Terrain.ROCK - 1].astype(np.float32)
+    assert (t.bears - t.landable <= rock + 0.01).mean() > 0.99
+    assert (t.bears[water] < 0.5).mean() > 0.95
+
+
 def test_a_pond_that_the_map_cuts_is_refused_too() -> None:
     e, water = pond(0.7, centre=(120, 10))
     t = classify(e, SETTINGS)

@@ -17,7 +17,7 @@ from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
 from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
 from alight.raster import block_max, block_mean, disc_max, disc_mean, gaussian_mean, log_at_least, nearest_known
-from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap
+from alight.records import ElevationMap, TerrainMap
 from alight.settings import Lander
 
 RIM = 0.25  # metres; an object this near to the rim may as well lie outside
@@ -142,28 +142,16 @@ def pictured(elevation: ElevationMap) -> F32:
     return np.asarray(np.nan_to_num(elevation.picture_sampling, nan=UNMATCHED * elevation.grid.cell), np.float32)
 
 
-def _odds_against(probability: F32) -> F32:
-    return np.asarray(-logit(probability.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
-
-
-def _of_class(land_cover: TerrainMap, kind: Terrain) -> F32:
-    assert land_cover.probability is not None
-    return np.asarray(np.nan_to_num(land_cover.probability[..., kind - 1]), np.float32)
-
-
 def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:
     """Log odds (R, C) against ground that bears and is dry, rock counted as such: stones are obstacles.
 
-    A cell without a class counts as landable. What refuses a landable class refuses rock as much.
+    A cell without a class counts as landable. Where nothing is known of rock, landable ground alone counts.
     """
     if land_cover is None:
         return np.full(shape, -CERTAIN, np.float32)
-    landable = np.where(np.isfinite(land_cover.landable), land_cover.landable, np.float32(1))
-    if land_cover.probability is not None:
-        flat = np.sum([_of_class(land_cover, k) for k in LANDABLE], axis=0)
-        rock = _of_class(land_cover, Terrain.ROCK) / np.maximum(flat, np.float32(MIN_PROBABILITY))
-        landable = np.minimum(landable * (1 + rock), 1)
-    return _odds_against(landable)
+    bears = land_cover.landable if land_cover.bears is None else land_cover.bears
+    known = np.where(np.isfinite(bears), bears, np.float32(1))
+    return np.asarray(-logit(known.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
 
 
 def ground_terms(elevation: ElevationMap, land_cover: TerrainMap | None, discs: Discs) -> dict[str, F32]:

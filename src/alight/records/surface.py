@@ -176,6 +176,7 @@ class TerrainMap:
     probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
     enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
     novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
+    bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
 
     def on(self, grid: Grid) -> TerrainMap:
         """The same on another grid, each cell with the value of the nearest one; unknown outside."""
@@ -188,7 +189,7 @@ class TerrainMap:
             unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Terrain.UNKNOWN)
             return nearest_on(self.grid, grid, values, unknown)
 
-        names = ("label", "landable", "probability", "enclosed", "novelty")
+        names = ("label", "landable", "probability", "enclosed", "novelty", "bears")
         return TerrainMap(grid, *(moved(getattr(self, name)) for name in names))  # type: ignore[arg-type]
 
 

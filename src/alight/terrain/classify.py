@@ -27,6 +27,7 @@ TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives 
 APART = 3  # cells between those whose likeness to known ground is judged
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
+BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
 
 class Tables(NamedTuple):
@@ -78,9 +79,9 @@ def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appea
     return out
 
 
-def landable_of(odds: F32) -> F32:
-    """Probability of ground that may be landed on, (R, C), of log odds (8, R, C)."""
-    return np.asarray(np.exp(log_softmax(odds, axis=0)[OPEN]).sum(axis=0), np.float32)
+def share_of(log_p: F32, kinds: list[int]) -> F32:
+    """Probability of some classes together, (R, C), of log probabilities (8, R, C)."""
+    return np.asarray(np.exp(log_p[kinds]).sum(axis=0), np.float32)
 
 
 def _open_kind(colours: Appearance, leafy: float) -> U8:
@@ -114,10 +115,18 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
     return np.where(landable >= 0.5, _open_kind(colours, settings.leafy), kind).astype(np.uint8)
 
 
-def _classified(
-    elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables
-) -> tuple[U8, F32, F32, F32]:
-    """Labels, P(landable), log probabilities and novelty of one map."""
+class _Found(NamedTuple):
+    """What `_classified` finds; all (R, C) but the log probabilities (8, R, C)."""
+
+    label: U8
+    landable: F32
+    bears: F32
+    log_p: F32
+    novelty: F32
+
+
+def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> _Found:
+    """The classes of one map, where it was seen and where not."""
     cell = elevation.grid.cell
     colours = appearance(elevation)
     wet = wetness(elevation, colours)
@@ -128,17 +137,18 @@ def _classified(
     plain = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     odds = plain if added is None else plain + np.float32(settings.appearance) * added
-    landable = fill_pits(
-        np.minimum(landable_of(plain), landable_of(odds)), round(PIT / cell)
-    )  # appearance never permits (T5)
+    log_p = log_softmax(odds, axis=0)
+    both = [log_p] if added is None else [log_p, log_softmax(plain, axis=0)]
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
-    landable = np.where(standing, np.minimum(landable, np.float32(settings.beside_tall)), landable)
-    return (
-        _labels(odds, landable, colours, shape, settings),
-        landable,
-        log_softmax(odds, axis=0),
-        _novelty(tables.known, some, landable.shape),
-    )
+
+    def surely(kinds: list[int]) -> F32:
+        """The smaller share of the classes, with and without appearance, which never permits (T5)."""
+        share = fill_pits(np.minimum.reduce([share_of(p, kinds) for p in both]), round(PIT / cell))
+        return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
+
+    landable = surely(OPEN)
+    label = _labels(odds, landable, colours, shape, settings)
+    return _Found(label, landable, surely(BEARS), log_p, _novelty(tables.known, some, landable.shape))
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
@@ -189,14 +199,15 @@ def classify(
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
-    label, landable, log_p, strange = _classified(elevation, settings, model, tables or package_tables())
+    found = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
     shut = enclosed(elevation, settings)
     return TerrainMap(
         elevation.grid,
-        np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        np.where(known, landable, nothing),
-        np.where(known, np.exp(log_p), nothing).astype(np.float16).transpose(1, 2, 0),
+        np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
+        np.where(known, found.landable, nothing),
+        np.where(known, np.exp(found.log_p), nothing).astype(np.float16).transpose(1, 2, 0),
         shut,
-        np.where(known, strange, nothing),
+        np.where(known, found.novelty, nothing),
+        np.where(known, found.bears, nothing),
     )
