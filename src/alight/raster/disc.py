@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import cv2
@@ -39,15 +40,27 @@ def _disc(radius: float, cell: float) -> U8:
 
 def disc_mean(values: F32, radius: float, cell: float) -> F32:
     """Mean of the known values in the disc about every cell, NaN where none is known; radius and cell in metres."""
-    disc = _disc(radius, cell).astype(np.float32)
     known = np.isfinite(values)
-    total, weight = (
-        cv2.filter2D(a.astype(np.float32), cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT)
-        for a in (np.where(known, values, 0), known)
-    )
+    if known.all():
+        return np.asarray(_sums(values, radius, cell) / _cells_in(values.shape, radius, cell), np.float32)
+    total, weight = (_sums(a, radius, cell) for a in (np.where(known, values, 0), known))
     out = np.full(values.shape, np.nan, dtype=np.float32)
     np.divide(total, weight, out=out, where=weight > 0.5)
     return out
+
+
+def _sums(values: F32 | Mask, radius: float, cell: float) -> F32:
+    """Sum over the disc about every cell; cells off the map count as 0."""
+    disc = _disc(radius, cell).astype(np.float32)
+    return np.asarray(cv2.filter2D(values.astype(np.float32), cv2.CV_32F, disc, borderType=cv2.BORDER_CONSTANT))
+
+
+@lru_cache(maxsize=16)
+def _cells_in(shape: tuple[int, ...], radius: float, cell: float) -> F32:
+    """Cells of the map in the disc about every cell."""
+    cells = _sums(np.ones(shape, np.bool_), radius, cell)
+    cells.flags.writeable = False
+    return cells
 
 
 def disc_max(values: F32, radius: float, cell: float) -> F32:
