@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, F64
-from alight.hazards.evidence import PATCH
-from alight.hazards.picture_spots import NARROW, WIDE
-from alight.raster import gaussian_mean, local_max, log_brightness
+from alight.hazards.evidence import patch_mean
+from alight.hazards.picture_spots import spots_of
+from alight.raster import local_max, log_brightness
 
 WIDTHS = (6.0, 9.0, 12.0, 18.0, 24.0)  # pixels of the full photo
 REDUCED = (2, 3, 4)
@@ -29,9 +29,8 @@ PHOTOS = 12  # of a folder, evenly spread
 
 def strength(rgb: np.ndarray, width: float) -> F32:
     """Root mean square contrast of spots of a width in pixels, as the evidence takes it, (H, W)."""
-    light, height = log_brightness(rgb), width / 2
-    spot = gaussian_mean(light, NARROW * height) - gaussian_mean(light, WIDE * height)
-    return np.sqrt(np.maximum(gaussian_mean(spot * spot, PATCH * height), 0))
+    height = width / 2
+    return np.sqrt(np.maximum(patch_mean(spots_of(log_brightness(rgb), height) ** 2, 1.0, height), 0))
 
 
 def reduced(rgb: np.ndarray, factor: int) -> np.ndarray:

@@ -60,8 +60,7 @@ def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[in
 def _smoothed_roughness(height: F32, radius: float, cell: float, length: float) -> F32:
     """Largest deviation of heights smoothed by `length`, metres; on wider cells where that length allows them."""
     smooth = smoothed_height(height, cell, length)
-    n = int(length / cell + ROUNDING)
-    if n < 2:
+    if length / cell + ROUNDING < 2:
         return footprint_of(smooth, radius, cell).roughness
     wide = block_quantile(smooth, 2, 0.5)
     return upsample(footprint_of(wide, radius, 2 * cell).roughness, 2, height.shape)

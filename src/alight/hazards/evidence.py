@@ -16,7 +16,16 @@ from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
 from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
-from alight.raster import block_max, block_mean, disc_max, disc_mean, gaussian_mean, log_at_least, nearest_known
+from alight.raster import (
+    block_max,
+    block_mean,
+    difference_of_gaussians,
+    disc_max,
+    disc_mean,
+    gaussian_mean,
+    log_at_least,
+    nearest_known,
+)
 from alight.records import ElevationMap, TerrainMap
 from alight.settings import Lander
 
@@ -88,8 +97,7 @@ def relief_power(elevation: ElevationMap, limit: float) -> F32:
 
 def power_of_bumps(height: F32, cell: float, limit: float) -> F32:
     """The same of any surface, (R, C) metres, all known."""
-    over = height / np.float32(limit)
-    bumps = gaussian_mean(over, NARROW * limit / cell) - gaussian_mean(over, WIDE * limit / cell)
+    bumps = difference_of_gaussians(height / np.float32(limit), NARROW * limit / cell, WIDE * limit / cell)
     return patch_mean(bumps * bumps, cell, limit)
 
 
@@ -102,8 +110,13 @@ def _log_rms(power: F32, floor: float) -> F32:
     return log_at_least(np.sqrt(np.maximum(power, 0)), floor)
 
 
-def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
-    """Evidence against an even footprint, and that obstacles are about, on the cells of `discs`."""
+def obstacle_terms(
+    elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs, sampling: F32, pixel: F32
+) -> dict[str, F32]:
+    """Evidence against an even footprint, and that obstacles are about, on the cells of `discs`.
+
+    `sampling` and `pixel`: metres, means over the footprint.
+    """
     cell, limit, highest = elevation.grid.cell, lander.tallest_obstacle, np.float32(lander.max_roughness)
     relief = discs.coarse(relief_power(elevation, limit))
     spots = picture_spots(elevation, limit)
@@ -118,7 +131,7 @@ def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lande
     return {k.value: discs.largest(log_at_least(v / highest, 0.03)) for k, v in deviations.items()} | {
         ReliefTerm.RELIEF_WORST: _log_rms(discs.worst(relief), 0.02),
         ReliefTerm.RELIEF_MEAN: _log_rms(discs.mean(relief), 0.02),
-        ReliefTerm.SAMPLING: np.log(discs.mean(discs.coarse(sampled(elevation))) / np.float32(limit)),
+        ReliefTerm.SAMPLING: np.log(sampling / np.float32(limit)),
         ReliefTerm.SIGMA: log_at_least(discs.mean(sigma), 0.02),
         ReliefTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
         ReliefTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
@@ -128,7 +141,7 @@ def obstacle_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lande
         DensityTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
         DensityTerm.DARK: discs.worst(discs.largest(spots.dark)),
         DensityTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
-        DensityTerm.PIXEL: np.log(discs.mean(discs.coarse(pictured(elevation))) / np.float32(limit)),
+        DensityTerm.PIXEL: np.log(pixel / np.float32(limit)),
     }
 
 

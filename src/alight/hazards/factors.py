@@ -51,9 +51,9 @@ def evidence_of(
 ) -> Evidence:
     """Gather the evidence; `tilt`: margin of the tilt in sigmas, (R, C)."""
     discs = Discs(elevation, lander.radius)
-    obstacle = obstacle_terms(elevation, shape, lander, discs)
-    ground = ground_terms(elevation, terrain, discs)
     sampling, pixel = (discs.mean(discs.coarse(v)) for v in (sampled(elevation), pictured(elevation)))
+    obstacle = obstacle_terms(elevation, shape, lander, discs, sampling, pixel)
+    ground = ground_terms(elevation, terrain, discs)
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
     return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, hidden, unseen, ground)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F32
-from alight.raster import block_max, block_mean, gaussian_mean, log_brightness
+from alight.raster import block_max, block_mean, difference_of_gaussians, gaussian_mean, log_brightness
 from alight.records import ElevationMap
 
 NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
@@ -19,6 +19,11 @@ class PictureSpots(NamedTuple):
     power: F32  # mean square of the contrast in the cell
     dark: F32  # the darkest pixel
     bright: F32  # the brightest pixel
+
+
+def spots_of(light: F32, height: float) -> F32:
+    """Contrast of spots as wide as an obstacle of a height in pixels, (R, C), of log brightness."""
+    return difference_of_gaussians(light, NARROW * height, WIDE * height)
 
 
 def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
@@ -37,5 +42,5 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     if seen.min() < 1:
         share = np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
         light = np.where(seen > 0, light, gaussian_mean(light * seen, WIDE * height / pixel) / share)
-    spot = (gaussian_mean(light, NARROW * height / pixel) - gaussian_mean(light, WIDE * height / pixel)) * seen
+    spot = spots_of(light, height / pixel) * seen
     return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))

@@ -1,4 +1,4 @@
-"""Small nets over standardised terms: two evaluators over one record."""
+"""Small nets over standardised terms: one hidden layer of rectified units."""
 
 from __future__ import annotations
 

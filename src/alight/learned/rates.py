@@ -23,7 +23,7 @@ class Rate:
     terms: tuple[str, ...]  # identifiers (`terms`)
     knots: F64  # (T, K) values of each term, ascending; beyond the first and the last the line is level
     heights: F64  # (T, K) of the line at the knots, rising from 0
-    bias: float  # log of the rate where every line is 0, the caution that was applied included
+    bias: float  # log of the rate where every line is 0
 
     def log_rate(self, found: Mapping[str, F32]) -> F32:
         """Natural logarithm of the expected number of hazards, of the shape of the terms.

@@ -17,7 +17,13 @@ from alight.raster.distance import clearance_of, distance_to
 from alight.raster.fill import nearest_known
 from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
 from alight.raster.scalars import linear_ramp, log_at_least, log_offset
-from alight.raster.smoothing import WeightedMean, gaussian_mean, masked_gaussian, weighted_gaussian
+from alight.raster.smoothing import (
+    WeightedMean,
+    difference_of_gaussians,
+    gaussian_mean,
+    masked_gaussian,
+    weighted_gaussian,
+)
 
 __all__ = [
     "DiscWindow",
@@ -28,6 +34,7 @@ __all__ = [
     "cells_as_blocks",
     "clearance_of",
     "close_mask",
+    "difference_of_gaussians",
     "disc_any",
     "disc_crosses_edge",
     "disc_mask",

@@ -46,6 +46,11 @@ def gaussian_mean(values: F32, sigma: float) -> F32:
     return _enlarged(_blurred_small(values, size, sigma / n), values.shape)
 
 
+def difference_of_gaussians(values: F32, narrow: float, wide: float) -> F32:
+    """What is wider than one Gaussian and narrower than another, (R, C); both 1-sigma, cells."""
+    return np.asarray(gaussian_mean(values, narrow) - gaussian_mean(values, wide), np.float32)
+
+
 def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:
     """Gaussian mean of the cells with weight, and how much of the Gaussian lies on them.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple
 
@@ -140,11 +140,16 @@ class ElevationMap:
         picture = self.rgb if self.fine is None else self.fine
         return picture, picture.shape[0] // self.grid.rows
 
-    def picture(self, pixel: float) -> tuple[U8, int]:
-        """The finest picture on pixels of `pixel` metres or wider, (n R, n C, 3), and its pixels a cell, n."""
-        picture, n = self.finest
+    def pixels_a_cell(self, pixel: float) -> int:
+        """Pixels a cell of `picture`, each way."""
+        n = self.finest[1]
         while n % 2 == 0 and self.grid.cell / n < NEARLY * pixel:
             n //= 2
+        return n
+
+    def picture(self, pixel: float) -> tuple[U8, int]:
+        """The finest picture on pixels of `pixel` metres or wider, (n R, n C, 3), and its pixels a cell, n."""
+        picture, n = self.finest[0], self.pixels_a_cell(pixel)
         size = (n * self.grid.cols, n * self.grid.rows)
         same = picture.shape[:2] == size[::-1]
         return picture if same else np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8), n
@@ -183,14 +188,14 @@ class TerrainMap:
         if grid == self.grid:
             return self
 
-        def moved(values: NDArray[Any] | None) -> NDArray[Any] | None:
+        def moved(values: NDArray[Any] | None) -> Any:
             if values is None:
                 return None
             unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Terrain.UNKNOWN)
             return nearest_on(self.grid, grid, values, unknown)
 
-        names = ("label", "landable", "probability", "enclosed", "novelty", "bears")
-        return TerrainMap(grid, *(moved(getattr(self, name)) for name in names))  # type: ignore[arg-type]
+        arrays = [f.name for f in fields(self) if f.name != "grid"]
+        return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
 
 
 def nearest_on(source: Grid, target: Grid, values: NDArray[Any], outside: float) -> NDArray[Any]:

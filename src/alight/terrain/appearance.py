@@ -51,11 +51,12 @@ def appearance(elevation: ElevationMap, scale: float = PIXEL) -> Appearance:
     detail = light - np.nan_to_num(masked_gaussian(light, weight, 0.5 * per_m))
     power = masked_gaussian(detail**2, weight, 0.25 * per_m)
     spread = np.abs(rgb[..., 0].astype(np.int16) - rgb[..., 2])[known]
-    share, nan = np.maximum(block_mean(weight, n), np.float32(1e-6)), np.float32(np.nan)
+    looked, nan = seen(elevation), np.float32(np.nan)
+    share = np.maximum(block_mean(weight, n), np.float32(1e-6))
 
     def of_cells(values: F32) -> F32:
         mean = block_mean(np.where(known, values, np.float32(0)), n) / share
-        return np.where(seen(elevation), mean, nan)
+        return np.where(looked, mean, nan)
 
     return Appearance(
         cool=of_cells((b - r) / total),

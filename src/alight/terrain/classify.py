@@ -79,11 +79,6 @@ def appearance_odds(model: Model | None, elevation: ElevationMap, colours: Appea
     return out
 
 
-def share_of(log_p: F32, kinds: list[int]) -> F32:
-    """Probability of some classes together, (R, C), of log probabilities (8, R, C)."""
-    return np.asarray(np.exp(log_p[kinds]).sum(axis=0), np.float32)
-
-
 def _open_kind(colours: Appearance, leafy: float) -> U8:
     """Class of open ground by its colour: short grass, paved or bare."""
     green = np.nan_to_num(colours.green) > leafy
@@ -116,12 +111,12 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 
 class _Found(NamedTuple):
-    """What `_classified` finds; all (R, C) but the log probabilities (8, R, C)."""
+    """What `_classified` finds; all (R, C) but the probabilities (8, R, C)."""
 
     label: U8
     landable: F32
     bears: F32
-    log_p: F32
+    probability: F32
     novelty: F32
 
 
@@ -137,18 +132,17 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     plain = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
     odds = plain if added is None else plain + np.float32(settings.appearance) * added
-    log_p = log_softmax(odds, axis=0)
-    both = [log_p] if added is None else [log_p, log_softmax(plain, axis=0)]
+    each = [np.exp(log_softmax(o, axis=0)) for o in ((odds,) if added is None else (odds, plain))]
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
     def surely(kinds: list[int]) -> F32:
         """The smaller share of the classes, with and without appearance, which never permits (T5)."""
-        share = fill_pits(np.minimum.reduce([share_of(p, kinds) for p in both]), round(PIT / cell))
+        share = fill_pits(np.minimum.reduce([p[kinds].sum(axis=0) for p in each]), round(PIT / cell))
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
     landable = surely(OPEN)
     label = _labels(odds, landable, colours, shape, settings)
-    return _Found(label, landable, surely(BEARS), log_p, _novelty(tables.known, some, landable.shape))
+    return _Found(label, landable, surely(BEARS), each[0], _novelty(tables.known, some, landable.shape))
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
@@ -174,7 +168,7 @@ def describe(elevation: ElevationMap, settings: TerrainSettings, model: Model | 
         return alone + "no model of appearance"
     if not appearance(elevation).coloured:
         return alone + "the pictures are grey"
-    pixel = elevation.grid.cell / elevation.picture(PIXEL)[1]
+    pixel = elevation.grid.cell / elevation.pixels_a_cell(PIXEL)
     level = level_of(pixel)
     if level is None or model.heads[level] is None:
         return alone + f"pixels of {pixel:g} m are too coarse for the model of appearance"
@@ -206,7 +200,7 @@ def classify(
         elevation.grid,
         np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         np.where(known, found.landable, nothing),
-        np.where(known, np.exp(found.log_p), nothing).astype(np.float16).transpose(1, 2, 0),
+        np.where(known, found.probability, nothing).astype(np.float16).transpose(1, 2, 0),
         shut,
         np.where(known, found.novelty, nothing),
         np.where(known, found.bears, nothing),

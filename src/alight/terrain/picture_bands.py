@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from alight.arrays import F32
-from alight.raster import block_mean, gaussian_mean, local_max, log_brightness, log_levels
+from alight.raster import block_mean, difference_of_gaussians, gaussian_mean, local_max, log_brightness, log_levels
 from alight.records import ElevationMap
 
 WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands lie between each and the next
@@ -40,7 +40,7 @@ def _filled(grey: F32, seen: F32, sigma: float) -> F32:
 
 
 def _difference(values: F32, narrow: float, wide: float, pixel: float) -> F32:
-    return np.asarray(gaussian_mean(values, narrow / pixel) - gaussian_mean(values, wide / pixel), np.float32)
+    return difference_of_gaussians(values, narrow / pixel, wide / pixel)
 
 
 def picture_bands(elevation: ElevationMap) -> PictureBands:
@@ -50,7 +50,7 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
     balance cancel.
     """
     rgb, factor = elevation.finest
-    cell, halves = elevation.grid.cell, elevation.picture(WIDTHS[0])[1]
+    cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
     light = log_brightness(rgb)
     inner = factor // halves
     seen = block_mean((rgb[..., 1] > 0).astype(np.float32), inner)
