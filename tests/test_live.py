@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from faulty_lanes import Fault, FaultyJudging, FaultyMapping, FaultyNavigation
 from numpy.testing import assert_allclose
 
 from alight.geometry import Camera
-from alight.pipeline import Decision, Pipeline, Schedule, Verdict
+from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
 from alight.pipeline.navigation.filter_lane import EventBatcher, prediction_for
 from alight.records import (
+    AlightError,
     ElevationMap,
     Event,
     Frame,
@@ -26,10 +31,12 @@ from alight.records import (
     NavSample,
     Rig,
     RigCamera,
+    Schedule,
     SettingsError,
 )
-from alight.runner.live import Capacity, Listener, Live
-from alight.runner.mailbox import Closed, Mailbox
+from alight.runner.live import Capacity, FlightHealth, LaneState, Listener, Live
+from alight.runner.live.mailbox import Closed, Mailbox
+from alight.runner.live.nursery import Nursery
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
 
@@ -151,15 +158,28 @@ def test_a_flight_needs_the_filter() -> None:
         Live(flight()[0].rig, settings("motion.method=bundle"))
 
 
-# -- threads
+# -- lanes as processes
 
 
-def live(heard: Heard, capacity: Capacity) -> Live:
-    return Live(flight()[0].rig, settings(), heard.listener, capacity)
+@pytest.fixture(scope="module")
+def nursery() -> Iterator[Nursery]:
+    """One for all flights; its lanes find the tests' own faults."""
+    helpers = str(Path(__file__).parent / "helpers")
+    with pytest.MonkeyPatch.context() as m:
+        m.setenv("PYTHONPATH", os.pathsep.join(p for p in (helpers, os.environ.get("PYTHONPATH")) if p))
+        found = Nursery()
+    yield found
+    found.close()
 
 
-def feed_all(run: Live) -> Decision:
+def faulty(lane: str, fault: Fault) -> dict[str, Callable[..., Any]]:
+    return {lane: partial(FaultyNavigation if lane == "navigation" else FaultyMapping, fault)}
+
+
+def feed_all(run: Live, pause: float = 0.0) -> Decision:
     for e in flight()[1]:
+        if isinstance(e, Frame):
+            time.sleep(pause)
         run.feed(e)
     return run.finish()
 
@@ -181,38 +201,11 @@ def replayed(schedule: Schedule) -> tuple[Heard, Decision]:
     return heard, p.finish()
 
 
-def test_threads_give_what_one_gives() -> None:
-    """Nothing dropped: every exposure is tracked and mapped, and the motions are those of the lane in turn."""
-    heard = Heard()
-    run = live(heard, WAIT)
-    feed_all(run)
-    stamps = tuple(flight()[0].frame_times.tolist())
-    assert run.schedule.tracked == run.schedule.mapped == stamps
-    assert bits(heard.motions) == bits(in_turn())
-
-
-def test_what_was_used_flies_again_bit_for_bit() -> None:
-    """Lanes that are too slow leave out exposures; the schedule, through text, gives the same motions, heights, P and
-    sites again: of every verdict on the way and of the last one."""
-    heard = Heard()
-    run = live(heard, Capacity(tracking=1, mapping=1, schedule=None))
-    slow_map, slow_judge = run.pipeline.map, run.pipeline.judge
-    run.pipeline.map = lambda n: (time.sleep(0.3), slow_map(n))[1]  # type: ignore[method-assign]
-    run.pipeline.judge = lambda seen: (time.sleep(0.5), slow_judge(seen))[1]  # type: ignore[method-assign]
-    frames = 0
-    for e in flight()[1]:
-        if isinstance(e, Frame):
-            frames += 1
-            time.sleep(0.0 if 20 < frames < 24 else 0.2)
-        run.feed(e)
-    decision = run.finish()
-    schedule = run.schedule
-    assert len(schedule.tracked) < 31
-    assert len(schedule.mapped) < len(schedule.tracked)
-    assert schedule.judged
+def assert_flies_again(heard: Heard, decision: Decision, schedule: Schedule) -> None:
+    """The schedule, through text, gives the same motions, heights, P and sites: on the way and at the end."""
     again, same = replayed(Schedule.from_json(schedule.to_json()))
     assert bits(heard.motions) == bits(again.motions)
-    assert [m.t_ns for m in heard.motions] == list(schedule.tracked)
+    assert [m.frame_id for m in heard.motions] == [m.frame_id for m in again.motions]
     assert [verdict_bits(v) for v in heard.verdicts] == [verdict_bits(v) for v in again.verdicts[:-1]]
     assert decision.terrain is not None
     assert same.terrain is not None
@@ -220,65 +213,199 @@ def test_what_was_used_flies_again_bit_for_bit() -> None:
     assert verdict_bits(decision) == verdict_bits(same)
 
 
-def test_a_lane_that_fails_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    run = live(Heard(), WAIT)
-    wrong = Frame(1, (np.zeros((3, 3, 3, 3), np.uint8), None))
-    run.feed(wrong)
-    with pytest.raises(cv2.error):
-        run.finish()
-    with pytest.raises(cv2.error):
-        run.feed(wrong)
-    assert "has failed" in caplog.text
-    assert not any(t.is_alive() for t in run.threads)
+def live(nursery: Nursery, heard: Heard, capacity: Capacity = WAIT, **more: Any) -> Live:
+    return Live(flight()[0].rig, settings(), heard.listener, capacity, nursery=nursery, **more)
 
 
-def test_mapping_that_fails_stops_the_flight(caplog: pytest.LogCaptureFixture) -> None:
-    """Mailboxes that nobody empties any more let go of whoever waits for them."""
-    run = live(Heard(), WAIT)
-
-    def fails(navigation: object) -> None:
-        raise RuntimeError("no map")
-
-    run.pipeline.map = fails  # type: ignore[assignment,method-assign]
-    with pytest.raises(RuntimeError, match="no map"):
-        feed_all(run)
-    assert "has failed" in caplog.text
-    for t in run.threads:
-        t.join(10.0)
-    assert not any(t.is_alive() for t in run.threads)
+def stamp(k: int) -> int:
+    return int(flight()[0].frame_times[k])
 
 
-def test_nothing_grows_with_the_flight() -> None:
-    """Asked to keep five entries of the schedule, it keeps the last five; nothing is smoothed, whatever is set."""
+def test_processes_give_what_one_gives(nursery: Nursery) -> None:
+    """Nothing dropped: every exposure is tracked and mapped, and the motions are those of the lane in turn. The loops
+    that this process has compiled or loaded are loaded before the flight: none is compiled in it."""
+    replayed(Schedule(tracked=tuple(flight()[0].frame_times.tolist())))
     heard = Heard()
-    run = live(heard, Capacity(drop=False, schedule=5))
+    run = live(nursery, heard)
+    feed_all(run)
+    stamps = tuple(flight()[0].frame_times.tolist())
+    assert run.schedule.tracked == run.schedule.mapped == stamps
+    assert bits(heard.motions) == bits(in_turn())
+    assert run.counts["frames used"] == run.counts["frames"] == 31
+    assert run.counts["loops compiled in flight"] == 0
+    assert len(run.timings()["frame to pose"]) == 31
+
+
+def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
+    """Mapping that is too slow leaves out exposures, and so does navigation when many come at once."""
+    heard = Heard()
+    slow = Fault("slow", frozenset(flight()[0].frame_times.tolist()), 0.3)
+    run = live(nursery, heard, Capacity(tracking=1, mapping=1, schedule=None), makers=faulty("mapping", slow))
+    for k, e in enumerate(flight()[1]):
+        if isinstance(e, Frame):
+            time.sleep(0.0 if stamp(20) < e.t_ns < stamp(24) else 0.15)
+        run.feed(e)
+        assert k >= 0
+    decision = run.finish()
+    schedule = run.schedule
+    assert len(schedule.tracked) < 31
+    assert len(schedule.mapped) < len(schedule.tracked)
+    assert schedule.judged
+    assert [m.t_ns for m in heard.motions] == list(schedule.tracked)
+    left_out = sum(n for name, n in run.counts.items() if name.startswith("navigation: exposures left out"))
+    assert len(schedule.tracked) + left_out == run.counts["frames"] == 31
+    assert_flies_again(heard, decision, schedule)
+
+
+# -- lanes that fail
+
+
+@pytest.mark.parametrize("kind", ["raise", "die", "hang"])
+def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
+    """The exposure is lost, the motion has another frame number, the map is dropped; the replay does the same."""
+    heard, lost = Heard(), list[tuple[str, float]]()
+    fault = Fault(kind, frozenset({stamp(12)}))
+    listener = Listener(heard.motions.append, heard.verdicts.append, lambda lane, why: lost.append((why, time.time())))
+    run = Live(
+        flight()[0].rig, settings(), listener, WAIT, nursery=nursery, makers=faulty("navigation", fault)
+    )  # fmt: skip
+    for e in flight()[1]:
+        if e.t_ns == stamp(12) and isinstance(e, Frame):
+            while len(heard.motions) < 12:
+                time.sleep(0.01)
+            struck = time.time()
+        run.feed(e)
+    decision = run.finish()
+    assert len(lost) == 1
+    assert lost[0][1] - struck < 1.0 + 0.5  # patience, and what a loaded machine adds
+    assert {"raise": "a fault that a test wants", "die": "died", "hang": "no answer within"}[kind] in lost[0][0]
+    schedule = run.schedule
+    assert stamp(12) not in schedule.tracked
+    assert schedule.navigation_anew == (stamp(13),)
+    assert [m.frame_id for m in heard.motions] == [0] * 12 + [1] * 18
+    assert any("navigation lane was lost" in w for w in decision.warnings)
+    assert_flies_again(heard, decision, schedule)
+
+
+@pytest.mark.parametrize("kind", ["raise", "die"])
+def test_mapping_that_fails_begins_another_map(nursery: Nursery, kind: str) -> None:
+    """Navigation does not notice."""
+    heard = Heard()
+    run = live(nursery, heard, makers=faulty("mapping", Fault(kind, frozenset({stamp(15)}))))
     decision = feed_all(run)
-    assert [m.t_ns for m in heard.motions][-5:] == list(run.schedule.tracked) == list(run.schedule.mapped)
-    assert len(heard.motions) == 31
-    assert [m.t_ns for m in decision.motions] == [heard.motions[-1].t_ns]
-    assert "as it was in flight" in str(decision.notes["motion"])
+    assert bits(heard.motions) == bits(in_turn())
+    assert run.schedule.mapping_anew == (stamp(16),)
+    assert run.counts["mapping: restarted"] == 1
+    assert_flies_again(heard, decision, run.schedule)
 
 
-def test_what_is_left_out_is_said_as_in_a_replay() -> None:
-    """Every exposure comes twice; the run ends soon."""
-    run, events = live(Heard(), WAIT), flight()[1]
-    last = flight()[0].frame_times[5]
-    for e in events:
-        if e.t_ns <= last:
-            run.feed(e)
-            if isinstance(e, Frame):
-                run.feed(e)
-    assert any("6 exposures or GPS/INS rows have the stamp of an earlier one" in w for w in run.finish().warnings)
-
-
-def test_no_exposure_no_motion() -> None:
+def test_judging_that_fails_leaves_out_a_map(nursery: Nursery, tmp_path: Path) -> None:
+    """Its memory of earlier maps outlives it."""
     heard = Heard()
-    run = live(heard, Capacity())
+    make = partial(FaultyJudging, Fault("die", frozenset({2})), tmp_path / "count")
+    run = live(nursery, heard, makers={"judging": make})
+    decision = feed_all(run)
+    assert run.counts["judging: restarted"] == 1
+    assert len(heard.verdicts) == (tmp_path / "count").stat().st_size - 2  # one is lost, and one is the last
+    assert_flies_again(heard, decision, run.schedule)
+
+
+def test_a_lane_that_hangs_is_called_late_and_holds_up_no_other(nursery: Nursery) -> None:
+    heard = Heard()
+    fault = Fault("hang", frozenset(stamp(k) for k in range(5, 31)))
+    run = live(nursery, heard, Capacity(schedule=None), makers=faulty("mapping", fault))
+    run.posts["mapping"].patience = 3.0
+    states = []
+    for e in flight()[1]:
+        if isinstance(e, Frame):
+            time.sleep(0.12)
+            states.append((e.t_ns, run.watch.state("mapping")))
+        run.feed(e)
+    run.finish()
+    assert len(heard.motions) == 31
+    assert LaneState.LATE in [s for t, s in states if t > stamp(12)]
+    assert "mapping late" in FlightHealth({"mapping": LaneState.LATE}, {}, 1.0, {}, 0, 0, None).line
+
+
+def test_a_lane_that_cannot_be_made_says_so(nursery: Nursery) -> None:
+    run = live(nursery, Heard(), makers={"navigation": partial(int, "none")})
+    with pytest.raises(AlightError, match="navigation lane is lost: it cannot be started"):
+        feed_all(run)
+    run.close()
+    assert not any(t.is_alive() for t in run.threads)
+
+
+# -- what comes in
+
+
+def test_a_flood_costs_exposures_and_nothing_else(nursery: Nursery) -> None:
+    heard = Heard()
+    run = live(nursery, heard, Capacity(schedule=None))
+    feed_all(run)
+    used, counts = len(heard.motions), run.counts
+    assert used < 31
+    assert used + counts["navigation: exposures left out, busy"] == counts["frames"] == 31
+    assert counts["frames used"] == used
+
+
+def test_a_camera_that_stops_and_returns(nursery: Nursery) -> None:
+    """1.7 s without a picture: the motion goes on by GPS/INS and IMU, and pictures are used again."""
+    heard = Heard()
+    run = live(nursery, heard)
+    for e in flight()[1]:
+        if not (isinstance(e, Frame) and stamp(10) < e.t_ns < stamp(20)):
+            run.feed(e)
+    run.finish()
+    assert [m.t_ns for m in heard.motions] == [stamp(k) for k in (*range(11), *range(20, 31))]
+    off = heard.motions[-1].world_from_body.translation - flight()[0].pose(stamp(30)).translation
+    assert np.linalg.norm(off) < 3.0
+    assert heard.motions[-1].state is MotionState.GOOD
+
+
+def test_exposures_that_come_300_ms_late_are_used(nursery: Nursery) -> None:
+    """By their own stamps: the motion is as good as without the delay."""
+    late = sorted(flight()[1], key=lambda e: e.t_ns + (300_000_000 if isinstance(e, Frame) else 0))
+    heard = Heard()
+    run = live(nursery, heard)
+    for e in late:
+        run.feed(e)
+    run.finish()
+    assert [m.t_ns for m in heard.motions] == flight()[0].frame_times.tolist()
+    for m in heard.motions[5:]:
+        off = m.world_from_body.translation - flight()[0].pose(m.t_ns).translation
+        assert np.linalg.norm(off - (0 if m.offset_world is None else -m.offset_world)) < 3.0
+
+
+def test_no_exposure_no_motion(nursery: Nursery) -> None:
+    heard = Heard()
+    run = live(nursery, heard, Capacity())
     for e in flight()[1]:
         if isinstance(e, NavSample | ImuSample):
             run.feed(e)
     assert "no motion" in run.finish().sites.reason
     assert heard.motions == []
+
+
+def test_what_is_left_out_is_said(nursery: Nursery) -> None:
+    """Every exposure comes twice; the run ends soon."""
+    run, last = live(nursery, Heard()), stamp(5)
+    for e in flight()[1]:
+        if e.t_ns <= last:
+            run.feed(e)
+            if isinstance(e, Frame):
+                run.feed(e)
+    assert any("6 exposures have the stamp of an earlier one" in w for w in run.finish().warnings)
+
+
+def test_nothing_grows_with_the_flight(nursery: Nursery) -> None:
+    """Asked to keep five entries of the schedule, it keeps the last five; nothing is smoothed, whatever is set."""
+    heard = Heard()
+    run = live(nursery, heard, Capacity(drop=False, schedule=5))
+    decision = feed_all(run)
+    assert [m.t_ns for m in heard.motions][-5:] == list(run.schedule.tracked) == list(run.schedule.mapped)
+    assert len(heard.motions) == 31
+    assert [m.t_ns for m in decision.motions] == [heard.motions[-1].t_ns]
+    assert "as it was in flight" in str(decision.notes["motion"])
 
 
 # -- what goes between

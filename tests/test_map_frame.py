@@ -15,13 +15,13 @@ from test_pipeline import flight, settings_of
 from alight.geometry import Pose
 from alight.landing.reserve import Reserve
 from alight.outputs import rasters, vectors
-from alight.pipeline import Decision, Pipeline
+from alight.pipeline import Decision, Lanes, Pipeline
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import RecursiveMapper
-from alight.pipeline.navigation import GivenLane, Navigation, Trajectory
+from alight.pipeline.navigation import GivenLane, Navigation, NavigationLane, Trajectory
 from alight.pipeline.navigation.lane import Progress
 from alight.pipeline.timing import Timings
-from alight.records import Datum, ElevationMap, Event, Frame, Motion, Sites
+from alight.records import Datum, ElevationMap, Event, Frame, Motion, Rig, Sites
 from alight.settings import Settings
 
 OFFSET = np.array([1.25, -0.5, 0.75])  # metres; whole cells
@@ -159,11 +159,17 @@ def _in_frame(motion: Motion, frame_id: int, offset: np.ndarray, own: np.ndarray
 SETTINGS = ("parallax.method=ring", "sites.every=5", "hazards.p_safe=0.3", "sites.margin=0")
 
 
+def _flown_by(lane: NavigationLane, rig: Rig) -> Pipeline:
+    settings = settings_of(*SETTINGS)
+    lanes = Lanes.of(rig, "flight", settings.stages(), Timings())
+    return Pipeline(rig, "flight", settings, lanes=replace(lanes, navigation=lane))
+
+
 def flown(covariance: np.ndarray, change: int = 1_000_000) -> tuple[list[Reserve], Decision]:
     """The reserves on the way, and the end."""
     f, events = flight()
     lane = FramedLane(GivenLane(f.rig, f.truth_trajectory, Settings().motion), covariance, change=change)
-    p, reserves = Pipeline(f.rig, "flight", settings_of(*SETTINGS), navigation=lane), []
+    p, reserves = _flown_by(lane, f.rig), []
     for e in events:
         p.feed(e)
         reserves.append(p.reserve)

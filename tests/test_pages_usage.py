@@ -33,7 +33,7 @@ def section(name: str) -> str:
 
 def options(command: Any) -> set[str]:
     """The options of a command, as they are typed."""
-    return {o for parameter in command.params for o in parameter.opts if o.startswith("--")}
+    return {o for p in command.params for o in (*p.opts, *p.secondary_opts) if o.startswith("--")}
 
 
 @pytest.mark.parametrize("name", sorted(commands()))

@@ -6,11 +6,12 @@ simulator, which come in the same wheel.
 """
 
 import hashlib
+import importlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 R = TypeVar("R")
 
@@ -48,6 +49,8 @@ def _cache_dir() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_dir()))
 
 import numba  # noqa: E402  (the environment must be set first)
+from numba.core import event  # noqa: E402
+from numba.core.registry import CPUDispatcher  # noqa: E402
 
 # who imported numba before us has it caching beside the sources, by each file's own time: stale callers again
 numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
@@ -67,3 +70,55 @@ inline: _Compile = numba.njit(cache=True, nogil=True, inline="always", error_mod
 prange = numba.prange
 # inside a loop over a row of pixels: inlined by LLVM before it vectorises (texture noise 27 -> 2.3 ns a sample)
 pixelwise: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+
+
+def use_threads(count: int) -> None:
+    """Let compiled loops of this process use so many threads, no more than there were allowed at its start."""
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+
+
+def _stage_kernels() -> Iterator[Any]:
+    """The compiled functions of all stages."""
+    here = Path(__file__).parent
+    for source in sorted(here.rglob("*kernels.py")):
+        name = ".".join(("alight", *source.relative_to(here).with_suffix("").parts))
+        for found in vars(importlib.import_module(name)).values():
+            if isinstance(found, CPUDispatcher) and found.py_func.__module__ == name:
+                yield found
+
+
+def load_cached(parallel: bool) -> int:
+    """Load every loop of the stages that is in the cache, for all the types it is there for; return how many.
+
+    Args:
+        parallel: those that use several threads; they start them, and a process with threads may not fork.
+    """
+    loaded = 0
+    for loop in _stage_kernels():
+        if bool(loop.targetoptions.get("parallel")) is not parallel:
+            continue
+        cache = loop._cache
+        for key in cache._cache_file._load_index():
+            if key == cache._index_key(key[0], loop.targetctx.codegen()):
+                loop.compile(key[0])
+                loaded += 1
+    return loaded
+
+
+class CompilationCounter(event.Listener):  # type: ignore[misc]
+    """Counts the loops that this process compiles from now on."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        event.register("numba:compile", self)
+
+    def reset(self) -> None:
+        """Begin again at none."""
+        self.count = 0
+
+    def on_start(self, event: Any) -> None:
+        """A loop is being compiled."""
+        self.count += 1
+
+    def on_end(self, event: Any) -> None:
+        """It is compiled."""

@@ -137,6 +137,14 @@ class SimulatedFlight:
         """What the maker of the IMU states."""
         return ImuNoise(**self.imu.densities)
 
+    @property
+    def schedule(self) -> None:
+        """None: it was not flown live."""
+
+    @property
+    def flown_with(self) -> None:
+        """None: it was not flown live."""
+
     # -- time
 
     @cached_property

@@ -24,7 +24,7 @@ MENDABLE, INTERRUPTED = 2, 130  # exit codes
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
-_stderr = Console(stderr=True)
+stderr = Console(stderr=True)
 
 
 def _speak_up(verbose: bool) -> None:
@@ -68,7 +68,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=_stderr, transient=True, disable=not _stderr.is_terminal) as bar:
+    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, share: float) -> None:
@@ -81,7 +81,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def complain(line: str, style: str) -> None:
     """One line on stderr, however long: a terminal wraps it by itself, and a log wants it whole."""
-    _stderr.print(" ".join(line.split()), style=style, markup=False, highlight=False, soft_wrap=True)
+    stderr.print(" ".join(line.split()), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
@@ -148,8 +148,8 @@ def _log_to_stderr() -> None:
     """Warnings and worse, above the bar on a terminal, else one plain line each."""
     plain = logging.StreamHandler()
     plain.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
-    rich = RichHandler(console=_stderr, show_path=False, show_time=False)
-    handler = rich if _stderr.is_terminal else plain
+    rich = RichHandler(console=stderr, show_path=False, show_time=False)
+    handler = rich if stderr.is_terminal else plain
     logging.getLogger("alight").setLevel(logging.NOTSET)  # until --verbose
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler], force=True)
 

@@ -34,7 +34,7 @@ def _place(result: RunResult, position: Sequence[float]) -> str:
     return f"{float(latitude):.7f} {float(longitude):.7f}"
 
 
-def _answer(result: RunResult) -> None:
+def tell_result(result: RunResult) -> None:
     """The answer on stdout, the warnings on stderr."""
     from alight.report import warnings
 
@@ -61,7 +61,7 @@ def run(
 
     with progress_bar() as tell:
         result = replay.find(source, out, chosen, poses, force, tell)
-    _answer(result)  # first: it is not lost when it cannot be written
+    tell_result(result)  # first: it is not lost when it cannot be written
     replay.write_run(result, out, force)
     say(f"report: {out / 'report.html'}")
 
@@ -101,7 +101,7 @@ def demo(
 
     with progress_bar() as tell:
         flight, result = show.fly_demo(out, seed, chosen, force, tell)
-    _answer(result)
+    tell_result(result)
     replay.write_run(result, out, force)
     for line in compare(out, flight).lines():
         say(line)

@@ -163,7 +163,7 @@ def is_run(folder: Path) -> bool:
 def _is_ours(folder: Path) -> bool:
     """A finished run, or what an interrupted one left: nothing but files of these names."""
     known = {RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
-    known |= {partial_path(Path(name)).name for name in known}
+    known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     return is_run(folder) or all(p.name in known and p.is_file() for p in folder.iterdir())
 
 

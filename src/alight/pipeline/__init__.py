@@ -2,8 +2,8 @@
 
 from alight.pipeline.decision import Decision
 from alight.pipeline.judging import Verdict, without_water
+from alight.pipeline.lanes import Lanes
 from alight.pipeline.navigation import TimedPoses
 from alight.pipeline.pipeline import Pipeline
-from alight.pipeline.schedule import Schedule
 
-__all__ = ["Decision", "Pipeline", "Schedule", "TimedPoses", "Verdict", "without_water"]
+__all__ = ["Decision", "Lanes", "Pipeline", "TimedPoses", "Verdict", "without_water"]

@@ -21,6 +21,7 @@ from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
+NOTHING = Reserve()
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,34 +41,59 @@ class Verdict:
         return views[0] if views and not self.sites.sites else None
 
 
-class JudgingLane:
-    """Judges one map after the other, and keeps the sites of earlier ones until a newer one refuses them.
+@dataclass(frozen=True, eq=False)
+class JudgingMemory:
+    """What the judging lane knows of earlier maps, by value: a lane that takes another one's place goes on with it."""
 
-    Args:
-        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
-    """
-
-    def __init__(self, settings: StageSettings, appearance: terrain.Model | None, timings: Timings) -> None:
-        self._settings, self._appearance, self._timings = settings, appearance, timings
-        self._reserve = Reserve()  # in the map's frame
-        self._frame: MapFrame | None = None  # of the newest map
-        self._lost: list[str] = []  # in words, the newest last
-        self._warnings: list[str] = []
+    kept: Reserve = NOTHING  # in the map's frame
+    frame: MapFrame | None = None  # of the newest map
+    lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
+    warnings: tuple[str, ...] = ()  # what became of the sites where the motion began anew
 
     @property
     def reserve(self) -> Reserve:
         """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
-        r, frame = self._reserve, self._frame
+        r, frame = self.kept, self.frame
         if frame is None:
             return r
         return replace(
             r, sites=tuple(frame.site(s) for s in r.sites), lost=tuple((frame.site(s), why) for s, why in r.lost)
         )
 
+    def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
+        """The memory with another reserve; what that lost is noted in words."""
+        later = replace(self, kept=kept, frame=frame)
+        said = tuple(f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in later.reserve.lost)
+        return replace(later, lost=(self.lost + said)[-MOST_LOST:])
+
+
+class JudgingLane:
+    """Judges one map after the other, and keeps the sites of earlier ones until a newer one refuses them.
+
+    Args:
+        appearance: what ground looks like; None: the map's own evidence alone says what covers it.
+        memory: of a lane whose place this one takes.
+    """
+
+    def __init__(
+        self,
+        settings: StageSettings,
+        appearance: terrain.Model | None,
+        timings: Timings,
+        memory: JudgingMemory = JudgingMemory(),
+    ) -> None:
+        self._settings, self._appearance, self._timings = settings, appearance, timings
+        self.memory = memory
+
+    @property
+    def reserve(self) -> Reserve:
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason; in the world."""
+        return self.memory.reserve
+
     @property
     def warnings(self) -> tuple[str, ...]:
         """What became of the sites where the motion began anew."""
-        return tuple(self._warnings)
+        return self.memory.warnings
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: what covers it, the hazards, the sites, and the candidates with the views that would help."""
@@ -83,7 +109,7 @@ class JudgingLane:
             danger = hazards.assess(elevation, cover, s.lander, s.hazards)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
-            self._keep(chosen, danger)
+            self._keep(chosen, danger, frame)
         return Verdict(
             frame.elevation(without_water(seen.elevation, cover)),
             None if cover is None else frame.on_grid(cover),
@@ -94,27 +120,22 @@ class JudgingLane:
 
     def _follow(self, frame: MapFrame) -> None:
         """Move the reserve into the frame of a newer map; what lies too near to a hazard for that is given up."""
-        if self._frame is not None and frame.frame_id != self._frame.frame_id and self._reserve.sites:
-            tie, before = self._frame.tie(frame), len(self._reserve.sites)
-            self._reserve = self._reserve.tied(tie.shift, tie.sigma_horizontal, frame.frame_id)
-            kept = len(self._reserve.sites)
-            self._warnings.append(
-                f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {kept} are "
+        m = self.memory
+        if m.frame is not None and frame.frame_id != m.frame.frame_id and m.kept.sites:
+            tie, before = m.frame.tie(frame), len(m.kept.sites)
+            m = m.with_reserve(m.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
+            left = len(m.kept.sites)
+            warning = (
+                f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {left} are "
                 f"moved into the new frame, where their place is known to {tie.sigma_horizontal:.2f} m, and "
-                f"{before - kept} are dropped"
+                f"{before - left} are dropped"
             )
-            self._frame = frame
-            self._note_lost()
-        self._reserve, self._frame = replace(self._reserve, frame_id=frame.frame_id), frame
+            m = replace(m, warnings=(*m.warnings, warning)[-MOST_LOST:])
+        self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
 
-    def _keep(self, found: Sites, danger: HazardMap) -> None:
+    def _keep(self, found: Sites, danger: HazardMap, frame: MapFrame) -> None:
         apart = sites.separation(self._settings.sites, self._settings.lander)
-        self._reserve = self._reserve.updated(found, danger, apart)
-        self._note_lost()
-
-    def _note_lost(self) -> None:
-        said = [f"east {s.east:.1f} north {s.north:.1f} m: {why}" for s, why in self.reserve.lost]
-        self._lost = (self._lost + said)[-MOST_LOST:]
+        self.memory = self.memory.with_reserve(self.memory.kept.updated(found, danger, apart), frame)
 
     def notes(self, found: Verdict) -> dict[str, object]:
         """What a run's notes say of it: sites of earlier maps, and why others were given up."""
@@ -124,8 +145,8 @@ class JudgingLane:
         earlier = self.reserve.sites[len(found.sites.sites) :]
         if earlier:
             out["sites in reserve"] = [f"east {s.east:.1f} north {s.north:.1f} m, P {s.p_safe:.3f}" for s in earlier]
-        if self._lost:
-            out["sites given up"] = list(self._lost)
+        if self.memory.lost:
+            out["sites given up"] = list(self.memory.lost)
         return out
 
 

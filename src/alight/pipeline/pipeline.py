@@ -11,12 +11,13 @@ from alight.elevation import TileStore
 from alight.landing import route
 from alight.landing.reserve import Reserve
 from alight.pipeline.decision import Decision
-from alight.pipeline.judging import JudgingLane, Verdict
-from alight.pipeline.mapping import MapSnapshot, mapping_lane
-from alight.pipeline.navigation import Navigation, NavigationLane, TimedPoses, all_at_end, navigation_lane
-from alight.pipeline.schedule import Schedule, turns
+from alight.pipeline.judging import Verdict
+from alight.pipeline.lanes import Lanes
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import Navigation, TimedPoses
 from alight.pipeline.timing import Clock, Timings
-from alight.records import Event, Motion, Rig, Route
+from alight.pipeline.turns import turns
+from alight.records import Event, Motion, Rig, Route, Schedule
 from alight.settings import ImuNoise, Settings
 
 Tell = Callable[[str, float], None]  # stage, share done
@@ -34,7 +35,7 @@ class Pipeline:
         history: keep what `finish` needs of a recording; without it a flight may last for ever.
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
         schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
-        navigation: a lane to use instead of the one that `kind` and the settings call for.
+        lanes: to use instead of those that `kind` and the settings call for, such as processes of their own.
         imu: noise that the recording states for its IMU.
     """
 
@@ -49,14 +50,13 @@ class Pipeline:
         history: bool = True,
         appearance: terrain.Model | None = None,
         schedule: Schedule | None = None,
-        navigation: NavigationLane | None = None,
+        lanes: Lanes | None = None,
         imu: ImuNoise | None = None,
     ) -> None:
         self._settings = stages = (settings or Settings()).stages(imu)
-        self._timings, at_end = Timings(clock, history), all_at_end(kind, stages, poses)
-        self._navigation = navigation or navigation_lane(rig, kind, stages, poses, history)
-        self._mapping = mapping_lane(rig, stages, at_end, far, self._timings, history)
-        self._judging = JudgingLane(stages, appearance, self._timings)
+        self._timings = Timings(clock, history)
+        lanes = lanes or Lanes.of(rig, kind, stages, self._timings, poses, far, history, appearance, schedule)
+        self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
         self._turns = turns(schedule, stages.sites.every)
 
     def feed(self, event: Event) -> Motion | None:
@@ -74,7 +74,7 @@ class Pipeline:
     def map(self, navigation: Navigation) -> MapSnapshot | None:
         """Improve the map with an exposure; the map as it is then, where it is to be judged."""
         update = self._mapping.feed(navigation) if self._turns.maps(navigation) else None  # docs/method/parallax.md
-        return self._mapping.snapshot() if update is not None and self._turns.judges(update) else None
+        return self._mapping.snapshot() if update is not None and self._turns.judges(navigation, update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""

@@ -8,6 +8,7 @@ from alight.records.events import Event, Frame, ImuSample, NavSample, Prediction
 from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.result import RunResult
+from alight.records.schedule import Schedule
 from alight.records.surface import (
     LANDABLE,
     REFUSED,
@@ -51,6 +52,7 @@ __all__ = [
     "RigCamera",
     "Route",
     "RunResult",
+    "Schedule",
     "SettingsError",
     "Site",
     "Sites",

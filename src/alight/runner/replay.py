@@ -65,7 +65,9 @@ def replay(
         given_poses(source, poses),
         time.perf_counter,
         far,
+        history=source.schedule is None,  # a live run has none
         appearance=appearance_of(settings),
+        schedule=source.schedule,
         imu=source.imu_noise,
     )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
@@ -125,12 +127,16 @@ def find(
     overwrite: bool = False,
     tell: Tell = lambda stage, share: None,
 ) -> RunResult:
-    """Find a landing site in a flight log or a folder of photos, once `out` is known to take the results.
+    """Find a landing site in a flight log, a recording or a folder of photos, once `out` is known to take the results.
+
+    A recording is replayed with the settings of its flight where no others are given, and then gives the same bits.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
     source = open_source(path, settings)
+    if source.flown_with is not None and settings == Settings():
+        settings = source.flown_with
     prepare_folder(out, overwrite)
     with closing(FileStore(out)) as far:
         return replay(source, settings, poses, tell, far)

@@ -18,47 +18,41 @@ from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
-from alight.sources.source import Findings, RecordedSource
+from alight.sources.source import Findings, RecordedSource, Trajectory
 from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_trajectory
 from alight.sources.tables import read_names
 
 
-class FlightLog(RecordedSource):
-    """One flight on disk.
+class CalibratedFolder(RecordedSource):
+    """What a folder in the layout of a flight log says of the aircraft: cameras, IMU, the origin of the world.
 
     Raises:
-        InputError: no cam0, no image of it, or a calibration that is none.
+        InputError: no cam0, or a calibration that is none.
     """
 
     kind: Literal["flight"] = "flight"
+    truth_trajectory: Trajectory | None = None
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self._findings = Findings()
+        self._findings, self.length = Findings(), 0
         self._root = root / "mav0" if (root / "mav0").is_dir() else root
         self.name = self._root.parent.name if self._root.name == "mav0" else root.name
         self.notes: dict[str, Any] = {}
         self.imu_noise = ImuNoise()
         self.local, self.georeferenced = self._origin()
-        self._nav = read_nav(self._root, self._findings)
-        if self.georeferenced and self._nav is None:
-            self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
-        body_from_imu = self._body_from_imu()
-        self._imu = read_imu(self._root, body_from_imu, self._findings)
-        self.rig = self._read_rig(settings, body_from_imu)
-        self._exposures = self._read_exposures()[settings.sources.skip :: settings.sources.every]
-        if not self._exposures:
-            raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
-        self.length = len(self._exposures)
-        self.truth_trajectory = read_trajectory(self._root, self._findings)
-        self._note()
+        self._body_from_imu = self._read_imu_pose()
+        self.rig = self._read_rig(settings, self._body_from_imu)
 
-    def events(self) -> Iterator[Event]:
-        streams: list[Iterator[Event]] = [
-            nav_samples(self._nav, self.local) if self._nav else iter(()),
-            imu_samples(self._imu) if self._imu else iter(()),
-            self._frames(),
-        ]
-        return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
+    def _note(self, nav: bool, imu: bool) -> None:
+        lens = self.rig.cameras[0].camera
+        self.notes.setdefault("focal_from", "sensor.yaml of cam0")
+        self.notes |= {
+            "cameras": [c.name for c in self.rig.cameras],
+            "image_size": [lens.width, lens.height],
+            "focal_px": [round(lens.fu, 2), round(lens.fv, 2)],
+            "nav": nav,
+            "imu": imu,
+        }
 
     def _origin(self) -> tuple[LocalFrame, bool]:
         if (self._root / "nav0").is_dir():
@@ -68,7 +62,7 @@ class FlightLog(RecordedSource):
         )
         return LocalFrame(0.0, 0.0, 0.0), False
 
-    def _body_from_imu(self) -> Pose:
+    def _read_imu_pose(self) -> Pose:
         if not (self._root / "imu0").is_dir():
             return Pose()
         path = self._root / "imu0" / "sensor.yaml"
@@ -93,6 +87,35 @@ class FlightLog(RecordedSource):
         path = Path(settings.sources.calibration).expanduser()
         self.notes["focal_from"] = f"Kalibr {path.name}"
         return read_camchain(path, rig, body_from_imu)
+
+
+class FlightLog(CalibratedFolder):
+    """One flight on disk.
+
+    Raises:
+        InputError: no cam0, no image of it, or a calibration that is none.
+    """
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        super().__init__(root, settings)
+        self._nav = read_nav(self._root, self._findings)
+        if self.georeferenced and self._nav is None:
+            self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
+        self._imu = read_imu(self._root, self._body_from_imu, self._findings)
+        self._exposures = self._read_exposures()[settings.sources.skip :: settings.sources.every]
+        if not self._exposures:
+            raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
+        self.length = len(self._exposures)
+        self.truth_trajectory = read_trajectory(self._root, self._findings)
+        self._note(self._nav is not None, self._imu is not None)
+
+    def events(self) -> Iterator[Event]:
+        streams: list[Iterator[Event]] = [
+            nav_samples(self._nav, self.local) if self._nav else iter(()),
+            imu_samples(self._imu) if self._imu else iter(()),
+            self._frames(),
+        ]
+        return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
 
     def _read_exposures(self) -> list[Exposure]:
         streams = [self._images(c.name) for c in self.rig.cameras]
@@ -134,17 +157,6 @@ class FlightLog(RecordedSource):
                     f"{real[0]}x{real[1]}; write the calibration of these images"
                 )
             return
-
-    def _note(self) -> None:
-        lens = self.rig.cameras[0].camera
-        self.notes.setdefault("focal_from", "sensor.yaml of cam0")
-        self.notes |= {
-            "cameras": [c.name for c in self.rig.cameras],
-            "image_size": [lens.width, lens.height],
-            "focal_px": [round(lens.fu, 2), round(lens.fv, 2)],
-            "nav": self._nav is not None,
-            "imu": self._imu is not None,
-        }
 
     def _frames(self) -> Iterator[Frame]:
         for exposure in self._exposures:

@@ -8,13 +8,14 @@ from alight.records import InputError
 from alight.settings import Settings
 from alight.sources.flight_log import FlightLog
 from alight.sources.photos import Photos, find_photos
+from alight.sources.recording import Recording
 from alight.sources.source import Source
 
-LOOKED_FOR = "a flight log (a folder with mav0/) or a folder of JPEG photos"
+LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap) or a folder of JPEG photos"
 
 
 def open_source(path: str | Path, settings: Settings | None = None) -> Source:
-    """Open a flight log or a folder of photos.
+    """Open a flight log, a recording of a live run, or a folder of photos.
 
     Raises:
         InputError: it is neither, or cannot be used; the message says what was looked for.
@@ -29,6 +30,8 @@ def open_source(path: str | Path, settings: Settings | None = None) -> Source:
 def _open(path: Path, settings: Settings) -> Source:
     if not path.exists():
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
+    if path.is_file() and path.suffix.lower() == ".mcap":
+        return Recording(path, settings)
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import LocalFrame, Pose
-from alight.records import Event, Rig
-from alight.settings import ImuNoise
+from alight.records import Event, Rig, Schedule
+from alight.settings import ImuNoise, Settings
 
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
 
@@ -57,6 +57,14 @@ class Source(Protocol):
     @property
     def imu_noise(self) -> ImuNoise:
         """Noise that the recording states for its IMU."""
+
+    @property
+    def schedule(self) -> Schedule | None:
+        """Of a live run that was recorded: which exposures each lane used."""
+
+    @property
+    def flown_with(self) -> Settings | None:
+        """The settings of a live run that was recorded."""
 
     @property
     def length(self) -> int:
@@ -108,6 +116,8 @@ class RecordedSource:
 
     _findings: Findings
     length: int
+    schedule: Schedule | None = None
+    flown_with: Settings | None = None
 
     @property
     def counts(self) -> dict[str, int]:

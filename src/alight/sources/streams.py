@@ -43,9 +43,13 @@ def _without(table: Table, lines: list[int], bad: dict[int, str], stream: str, f
 
 def read_nav(root: Path, findings: Findings) -> Table | None:
     """Rows of `nav0`; None when there is none that can be used."""
-    if (found := _read(root, "nav0", NAV_COLUMNS, findings)) is None:
-        return None
-    v = found[0].values
+    found = _read(root, "nav0", NAV_COLUMNS, findings)
+    return None if found is None else usable_nav(*found, findings)
+
+
+def usable_nav(table: Table, lines: list[int], findings: Findings) -> Table | None:
+    """The rows of `nav0` that can be used; None when there is none."""
+    v = table.values
     with np.errstate(invalid="ignore"):
         checks = {
             "latitude or longitude is no place on Earth": (np.abs(v[:, 0]) > 90) | (np.abs(v[:, 1]) > 360),
@@ -53,19 +57,23 @@ def read_nav(root: Path, findings: Findings) -> Table | None:
             "a sigma is negative": (v[:, 13:22] < 0).any(axis=1),
         }
     bad = {int(i): why for why, mask in checks.items() for i in np.flatnonzero(mask)}
-    return _without(*found, bad, "nav0", findings)
+    return _without(table, lines, bad, "nav0", findings)
 
 
 def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | None:
     """Rows of `imu0` turned into the body's axes; None when there is none that can be used."""
-    if (found := _read(root, "imu0", IMU_COLUMNS, findings)) is None:
-        return None
-    holes = np.flatnonzero(~np.isfinite(found[0].values).all(axis=1))
-    table = _without(*found, {int(i): "a field is empty" for i in holes}, "imu0", findings)
-    if table is None:
+    found = _read(root, "imu0", IMU_COLUMNS, findings)
+    return None if found is None else usable_imu(*found, body_from_imu, findings)
+
+
+def usable_imu(table: Table, lines: list[int], body_from_imu: Pose, findings: Findings) -> Table | None:
+    """The rows of `imu0` that can be used, turned into the body's axes; None when there is none."""
+    holes = np.flatnonzero(~np.isfinite(table.values).all(axis=1))
+    used = _without(table, lines, {int(i): "a field is empty" for i in holes}, "imu0", findings)
+    if used is None:
         return None
     R = body_from_imu.rotation
-    return Table(table.t_ns, np.concatenate([table.values[:, :3] @ R.T, table.values[:, 3:] @ R.T], axis=1))
+    return Table(used.t_ns, np.concatenate([used.values[:, :3] @ R.T, used.values[:, 3:] @ R.T], axis=1))
 
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:

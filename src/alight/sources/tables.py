@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,24 +17,28 @@ LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: li
 Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
 
 
-def _split(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+def rows_of(lines: Iterable[tuple[int, str]], columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+    """The rows of numbered lines that have a time and so many columns; comments and empty lines are none."""
     rows: list[Row] = []
-    total = 0
-    with path.open(encoding="utf-8-sig", errors="replace") as lines:
-        for number, line in enumerate(lines, 1):
-            text = line.strip()
-            if not text or text.startswith("#"):
-                continue
-            total += 1
-            stamp, *fields = [f.strip() for f in text.split(",")]
-            if len(fields) + 1 not in columns:
-                findings.lose(group, f"line {number}", f"{len(fields) + 1} columns instead of {columns[0]}")
-            elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
-                findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds")
-            else:
-                rows.append((number, int(stamp), fields))
-    findings.expect(group, total)
+    for number, line in lines:
+        text = line.strip()
+        if not text or text.startswith("#"):
+            continue
+        stamp, *fields = [f.strip() for f in text.split(",")]
+        if len(fields) + 1 not in columns:
+            findings.lose(group, f"line {number}", f"{len(fields) + 1} columns instead of {columns[0]}")
+        elif not stamp.isascii() or not stamp.isdigit() or len(stamp) > 19 or int(stamp) >= 2**63:
+            findings.lose(group, f"line {number}", f"{stamp[:40]!r} is no time in integer nanoseconds")
+        else:
+            rows.append((number, int(stamp), fields))
     return rows
+
+
+def _split(path: Path, columns: tuple[int, ...], group: str, findings: Findings) -> list[Row]:
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        lines = [(n, line) for n, line in enumerate(file, 1) if line.strip() and not line.strip().startswith("#")]
+    findings.expect(group, len(lines))
+    return rows_of(lines, columns, group, findings)
 
 
 def rising(times: list[int]) -> list[bool]:
@@ -81,11 +86,12 @@ def _late(rows: list[Row], rising: list[Row]) -> set[int]:
 
 def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, str]]:
     """Read `timestamp, filename` rows, in order of time."""
-    rows = [r for r in _split(path, (2,), group, findings) if _named(r, group, findings)]
+    rows = [r for r in _split(path, (2,), group, findings) if named(r, group, findings)]
     return [(t, fields[0]) for _, t, fields in _in_order(rows, group, findings)]
 
 
-def _named(row: Row, group: str, findings: Findings) -> bool:
+def named(row: Row, group: str, findings: Findings) -> bool:
+    """Whether a row names a file of the folder."""
     name = row[2][0]
     if name and ".." not in Path(name).parts and not Path(name).is_absolute():
         return True
@@ -93,7 +99,8 @@ def _named(row: Row, group: str, findings: Findings) -> bool:
     return False
 
 
-def _numbers(row: Row, group: str, findings: Findings) -> list[float] | None:
+def numbers_of(row: Row, group: str, findings: Findings) -> list[float] | None:
+    """The numbers of a row, NaN for an empty field; None where one of them is none."""
     out = []
     for field in row[2]:
         try:
@@ -120,7 +127,7 @@ def read_numbers(
     good: list[Row] = []
     values: dict[int, list[float]] = {}
     for row in _split(path, columns, group, findings):
-        if (numbers := _numbers(row, group, findings)) is not None:
+        if (numbers := numbers_of(row, group, findings)) is not None:
             values[row[0]] = numbers
             good.append(row)
     good = _in_order(good, group, findings)

@@ -236,6 +236,10 @@ class FilterLane:
         """Give the filter the features of an exposure."""
         return self._filtering.update(tracked)
 
+    def waiting(self) -> tuple[Row, ...]:
+        """Take the rows that wait for an exposure."""
+        return self._batcher.rest().rows
+
     def finish(self, progress: Progress) -> Trajectory:
         """The smoothed motions; a warning where the filter was lost."""
         self.hear(self._batcher.rest())

@@ -32,15 +32,19 @@ class Mailbox(Generic[T]):
                 self._items[0] = self._merge(oldest, self._items[0])
             self._changed.notify_all()
 
-    def get(self) -> T:
+    def get(self, timeout: float | None = None) -> T:
         """Wait for an item and take it.
+
+        Args:
+            timeout: seconds; None: for ever.
 
         Raises:
             Closed: it is empty and will stay so.
+            TimeoutError: nothing has come.
         """
         with self._changed:
-            while not self._items and not self._closed:
-                self._changed.wait()
+            if not self._changed.wait_for(lambda: self._items or self._closed, timeout):
+                raise TimeoutError
             if not self._items:
                 raise Closed
             item = self._items.popleft()

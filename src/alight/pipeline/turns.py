@@ -1,33 +1,12 @@
-"""What was done when: a live run writes it down, and a replay does the same again."""
+"""What each lane takes: everything in its turn, or what the schedule of a live run says."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
 from typing import Protocol
 
 from alight.pipeline.mapping import MapUpdate
 from alight.pipeline.navigation import Navigation
-from alight.records import Event, Frame
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """Which events of a flight each lane used; the rest was dropped because the lane was busy."""
-
-    tracked: tuple[int, ...]  # ns, exposures that the navigation lane took
-    mapped: tuple[int, ...]  # ns, exposures that the mapping lane took
-    judged: tuple[int, ...]  # steps of the map (`MapUpdate.step`) after which it was judged
-
-    def to_json(self) -> str:
-        """As text."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, text: str) -> Schedule:
-        """The way back."""
-        tree = json.loads(text)
-        return cls(*(tuple(int(v) for v in tree[k]) for k in ("tracked", "mapped", "judged")))
+from alight.records import Event, Frame, Schedule
 
 
 class Turns(Protocol):
@@ -39,8 +18,8 @@ class Turns(Protocol):
     def maps(self, navigation: Navigation) -> bool:
         """Whether the mapping lane takes an exposure."""
 
-    def judges(self, update: MapUpdate) -> bool:
-        """Whether the map is judged as it is after an update."""
+    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
+        """Whether the map is judged as an exposure left it."""
 
 
 class EveryTurn:
@@ -61,7 +40,7 @@ class EveryTurn:
         """Always."""
         return True
 
-    def judges(self, update: MapUpdate) -> bool:
+    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
         """Every few keyframes."""
         self._since += update.steps
         if not self._every or self._since < self._every:
@@ -85,9 +64,9 @@ class ScheduledTurns:
         """The exposures that were mapped."""
         return navigation.frame.t_ns in self._mapped
 
-    def judges(self, update: MapUpdate) -> bool:
-        """After the steps that were judged after."""
-        return update.step in self._judged
+    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
+        """The exposures whose map was judged."""
+        return navigation.frame.t_ns in self._judged
 
 
 def turns(schedule: Schedule | None, every: int) -> Turns:

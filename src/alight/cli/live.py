@@ -1,0 +1,66 @@
+"""Commands of a flight as it comes: live."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.live import Live as Display
+from rich.text import Text
+
+from alight.cli.app import (
+    ForceOption,
+    OutOption,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    read_settings,
+    say,
+    stderr,
+)
+from alight.cli.runs import tell_result
+
+
+@app.command()
+def live(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A flight log, a recording (.mcap), a folder being filled, or cameras: camera:0,camera:2",
+        ),
+    ],
+    out: OutOption,
+    speed: Annotated[float, typer.Option(min=0.01, help="Of a recording: 2 is twice as fast as it was.")] = 1.0,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="The folder is being filled; 10 s without anything new end it.")
+    ] = False,
+    rig: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
+    ] = None,
+    record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    force: ForceOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Find a landing site while the flight goes on; Ctrl-C ends it, and what was seen is judged."""
+    chosen = read_settings(settings, assign)
+    from alight.runner import replay
+    from alight.runner.live.health import FlightHealth
+    from alight.runner.live.run import fly_live
+    from alight.sources.live import open_live
+
+    opened = open_live(source, chosen, speed, follow, rig)
+    with Display(console=stderr, transient=True, auto_refresh=False) as display:
+
+        def tell(health: FlightHealth) -> None:
+            if stderr.is_terminal:
+                display.update(Text(health.line), refresh=True)
+
+        result = fly_live(opened.source, opened.events, out, chosen, record, opened.real_time, force, tell)
+    tell_result(result)
+    replay.write_run(result, out, force)
+    say(f"report: {out / 'report.html'}")

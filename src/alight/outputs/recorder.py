@@ -1,0 +1,167 @@
+"""The recorder of a live run: everything that came in, the schedule and every decision, as MCAP.
+
+It writes on a thread of its own. Messages are written as they are, without chunks, and given to the disk every half
+second: whatever ends the run, all but the last second can be read. A disk that is full or too slow costs messages,
+never the flight; how many is counted and said.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import threading
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from pathlib import Path
+
+from mcap.writer import Writer
+
+from alight import __version__
+from alight.outputs.atomic_write import output_error
+from alight.records import Event, Motion, Sites
+from alight.records.codec import CAMERAS, IMU, MOTION, NAV, NOTES, SCHEDULE, SITES, FlightHead, pack
+
+log = logging.getLogger(__name__)
+
+HEAD = "alight"  # name of the metadata record
+ENCODINGS = {CAMERAS: "alight.frame", NAV: "json", IMU: "json", SCHEDULE: "json", NOTES: "json", MOTION: "json",
+             SITES: "json"}  # fmt: skip
+SYNC = 0.5  # s between two times that the file is given to the disk
+WAITING_MB = 256  # that may wait for the disk
+
+Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, parts
+
+
+class Recorder:
+    """Writes one recording.
+
+    Raises:
+        OutputError: the file cannot be made.
+    """
+
+    def __init__(self, path: Path, head: FlightHead, waiting_mb: float = WAITING_MB) -> None:
+        self.path = path
+        self.lost: Counter[str] = Counter()  # messages by reason
+        self._room, self._most = 0, waiting_mb * 1_000_000  # bytes that wait
+        self._waiting, self._changed = deque[Message](), threading.Condition()
+        self._closed, self._broken = False, ""
+        try:
+            self._file = path.open("wb")
+        except OSError as e:
+            raise output_error(path, e) from e
+        try:
+            self._writer = Writer(self._file, use_chunking=False)
+            self._writer.start("alight", f"alight {__version__}")
+            self._writer.add_metadata(HEAD, {"head": head.to_json()})
+            schema = self._writer.register_schema("alight", "jsonschema", b'{"type": "object"}')
+            self._channels = {
+                topic: self._writer.register_channel(topic, encoding, schema if encoding == "json" else 0)
+                for topic, encoding in ENCODINGS.items()
+            }
+            self._file.flush()
+        except OSError as e:
+            with suppress(OSError):
+                self._file.close()
+            raise output_error(path, e) from e
+        self._thread = threading.Thread(target=self._write_all, daemon=True)
+        self._thread.start()
+
+    # -- what a live run tells it (`alight.runner.live.Diary`)
+
+    def event(self, event: Event) -> None:
+        """Record an event as it came in."""
+        topic, parts = pack(event)
+        self._put(topic, event.t_ns, parts)
+
+    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
+        """Record that a lane used an exposure."""
+        self._put(SCHEDULE, t_ns, [json.dumps({"kind": kind, "t_ns": t_ns, "value": value}).encode()])
+
+    def note(self, lane: str, words: str) -> None:
+        """Record what happened to a lane."""
+        self._put(NOTES, 0, [json.dumps({"lane": lane, "note": words}).encode()])
+
+    def motion(self, motion: Motion) -> None:
+        """Record a motion."""
+        body = motion.world_from_body
+        tree = {
+            "t_ns": motion.t_ns, "position": body.translation.tolist(), "rotation": body.rotation.tolist(),
+            "sigma": [float(v) ** 0.5 for v in motion.covariance.diagonal()], "state": motion.state.name,
+            "frame_id": motion.frame_id, "tracks": motion.tracks,
+        }  # fmt: skip
+        self._put(MOTION, motion.t_ns, [json.dumps(tree).encode()])
+
+    def sites(self, t_ns: int, sites: Sites) -> None:
+        """Record what a map said about landing."""
+        listed = [{"kind": s.kind, "east": s.east, "north": s.north, "up": s.up, "p_safe": s.p_safe}
+                  for s in sites.listed]  # fmt: skip
+        tree = {"t_ns": t_ns, "frame_id": sites.frame_id, "reason": sites.reason, "listed": listed}
+        self._put(SITES, t_ns, [json.dumps(tree).encode()])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is missing in the recording, and why."""
+        total = sum(self.lost.values())
+        why = ", ".join(f"{n} because {reason}" for reason, n in self.lost.items())
+        return [f"recording: {total} messages are missing ({why}); a replay gives other results"] if total else []
+
+    def close(self) -> None:
+        """Write what waits, and end the file."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+        if not self._broken:
+            try:
+                self._writer.finish()
+                self._file.flush()
+            except OSError as e:
+                self._break(e)
+        with suppress(OSError):
+            self._file.close()
+
+    # -- the thread
+
+    def _put(self, topic: str, t_ns: int, parts: list[bytes | memoryview]) -> None:
+        size = sum(len(p) for p in parts)
+        with self._changed:
+            if self._broken:
+                self.lost[self._broken] += 1
+            elif self._room + size > self._most:
+                self.lost["the disk is too slow"] += 1
+            else:
+                self._waiting.append((topic, t_ns, parts))
+                self._room += size
+                self._changed.notify()
+
+    def _write_all(self) -> None:
+        synced = time.monotonic()
+        number = 0
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed, timeout=SYNC)
+                if not self._waiting and self._closed:
+                    return
+                message = self._waiting.popleft() if self._waiting else None
+                self._room -= 0 if message is None else sum(len(p) for p in message[2])
+            if self._broken:
+                self.lost[self._broken] += message is not None
+                continue
+            try:
+                if message is not None:
+                    topic, t_ns, parts = message
+                    self._writer.add_message(self._channels[topic], time.time_ns(), b"".join(parts), t_ns, number)
+                    number += 1
+                if time.monotonic() - synced > SYNC:
+                    self._file.flush()
+                    os.fdatasync(self._file.fileno())
+                    synced = time.monotonic()
+            except OSError as e:
+                self._break(e)
+
+    def _break(self, error: OSError) -> None:
+        self._broken = str(output_error(self.path, error)).partition(": ")[2].partition(";")[0]
+        self.lost[self._broken] += 1
+        log.warning("recording: %s; the flight goes on without it", self._broken)

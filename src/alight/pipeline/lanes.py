@@ -1,0 +1,138 @@
+"""The three lanes of a run, and how a replay makes one anew where it was lost in flight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+from alight import terrain
+from alight.elevation import TileStore
+from alight.landing.reserve import Reserve
+from alight.pipeline.judging import JudgingLane, Verdict
+from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, RecursiveMapper, mapping_lane
+from alight.pipeline.navigation import (
+    FilterLane,
+    Navigation,
+    NavigationLane,
+    TimedPoses,
+    Trajectory,
+    all_at_end,
+    navigation_lane,
+)
+from alight.pipeline.timing import Timings
+from alight.records import Event, Frame, Rig, Schedule
+from alight.settings import StageSettings
+
+Progress = Callable[[float], None]
+
+
+class Judge(Protocol):
+    """One way to judge a map: in this process, or in another one."""
+
+    @property
+    def reserve(self) -> Reserve:
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What became of the sites where the motion began anew."""
+
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """Judge a map."""
+
+    def notes(self, found: Verdict) -> dict[str, object]:
+        """What a run's notes say of a verdict."""
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Navigation, mapping and judging; they exchange records only."""
+
+    navigation: NavigationLane
+    mapping: MappingLane
+    judging: Judge
+
+    @classmethod
+    def of(
+        cls,
+        rig: Rig,
+        kind: Literal["flight", "photos"],
+        stages: StageSettings,
+        timings: Timings,
+        poses: TimedPoses | None = None,
+        far: TileStore | None = None,
+        history: bool = True,
+        appearance: terrain.Model | None = None,
+        schedule: Schedule | None = None,
+    ) -> Lanes:
+        """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
+        judging, at_end = JudgingLane(stages, appearance, timings), all_at_end(kind, stages, poses)
+        if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
+            navigation = FilterAgain(lambda: FilterLane(rig, stages, history), schedule.navigation_anew)
+            mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), schedule.mapping_anew)
+            return cls(navigation, mapping, judging)
+        return cls(
+            navigation_lane(rig, kind, stages, poses, history),
+            mapping_lane(rig, stages, at_end, far, timings, history),
+            judging,
+        )
+
+
+def renumbered(navigation: Navigation, by: int) -> Navigation:
+    """Motions of an estimator that has taken another one's place: their frame numbers go on from those of before."""
+    if not by or navigation.motion is None:
+        return navigation
+    motion, posterior = navigation.motion, navigation.posterior
+    if posterior is not None:
+        moved = tuple(replace(m, frame_id=m.frame_id + by) for m in posterior.motions)
+        posterior = replace(posterior, motions=moved)
+    return replace(navigation, motion=replace(motion, frame_id=motion.frame_id + by), posterior=posterior)
+
+
+class FilterAgain:
+    """The filter's lane, made anew before the exposures of these stamps."""
+
+    def __init__(self, make: Callable[[], FilterLane], before: Collection[int]) -> None:
+        self._make, self._before = make, frozenset(before)
+        self._lane, self._number, self._next = make(), 0, 0
+
+    def feed(self, event: Event) -> Navigation | None:
+        """As the lane; it hears the rows that came since the last exposure that the one before it took."""
+        if isinstance(event, Frame) and event.t_ns in self._before:
+            waiting = self._lane.waiting()
+            self._lane, self._number = self._make(), self._next
+            for row in waiting:
+                self._lane.feed(row)
+        found = self._lane.feed(event)
+        if found is None:
+            return None
+        found = renumbered(found, self._number)
+        self._next = max(self._next, found.motion.frame_id + 1 if found.motion is not None else 0)
+        return found
+
+    def finish(self, progress: Progress) -> Trajectory:
+        """As the lane."""
+        return self._lane.finish(progress)
+
+
+class MappingAgain:
+    """The recursive mapper, made anew before the exposures of these stamps."""
+
+    def __init__(self, make: Callable[[], MappingLane], before: Collection[int]) -> None:
+        self._make, self._before = make, frozenset(before)
+        self._lane = make()
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """As the lane."""
+        if navigation.frame.t_ns in self._before:
+            self._lane = self._make()
+        return self._lane.feed(navigation)
+
+    def snapshot(self) -> MapSnapshot | None:
+        """As the lane."""
+        return self._lane.snapshot()
+
+    def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
+        """As the lane."""
+        return self._lane.finish(trajectory, progress)

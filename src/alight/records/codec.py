@@ -1,0 +1,132 @@
+"""Records as bytes and back, bit for bit: what a recording holds (docs/formats/recording.md).
+
+Numbers are JSON, whose decimals give the same bits again. Pictures are raw bytes behind a JSON head.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from alight.arrays import F64, U8
+from alight.geometry import Camera, LocalFrame, Pose
+from alight.records.errors import InputError
+from alight.records.events import Event, Frame, ImuSample, NavSample, Rig, RigCamera
+from alight.settings import ImuNoise, Settings
+
+CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of what came in
+SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # and of what was done
+_HEAD = struct.Struct("<I")
+_DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightHead:
+    """What a recording says of its flight before the first event."""
+
+    name: str
+    rig: Rig
+    local: LocalFrame
+    georeferenced: bool
+    imu_noise: ImuNoise
+    settings: Settings
+
+    def to_json(self) -> str:
+        """As text."""
+        cameras = [
+            {
+                "name": c.name,
+                "lens": asdict(c.camera),
+                "rotation": c.body_from_cam.rotation.tolist(),
+                "translation": c.body_from_cam.translation.tolist(),
+            }
+            for c in self.rig.cameras
+        ]
+        return json.dumps(
+            {
+                "name": self.name, "cameras": cameras, "origin": asdict(self.local),
+                "georeferenced": self.georeferenced, "imu_noise": asdict(self.imu_noise),
+                "settings": self.settings.model_dump(mode="json"),
+            }
+        )  # fmt: skip
+
+    @classmethod
+    def from_json(cls, text: str) -> FlightHead:
+        """The way back.
+
+        Raises:
+            InputError: it is damaged, or of another version.
+        """
+        try:
+            tree = json.loads(text)
+            cameras = tuple(
+                RigCamera(
+                    str(c["name"]),
+                    Camera(**{**c["lens"], "distortion": tuple(c["lens"]["distortion"])}),
+                    Pose(np.array(c["rotation"], float), np.array(c["translation"], float)),
+                )
+                for c in tree["cameras"]
+            )
+            return cls(
+                str(tree["name"]), Rig(cameras), LocalFrame(**tree["origin"]), bool(tree["georeferenced"]),
+                ImuNoise(**tree["imu_noise"]), Settings.model_validate(tree["settings"]),
+            )  # fmt: skip
+        except _DAMAGED as e:
+            raise InputError(f"the recording's head is damaged or of another version ({e}); record again") from e
+
+
+def pack(event: Event) -> tuple[str, list[bytes | memoryview]]:
+    """The topic of an event, and its bytes in parts."""
+    if isinstance(event, Frame):
+        arrays = [None if i is None else np.ascontiguousarray(i) for i in event.images]
+        head = json.dumps(
+            {"t_ns": event.t_ns, "name": event.name, "shapes": [None if a is None else a.shape for a in arrays]}
+        ).encode()
+        return CAMERAS, [_HEAD.pack(len(head)), head, *(a.data.cast("B") for a in arrays if a is not None)]
+    topic = NAV if isinstance(event, NavSample) else IMU
+    return topic, [json.dumps({f.name: _plain(getattr(event, f.name)) for f in fields(event)}).encode()]
+
+
+def unpack(topic: str, data: bytes) -> Event:
+    """The way back.
+
+    Raises:
+        ValueError: the bytes are damaged.
+    """
+    try:
+        if topic == CAMERAS:
+            return _frame(data)
+        tree = json.loads(data)
+        values: dict[str, Any] = {k: None if v is None else _array(v) for k, v in tree.items() if k != "t_ns"}
+        kind: type[NavSample | ImuSample] = NavSample if topic == NAV else ImuSample
+        return kind(int(tree["t_ns"]), **values)
+    except _DAMAGED as e:
+        raise ValueError(f"damaged ({e})") from e
+
+
+def _frame(data: bytes) -> Frame:
+    (size,) = _HEAD.unpack_from(data)
+    at = _HEAD.size + size
+    head: Mapping[str, Any] = json.loads(data[_HEAD.size : at])
+    images = list[U8 | None]()
+    for shape in head["shapes"]:
+        if shape is None:
+            images.append(None)
+            continue
+        count = int(np.prod(shape))
+        images.append(np.frombuffer(data, np.uint8, count, at).reshape(shape).copy())  # as cameras give it: writable
+        at += count
+    return Frame(int(head["t_ns"]), tuple(images), str(head["name"]))
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _array(value: Any) -> F64:
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,31 @@
+"""What was done when: a live run writes it down, and a replay does the same again."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, fields
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """Which exposures of a flight each lane used, by their stamps in ns; the rest was left out, the lane being busy.
+
+    A lane that was lost begins anew with an exposure: what it knew is gone, in a replay too.
+    """
+
+    tracked: tuple[int, ...] = ()  # that the navigation lane took
+    mapped: tuple[int, ...] = ()  # that the mapping lane took
+    effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 all of it, higher numbers less
+    judged: tuple[int, ...] = ()  # whose map was judged
+    navigation_anew: tuple[int, ...] = ()  # before which the navigation lane began anew
+    mapping_anew: tuple[int, ...] = ()  # before which the mapping lane began anew
+
+    def to_json(self) -> str:
+        """As text."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Schedule:
+        """The way back."""
+        tree = json.loads(text)
+        return cls(**{f.name: tuple(int(v) for v in tree[f.name]) for f in fields(cls)})

@@ -1,0 +1,247 @@
+"""The three lanes as they run in processes of their own, and how the flight calls them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from alight import compiled, terrain
+from alight.landing.reserve import Reserve
+from alight.outputs import FileStore
+from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
+from alight.pipeline.lanes import renumbered
+from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate, RecursiveMapper
+from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation, Trajectory
+from alight.pipeline.timing import Clock, Timings
+from alight.records import Event, Frame, Rig
+from alight.runner.live.nursery import Nursery
+from alight.runner.live.worker import LaneLost, Spec, Worker
+from alight.settings import StageSettings
+
+Stages = Mapping[str, Sequence[float]]  # seconds of every step, by stage
+
+
+# -- in the processes
+
+
+class NavigationProcess:
+    """Tracker and filter."""
+
+    def __init__(self, rig: Rig, settings: StageSettings) -> None:
+        self._lane = FilterLane(rig, settings, history=False)
+
+    def take(self, batch: FrameBatch) -> Navigation | None:
+        """Take one exposure with the rows before it; the pictures stay where they came from."""
+        self._lane.hear(batch)
+        tracked = self._lane.track(batch)
+        found = None if tracked is None else self._lane.update(tracked)
+        return None if found is None else replace(found, frame=Frame(found.frame.t_ns, ()))
+
+    def finish(self) -> Trajectory:
+        """The last motion, and what went wrong on the way."""
+        return self._lane.finish(lambda share: None)
+
+
+class MappingProcess:
+    """The recursive map.
+
+    Args:
+        clock: seconds.
+        folder: where tiles go that the vehicle has left behind.
+    """
+
+    def __init__(self, rig: Rig, settings: StageSettings, clock: Clock, folder: Path) -> None:
+        compiled.load_cached(parallel=True)
+        self._timings = Timings(clock, history=False)
+        self._lane = RecursiveMapper(rig, settings, FileStore(folder), self._timings, history=False)
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Improve the map."""
+        return self._lane.feed(navigation)
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map under the newest keyframe."""
+        return self._lane.snapshot()
+
+    def finish(self, trajectory: Trajectory) -> FinishedMap:
+        """The map of the whole flight."""
+        return self._lane.finish(trajectory, lambda share: None)
+
+    def timings(self) -> Stages:
+        """How long the stages took."""
+        return self._timings.stages
+
+
+class JudgingProcess:
+    """Land cover, hazards, sites."""
+
+    def __init__(
+        self, settings: StageSettings, clock: Clock, appearance: terrain.Model | None, memory: JudgingMemory
+    ) -> None:
+        compiled.load_cached(parallel=True)
+        self._timings = Timings(clock, history=False)
+        self._lane = JudgingLane(settings, appearance, self._timings, memory)
+
+    def judge(self, seen: MapSnapshot) -> tuple[Verdict, JudgingMemory]:
+        """Judge a map."""
+        return self._lane.judge(seen), self._lane.memory
+
+    def notes(self, found: Verdict) -> dict[str, object]:
+        """What a run's notes say of a verdict."""
+        return self._lane.notes(found)
+
+    def timings(self) -> Stages:
+        """How long the stages took."""
+        return self._timings.stages
+
+
+# -- in the flight
+
+
+@dataclass
+class Post:
+    """A lane's place: when its process is lost, another one takes it.
+
+    Args:
+        patience: s without an answer after which the process is lost.
+        lost: is told why each time.
+    """
+
+    nursery: Nursery
+    make: Callable[[], Spec]
+    patience: float
+    lost: Callable[[str, str], None]
+
+    def __post_init__(self) -> None:
+        self.worker = Worker(self.nursery, self.make())
+        self.compiled = 0
+        self.given_up = ""  # why, where there will be no other process
+
+    def call(self, method: str, *given: Any) -> Any:
+        """Call the lane.
+
+        Raises:
+            LaneLost: it raised, died or did not answer; the next call goes to a new process.
+        """
+        if self.given_up:
+            raise LaneLost(self.given_up)
+        made = False
+        try:
+            self.worker.wait_until_ready()
+            made = True
+            return self.worker.call(method, *given, timeout=self.patience)
+        except LaneLost as e:
+            if not self.given_up:
+                self.given_up = "" if made else f"it cannot be started: {e}"
+                self.lost(self.worker.name, str(e))
+            if not self.given_up:
+                self.worker = Worker(self.nursery, self.make())
+            raise
+        finally:
+            self.compiled = max(self.compiled, self.worker.compiled)
+
+    def close(self) -> None:
+        """End the process; whoever waits for it is told that it is lost."""
+        self.given_up = self.given_up or "the flight is over"
+        with suppress(OSError):
+            self.worker.close()
+
+
+class RemoteNavigation:
+    """The navigation lane in its process; frame numbers go on when the process is replaced."""
+
+    def __init__(self, post: Post) -> None:
+        self.post = post
+        self._number, self._next = 0, 0
+
+    def take(self, batch: FrameBatch) -> Navigation | None:
+        """Take one exposure with the rows before it.
+
+        Raises:
+            LaneLost: the exposure is lost, and the motion begins anew with the next one.
+        """
+        try:
+            found: Navigation | None = self.post.call("take", batch)
+        except LaneLost:
+            self._number = self._next
+            raise
+        if found is None:
+            return None
+        assert batch.frame is not None
+        found = renumbered(replace(found, frame=batch.frame), self._number)
+        self._next = max(self._next, found.motion.frame_id + 1 if found.motion is not None else 0)
+        return found
+
+    def feed(self, event: Event) -> Navigation | None:
+        """Not used in flight, where exposures come in batches."""
+        raise NotImplementedError("a flight feeds batches")
+
+    def finish(self, progress: Callable[[float], None]) -> Trajectory:
+        """The last motion."""
+        found: Trajectory = self.post.call("finish")
+        motions = tuple(replace(m, frame_id=m.frame_id + self._number) for m in found.motions)
+        return replace(found, motions=motions)
+
+
+class RemoteMapping:
+    """The mapping lane in its process."""
+
+    def __init__(self, post: Post) -> None:
+        self.post = post
+
+    def feed(self, navigation: Navigation) -> MapUpdate | None:
+        """Improve the map.
+
+        Raises:
+            LaneLost: the map is gone; the next exposure begins another one.
+        """
+        found: MapUpdate | None = self.post.call("feed", navigation)
+        return found
+
+    def snapshot(self) -> MapSnapshot | None:
+        """The map under the newest keyframe."""
+        found: MapSnapshot | None = self.post.call("snapshot")
+        return found
+
+    def finish(self, trajectory: Trajectory, progress: Callable[[float], None]) -> FinishedMap:
+        """The map of the whole flight."""
+        found: FinishedMap = self.post.call("finish", trajectory)
+        return found
+
+
+class RemoteJudging:
+    """The judging lane in its process; what it knows of earlier maps outlives the process."""
+
+    def __init__(self) -> None:
+        self.post: Post | None = None
+        self.memory = JudgingMemory()
+
+    @property
+    def reserve(self) -> Reserve:
+        """The sites of all maps judged so far, and those that the newest one gave up, with the reason."""
+        return self.memory.reserve
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What became of the sites where the motion began anew."""
+        return self.memory.warnings
+
+    def judge(self, seen: MapSnapshot) -> Verdict:
+        """Judge a map.
+
+        Raises:
+            LaneLost: this map is not judged.
+        """
+        assert self.post is not None
+        found, self.memory = self.post.call("judge", seen)
+        verdict: Verdict = found
+        return verdict
+
+    def notes(self, found: Verdict) -> dict[str, object]:
+        """What a run's notes say of a verdict."""
+        assert self.post is not None
+        notes: dict[str, object] = self.post.call("notes", found)
+        return notes

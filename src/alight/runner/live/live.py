@@ -1,0 +1,409 @@
+"""A flight as it comes: each lane in a process of its own, fed through mailboxes that hold little.
+
+A lane that is too slow leaves out the oldest exposures; a lane that raises or hangs is replaced, and begins anew. What
+each lane did use is the `schedule`. A `Pipeline` that is given the same events and that schedule does the same in turn
+and gives the same bits. Nothing here grows with the flight unless the whole schedule is to be kept.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Thread
+from typing import Any, Protocol
+
+from alight import terrain
+from alight.pipeline import Decision, Lanes, Pipeline, Verdict
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import FrameBatch, Navigation
+from alight.pipeline.navigation.filter_lane import EventBatcher
+from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
+from alight.runner.live import lanes as processes
+from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
+from alight.runner.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
+from alight.runner.live.mailbox import Closed, Mailbox
+from alight.runner.live.nursery import Nursery
+from alight.runner.live.stream_clock import Clocks
+from alight.runner.live.worker import LaneLost, Spec
+from alight.settings import ImuNoise, Settings
+
+log = logging.getLogger(__name__)
+
+NAVIGATION, MAPPING, JUDGING = LANES = ("navigation", "mapping", "judging")
+PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answer, after which a process is lost
+NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 10}  # navigation never waits for mapping, nor mapping for judging
+AT_END = 120.0  # s that the last judgement may take, of all that was seen
+SPARE = 2  # processors that mapping leaves to the other lanes
+
+
+@dataclass(frozen=True)
+class Listener:
+    """Who is told of results as soon as they are known, each on its lane's thread."""
+
+    motion: Callable[[Motion], None] = lambda motion: None
+    verdict: Callable[[Verdict], None] = lambda verdict: None
+    lost: Callable[[str, str], None] = lambda lane, why: None
+
+
+@dataclass(frozen=True)
+class Capacity:
+    """What waits for a busy lane.
+
+    `drop`: with a mailbox full, leave out the oldest exposure (flight) instead of waiting (recordings).
+    """
+
+    tracking: int = 2  # exposures
+    mapping: int = 2  # exposures
+    drop: bool = True
+    schedule: int | None = 1000  # last entries of the schedule that are kept; None: all of them
+
+
+class Diary(Protocol):
+    """Where a live run writes what it does; the recorder is one."""
+
+    def event(self, event: Event) -> None:
+        """Something came in."""
+
+    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
+        """A lane used an exposure: `kind` is a field of `Schedule`."""
+
+    def note(self, lane: str, words: str) -> None:
+        """Something happened to a lane."""
+
+
+class NoDiary:
+    """Nothing is written."""
+
+    def event(self, event: Event) -> None:
+        """Something came in."""
+
+    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
+        """A lane used an exposure."""
+
+    def note(self, lane: str, words: str) -> None:
+        """Something happened to a lane."""
+
+
+@dataclass
+class _Entries:
+    """The schedule as it grows."""
+
+    most: int | None
+
+    def __post_init__(self) -> None:
+        self.kinds = {k: deque[int](maxlen=self.most) for k in Schedule.__dataclass_fields__}
+
+    @property
+    def schedule(self) -> Schedule:
+        return Schedule(**{k: tuple(v) for k, v in self.kinds.items()})
+
+
+class Live:
+    """The three lanes as processes. Feed events in the order of arrival, `finish` at the end.
+
+    Args:
+        listener: is told of motions and verdicts as they become known.
+        capacity: how much may wait, and what happens then.
+        folder: where the map puts what the vehicle has left behind; None: the system's temporary folder.
+        appearance: what ground looks like.
+        imu: noise that is stated for the IMU.
+        diary: what the run does is written there; None: nowhere.
+        clocks: tell late events and clocks that jump, by the arrival of the events; None: stamps are right.
+        nursery: where the lanes are born; None: one of its own, which ends with the flight.
+        makers: of lanes to use instead of the usual ones, by the lane's name.
+
+    Raises:
+        SettingsError: the settings ask for what only a recording allows.
+        AlightError: a lane cannot be started.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        settings: Settings,
+        listener: Listener = Listener(),
+        capacity: Capacity = Capacity(),
+        folder: Path | None = None,
+        appearance: terrain.Model | None = None,
+        imu: ImuNoise | None = None,
+        diary: Diary | None = None,
+        clocks: Callable[[Callable[[str], None]], Clocks] | None = None,
+        nursery: Nursery | None = None,
+        makers: Mapping[str, Callable[..., Any]] | None = None,
+    ) -> None:
+        if settings.motion.method == "bundle":
+            raise SettingsError("motion.method: a flight needs the filter; bundle is for recordings")
+        self._listener, self._capacity = listener, capacity
+        self._diary: Diary = diary or NoDiary()
+        self.watch, self.warnings = Watch(LANES), list[str]()
+        self._clocks = clocks(self._warn) if clocks else None
+        self._batcher, self._entries = EventBatcher(), _Entries(capacity.schedule)
+        drop = capacity.drop
+        self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
+        self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
+        self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
+        self._judge_waits, self._every = threading.Event(), settings.sites.every
+        self._newest: Motion | None = None
+        self._failed: list[BaseException] = []
+        self._cores = max(1, (os.cpu_count() or 1) - SPARE)
+        self._own_nursery = None if nursery is not None else Nursery(self._cores)
+        self._nursery = nursery or self._own_nursery
+        self._start_lanes(rig, settings, folder or Path(tempfile.gettempdir()), appearance, imu, makers or {})
+        self.threads = self._start_threads()
+
+    # -- the start
+
+    def _start_lanes(
+        self, rig: Rig, settings: Settings, folder: Path, appearance: terrain.Model | None, imu: ImuNoise | None,
+        makers: Mapping[str, Callable[..., Any]],
+    ) -> None:  # fmt: skip
+        stages, clock, nursery = settings.stages(imu), time.perf_counter, self._nursery
+        assert nursery is not None
+        judging = RemoteJudging()
+        usual: dict[str, tuple[Any, Callable[[], tuple[Any, ...]]]] = {
+            NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages)),
+            MAPPING: (processes.MappingProcess, lambda: (rig, stages, clock, folder)),
+            JUDGING: (processes.JudgingProcess, lambda: (stages, clock, appearance, judging.memory)),
+        }
+
+        def post(name: str) -> Post:
+            make, given = usual[name]
+            make, threads = makers.get(name, make), self._cores if name == MAPPING else 1
+            return Post(nursery, lambda: Spec(name, make, given(), NICENESS[name], threads), PATIENCE[name], self._lost)
+
+        self.posts = {name: post(name) for name in LANES}
+        judging.post = self.posts[JUDGING]
+        self._navigation, mapping = RemoteNavigation(self.posts[NAVIGATION]), RemoteMapping(self.posts[MAPPING])
+        self.pipeline = Pipeline(rig, "flight", settings, lanes=Lanes(self._navigation, mapping, judging))
+        self._mapping = mapping
+
+    def _start_threads(self) -> list[Thread]:
+        """A thread for each lane; at its end the mailbox that it feeds is closed."""
+        steps: Sequence[tuple[Callable[[], None], tuple[Mailbox[Any], ...]]] = (
+            (self._navigate, (self._batches, self._exposures)),
+            (self._map, (self._exposures, self._maps)),
+            (self._judge, (self._maps,)),
+        )
+        threads = [Thread(target=self._guarded, args=s, daemon=True) for s in steps]
+        for t in threads:
+            t.start()
+        return threads
+
+    # -- from outside
+
+    @property
+    def schedule(self) -> Schedule:
+        """What each lane has used so far; complete after `finish`, where all of it was kept."""
+        return self._entries.schedule
+
+    @property
+    def health(self) -> FlightHealth:
+        """How the lanes are now."""
+        return self.watch.health(0, self._newest.frame_id if self._newest is not None else None)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Exposures used and left out, by lane and reason; processes that were lost; loops compiled in flight."""
+        late = self._clocks.late if self._clocks else {}
+        self.watch.counts |= {f"{name} that came late": n for name, n in late.items() if n}
+        restarts = {f"{name}: restarted": n for name, n in self.watch.restarts.items()}
+        compiled = sum(p.compiled for p in self.posts.values())
+        return {**dict(sorted(self.watch.counts.items())), **restarts, "loops compiled in flight": compiled}
+
+    def feed(self, event: Event) -> None:
+        """Take an event; motions and verdicts come by themselves.
+
+        Raises:
+            AlightError: the navigation lane cannot be started again.
+        """
+        self._raise()
+        arrival = time.perf_counter()
+        stamped = event if self._clocks is None else self._clocks.stamped(event, arrival)
+        if stamped is None:
+            return
+        self._diary.event(stamped)
+        if isinstance(stamped, Frame):
+            self.watch.arrived(stamped.t_ns)
+            self.watch.counts["frames"] += 1
+        batch = self._batcher.take(stamped)
+        if batch is not None:
+            self._batches.put(batch)
+
+    def finish(self) -> Decision:
+        """Wait until all is done, and judge the map as it is then; the lanes end.
+
+        Raises:
+            AlightError: the navigation lane could not be started again.
+        """
+        try:
+            self._batches.put(self._batcher.rest())
+            self._batches.close()
+            for t in self.threads:
+                t.join()
+            self._raise()
+            for p in self.posts.values():
+                p.patience = AT_END
+            return self._said(self.pipeline.finish())
+        except LaneLost as e:
+            raise AlightError(f"a lane was lost when the flight was over: {e}; the recording can be replayed") from e
+        finally:
+            self.close()
+
+    def timings(self) -> dict[str, Sequence[float]]:
+        """Seconds of every step, by stage."""
+        return dict(self.watch.times)
+
+    def close(self) -> None:
+        """End all lanes."""
+        for box in (self._batches, self._exposures, self._maps):
+            box.close()
+        self._judge_waits.set()
+        for p in self.posts.values():
+            p.close()
+        for t in self.threads:
+            t.join(5.0)
+        if self._own_nursery is not None:
+            self._own_nursery.close()
+
+    def _said(self, decision: Decision) -> Decision:
+        repeated = self._batcher.repeated
+        same = [f"motion: {repeated} exposures have the stamp of an earlier one and are left out"] if repeated else []
+        return replace(decision, warnings=[*same, *self.warnings, *decision.warnings])
+
+    # -- the threads
+
+    def _raise(self) -> None:
+        if self._failed:
+            raise self._failed[0]
+
+    def _warn(self, sentence: str) -> None:
+        self.warnings.append(sentence)
+        self._diary.note("clocks", sentence)
+
+    def _lost(self, lane: str, why: str) -> None:
+        """A process is lost: this is said, and the flight goes on."""
+        self.watch.restarts[lane] += 1
+        if self.posts[lane].given_up:
+            self.watch.gave_up(lane)
+        log.warning("the %s lane was lost: %s; it begins anew", lane, why)
+        if (count := self.watch.restarts[lane]) <= 3:
+            self.warnings.append(f"live: the {lane} lane was lost and began anew ({why})")
+        elif count == 4:
+            self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts say how often")
+        self._diary.note(lane, why)
+        self._listener.lost(lane, why)
+
+    def _entry(self, kind: str, t_ns: int) -> None:
+        self._entries.kinds[kind].append(t_ns)
+        self._diary.entry(kind, t_ns)
+
+    def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
+        if old.frame is not None:
+            self.watch.counts["navigation: exposures left out, busy"] += 1
+        return new.after(old)
+
+    def _later_exposure(self, old: Navigation, new: Navigation) -> Navigation:
+        self.watch.counts["mapping: exposures left out, busy"] += 1
+        return new
+
+    def _guarded(self, work: Callable[[], None], boxes: tuple[Mailbox[Any], ...]) -> None:
+        try:
+            work()
+        except Closed:
+            pass
+        except BaseException as e:
+            if not isinstance(e, AlightError):
+                log.exception("a thread of the flight has failed")
+            self._failed.append(e)
+            boxes = (self._batches, self._exposures, self._maps)
+        finally:  # whoever waits for this thread is let go
+            for box in boxes:
+                box.close()
+            self._judge_waits.set()
+
+    def _navigate(self) -> None:
+        unheard, anew = FrameBatch(None, ()), False
+        while True:
+            batch = self._batches.get().after(unheard)
+            t_ns = None if batch.frame is None else batch.frame.t_ns
+            try:
+                with self.watch.work(NAVIGATION):
+                    found = self._navigation.take(batch)
+            except LaneLost as e:
+                if self.posts[NAVIGATION].given_up:
+                    raise AlightError(f"the navigation lane is lost: {self.posts[NAVIGATION].given_up}") from e
+                self.watch.counts["navigation: exposures left out, lane lost"] += t_ns is not None
+                unheard, anew = replace(batch, frame=None), True
+                continue
+            unheard = FrameBatch(None, ())
+            if t_ns is None:
+                continue
+            if anew:
+                self._entry("navigation_anew", t_ns)
+                anew = False
+            self._entry("tracked", t_ns)
+            self.watch.counts["frames used"] += 1
+            if found is not None:
+                self._exposures.put(found)
+                if found.motion is not None:
+                    self.watch.known(POSE, t_ns)
+                    self._newest = found.motion
+                    self._listener.motion(found.motion)
+
+    def _map(self) -> None:
+        anew, since = False, 0
+        while True:
+            navigation = self._exposures.get()
+            t_ns = navigation.frame.t_ns
+            try:
+                with self.watch.work(MAPPING):
+                    begin = time.perf_counter()
+                    update = self._mapping.feed(navigation)
+                    if update is not None:
+                        self.watch.times.setdefault(STEP, deque(maxlen=1000)).append(time.perf_counter() - begin)
+            except LaneLost:
+                self.watch.counts["mapping: exposures left out, lane lost"] += 1
+                anew = True
+                if self.posts[MAPPING].given_up:
+                    raise Closed from None
+                continue
+            if anew:
+                self._entry("mapping_anew", t_ns)
+                anew = False
+            self._entry("mapped", t_ns)
+            self._entries.kinds["effort"].append(0)
+            since += 0 if update is None else update.steps
+            if self._every and since >= self._every and (self._judge_waits.is_set() or not self._capacity.drop):
+                self._hand_to_judge(navigation)
+                since = 0
+
+    def _hand_to_judge(self, navigation: Navigation) -> None:
+        try:
+            seen = self._mapping.snapshot()
+        except LaneLost:
+            return
+        if seen is not None:
+            self._judge_waits.clear()
+            self._maps.put((navigation, seen))
+
+    def _judge(self) -> None:
+        while True:
+            self._judge_waits.set()
+            navigation, seen = self._maps.get()
+            try:
+                with self.watch.work(JUDGING, "verdict"):
+                    verdict = self.pipeline.judge(seen)
+            except LaneLost:
+                if self.posts[JUDGING].given_up:
+                    raise Closed from None
+                continue
+            self._entry("judged", navigation.frame.t_ns)
+            self.watch.known(VERDICT, navigation.frame.t_ns)
+            self._listener.verdict(verdict)

@@ -1,0 +1,115 @@
+"""The whole of a live run: events in as they come, a folder of results out at the end."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from alight.outputs import prepare_folder
+from alight.outputs.recorder import Recorder
+from alight.pipeline import Verdict
+from alight.records import AlightError, Event, Frame, Motion, RunResult
+from alight.records.codec import FlightHead
+from alight.runner.live.health import FlightHealth
+from alight.runner.live.live import NAVIGATION, Listener, Live
+from alight.runner.live.stream_clock import Clocks
+from alight.runner.replay import appearance_of, result_of
+from alight.settings import Settings
+from alight.sources import Source
+
+log = logging.getLogger(__name__)
+
+RECORDING = "recording.mcap"
+TELL_EVERY = 0.5  # s between two lines of status
+SILENT = Listener()
+
+Tell = Callable[[FlightHealth], None]
+
+
+def fly_live(
+    source: Source,
+    events: Iterator[Event],
+    out: Path,
+    settings: Settings,
+    record: bool = True,
+    real_time: bool = False,
+    overwrite: bool = False,
+    tell: Tell = lambda health: None,
+    listener: Listener = SILENT,
+) -> RunResult:
+    """Run the lanes on events as they come, until there are no more or Ctrl-C is pressed.
+
+    Args:
+        source: what the events come from.
+        events: its events, each as it is due.
+        out: the folder of the results; the recording goes there while the flight lasts.
+        record: make the recording.
+        real_time: the events come from sensors as they happen: late ones and clocks that jump are told by the arrival.
+        tell: is told how the lanes are, about twice a second.
+        listener: is told of motions and verdicts.
+
+    Raises:
+        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+    """
+    prepare_folder(out, overwrite)
+    head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
+    recorder = Recorder(out / RECORDING, head) if record else None
+    told = _Told(listener, recorder)
+    live = Live(
+        source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
+        diary=recorder, clocks=Clocks if real_time else None,
+    )  # fmt: skip
+    started = time.perf_counter()
+    try:
+        live.posts[NAVIGATION].worker.wait_until_ready()
+        _feed(live, events, tell)
+        if not live.watch.counts["frames"]:
+            raise AlightError(f"{source.name}: not one image came; see that the camera or the folder gives pictures")
+        decision = live.finish()
+    finally:
+        live.close()
+        if recorder is not None:
+            recorder.close()
+    warnings = [*decision.warnings, *(recorder.warnings if recorder else [])]
+    result = result_of(source, settings, replace(decision, warnings=warnings), live.timings())
+    counts = {**result.counts, **live.counts}
+    if recorder is not None:
+        counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
+    first = {} if told.first is None else {"seconds from the start to the first pose": round(told.first - started, 2)}
+    return replace(result, counts=counts, notes={**result.notes, **first})
+
+
+def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
+    said = time.perf_counter()
+    try:
+        for event in events:
+            live.feed(event)
+            if isinstance(event, Frame) and time.perf_counter() - said > TELL_EVERY:
+                tell(live.health)
+                said = time.perf_counter()
+    except KeyboardInterrupt:
+        live.warnings.append("live: ended by Ctrl-C; what was seen until then is judged")
+
+
+class _Told:
+    """Passes on what becomes known, and records it."""
+
+    def __init__(self, listener: Listener, recorder: Recorder | None) -> None:
+        self._to, self._recorder = listener, recorder
+        self.first: float | None = None  # when the first pose was known
+        self.listener = Listener(self._motion, self._verdict, listener.lost)
+
+    def _motion(self, motion: Motion) -> None:
+        if self.first is None:
+            self.first = time.perf_counter()
+        if self._recorder is not None:
+            self._recorder.motion(motion)
+        self._to.motion(motion)
+
+    def _verdict(self, verdict: Verdict) -> None:
+        if self._recorder is not None:
+            self._recorder.sites(0, verdict.sites)
+        self._to.verdict(verdict)

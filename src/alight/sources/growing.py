@@ -1,0 +1,147 @@
+"""A flight log that is being written: rows and pictures are taken as they appear."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from alight.arrays import U8
+from alight.records import Event, Frame, InputError
+from alight.settings import Settings
+from alight.sources.flight_log import CalibratedFolder
+from alight.sources.images import read_image
+from alight.sources.streams import IMU_COLUMNS, NAV_COLUMNS, Table, imu_samples, nav_samples, usable_imu, usable_nav
+from alight.sources.tables import Row, named, numbers_of, rows_of
+
+POLL = 0.01  # s between two looks
+PARTNER = 0.15  # s that an image waits for that of another camera
+WRITTEN = 1.0  # s that an image may take from its row until it is whole
+
+
+class GrowingTable:
+    """A CSV file that gets longer; a line counts once its end has been written."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._at, self._line, self._rest = path, 0, 0, b""
+
+    def new_lines(self) -> list[tuple[int, str]]:
+        """The lines since the last call, with their numbers."""
+        try:
+            with self._path.open("rb") as f:
+                f.seek(self._at)
+                data = f.read()
+        except OSError:
+            return []
+        self._at += len(data)
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        out = [(self._line + k, text.decode("utf-8-sig", "replace")) for k, text in enumerate(whole, 1)]
+        self._line += len(whole)
+        return out
+
+
+class GrowingLog(CalibratedFolder):
+    """A folder in the layout of a flight log that something else fills.
+
+    Args:
+        root: has the calibration from the start: `cam0/sensor.yaml`, and others that there are.
+        idle: s without anything new after which it is over.
+
+    Raises:
+        InputError: the calibration is missing, or is none.
+    """
+
+    def __init__(self, root: Path, settings: Settings, idle: float) -> None:
+        super().__init__(root, settings)
+        self._idle = idle
+        self._tables = {name: GrowingTable(self._root / name / "data.csv") for name in ("nav0", "imu0")}
+        self._cams = [GrowingTable(self._root / c.name / "data.csv") for c in self.rig.cameras]
+        self._waiting: dict[int, list[str | None]] = {}  # stamp: the name of each camera's image
+        self._since: dict[int, float] = {}
+        self._note((self._root / "nav0").is_dir(), (self._root / "imu0").is_dir())
+
+    def events(self, stopped: Callable[[], bool] = lambda: False) -> Iterator[Event]:
+        """Yield what appears, in the order of its appearance; what appears at once, in order of time."""
+        last = time.monotonic()
+        while not stopped():
+            found = [*self._new_rows(), *self._new_exposures()]
+            yield from sorted(found, key=lambda e: (e.t_ns, isinstance(e, Frame)))
+            now = time.monotonic()
+            last = now if found or self._waiting else last
+            if now - last > self._idle:
+                return
+            if not found:
+                time.sleep(POLL)
+
+    def _new_rows(self) -> list[Event]:
+        out: list[Event] = []
+        if (read := self._read("nav0", NAV_COLUMNS)) is not None:
+            nav = usable_nav(*read, self._findings)
+            out += [] if nav is None else list(nav_samples(nav, self.local))
+        if (read := self._read("imu0", IMU_COLUMNS)) is not None:
+            imu = usable_imu(*read, self._body_from_imu, self._findings)
+            out += [] if imu is None else list(imu_samples(imu))
+        return out
+
+    def _read(self, stream: str, columns: tuple[int, ...]) -> tuple[Table, list[int]] | None:
+        group = f"{stream} rows"
+        good, values = list[Row](), list[list[float]]()
+        for row in rows_of(self._tables[stream].new_lines(), columns, group, self._findings):
+            if (numbers := numbers_of(row, group, self._findings)) is not None:
+                good.append(row)
+                values.append(numbers)
+        self._findings.counts[group] = self._findings.counts.get(group, 0) + len(good)
+        if not good:
+            return None
+        return Table(np.array([t for _, t, _ in good], np.int64), np.array(values)), [n for n, _, _ in good]
+
+    def _new_exposures(self) -> Iterator[Frame]:
+        now = time.monotonic()
+        for k, table in enumerate(self._cams):
+            group = f"{self.rig.cameras[k].name} images"
+            for row in rows_of(table.new_lines(), (2,), group, self._findings):
+                if named(row, group, self._findings):
+                    self._waiting.setdefault(row[1], [None] * len(self._cams))[k] = row[2][0]
+                    self._since.setdefault(row[1], now)
+        for t_ns in sorted(self._waiting):
+            names = self._waiting[t_ns]
+            if None in names and now - self._since[t_ns] < PARTNER:
+                return  # in order: what comes later waits as well
+            images = self._images(names, now - self._since[t_ns] > WRITTEN)
+            if images is None:
+                return
+            del self._waiting[t_ns], self._since[t_ns]
+            if any(i is not None for i in images):
+                self.length += 1
+                yield Frame(t_ns, images, next(n for n in names if n))
+
+    def _images(self, names: list[str | None], late: bool) -> tuple[U8 | None, ...] | None:
+        """The images; None while one of them is still being written."""
+        out = list[U8 | None]()
+        for cam, name in zip(self.rig.cameras, names, strict=True):
+            if name is None:
+                out.append(None)
+                continue
+            try:
+                out.append(read_image(self._root / cam.name / "data" / name, (cam.camera.width, cam.camera.height)))
+            except ValueError as e:
+                if not late:
+                    return None
+                self._findings.lose(f"{cam.name} images", name, str(e))
+                out.append(None)
+        return tuple(out)
+
+
+def wait_for_calibration(root: Path, seconds: float) -> None:
+    """Wait until a folder has the calibration of its first camera.
+
+    Raises:
+        InputError: it does not come.
+    """
+    end = time.monotonic() + seconds
+    while not any((folder / "cam0" / "sensor.yaml").is_file() for folder in (root, root / "mav0")):
+        if time.monotonic() > end:
+            raise InputError(f"{root}: cam0/sensor.yaml does not appear; a folder that is filled has it from the start")
+        time.sleep(POLL)

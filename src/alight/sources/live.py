@@ -1,0 +1,67 @@
+"""What a live run can fly from: the one place that takes the name of such a source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from alight.records import Event, InputError
+from alight.settings import Settings
+from alight.sources.capture import PREFIXES, Cameras
+from alight.sources.growing import GrowingLog, wait_for_calibration
+from alight.sources.opening import open_source
+from alight.sources.paced import paced
+from alight.sources.source import Source
+
+IDLE = 10.0  # s without anything new, after which a folder is taken to be complete
+PATIENCE = 30.0  # s that a folder may take to get its calibration
+
+
+@dataclass(frozen=True)
+class LiveSource:
+    """A source, its events as they come, and whether they come from sensors as they happen."""
+
+    source: Source
+    events: Iterator[Event]
+    real_time: bool
+
+
+def never() -> bool:
+    """Never stopped."""
+    return False
+
+
+def open_live(
+    name: str,
+    settings: Settings,
+    speed: float = 1.0,
+    follow: bool = False,
+    rig: Path | None = None,
+    stopped: Callable[[], bool] = never,
+) -> LiveSource:
+    """Open what a live run flies from.
+
+    Args:
+        name: a flight log or a recording, a folder that is being filled, or cameras with commas between them.
+        speed: of a recording: 2 is twice as fast as it was.
+        follow: the folder is being filled.
+        rig: folder with the calibration of cameras.
+        stopped: asked now and then; True ends the events.
+
+    Raises:
+        InputError: it is none, or cannot be used; the message says what was looked for.
+    """
+    if name.startswith(PREFIXES):
+        if rig is None:
+            raise InputError(f"{name}: cameras need their calibration; give a folder with cam0/sensor.yaml as --rig")
+        cameras = Cameras(name.split(","), rig, settings)
+        return LiveSource(cameras, cameras.events(stopped), True)
+    if follow:
+        wait_for_calibration(Path(name), PATIENCE)
+        growing = GrowingLog(Path(name), settings, IDLE)
+        return LiveSource(growing, growing.events(stopped), True)
+    source = open_source(name, settings)
+    if source.kind != "flight":
+        raise InputError(f"{name}: photos have no speed of their own; use alight run")
+    return LiveSource(source, paced(source.events(), speed, stopped), False)

@@ -1,0 +1,225 @@
+"""What a live run flies from: recordings at their own speed, folders that fill, cameras."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import alight_sim
+from alight.geometry import Camera
+from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
+from alight.settings import Settings
+from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
+from alight.sources.growing import GrowingLog, GrowingTable
+from alight.sources.live import open_live
+from alight.sources.opening import open_source
+from alight.sources.paced import paced, read_ahead
+from alight_sim import default_rig, fly
+
+LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flight of 2 s, as a log."""
+    rig = Rig(tuple(RigCamera(c.name, LENS, c.body_from_cam) for c in default_rig().cameras))
+    folder = tmp_path_factory.mktemp("log") / "flight"
+    alight_sim.write(fly("demo", 1, 2.0, rig=rig, rate_hz=6.0, height=15.0), folder)
+    return folder
+
+
+def rows(*stamps_ms: int) -> list[Event]:
+    return [NavSample(t * 1_000_000, None, None) for t in stamps_ms]
+
+
+# -- at their own speed
+
+
+def test_events_come_when_they_came_in_flight() -> None:
+    begin = time.perf_counter()
+    arrived = [time.perf_counter() - begin for _ in paced(iter(rows(5000, 5100, 5100, 5400)), 2.0)]
+    np.testing.assert_allclose(arrived, [0.0, 0.05, 0.05, 0.2], atol=0.045)
+
+
+def test_what_comes_late_is_not_waited_for() -> None:
+    """A reader that stalls for 0.3 s catches up."""
+
+    def stalls() -> Iterator[Event]:
+        for k, e in enumerate(rows(0, 100, 200, 300, 400)):
+            if k == 1:
+                time.sleep(0.3)
+            yield e
+
+    begin = time.perf_counter()
+    arrived = [time.perf_counter() - begin for _ in paced(stalls(), 1.0)]
+    assert arrived[1] >= 0.29
+    assert arrived[4] == pytest.approx(0.4, abs=0.05)
+
+
+def test_reading_ahead_keeps_order_ends_and_errors() -> None:
+    def fails() -> Iterator[Event]:
+        yield from rows(1, 2)
+        raise InputError("a bad file")
+
+    assert [e.t_ns for e in read_ahead(iter(rows(*range(300))), 4)] == [k * 1_000_000 for k in range(300)]
+    found = read_ahead(fails(), 1)
+    assert [next(found).t_ns, next(found).t_ns] == [1_000_000, 2_000_000]
+    with pytest.raises(InputError, match="a bad file"):
+        next(found)
+
+
+def test_a_flight_that_is_stopped_ends() -> None:
+    assert list(paced(iter(rows(0, 60_000)), 1.0, lambda: True)) == []
+
+
+def test_photos_have_no_speed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such folder"):
+        open_live(str(tmp_path / "none"), Settings())
+
+
+# -- a folder that fills
+
+
+def test_lines_count_once_they_are_whole(tmp_path: Path) -> None:
+    path = tmp_path / "data.csv"
+    table = GrowingTable(path)
+    assert table.new_lines() == []
+    with path.open("ab", buffering=0) as f:
+        f.write(b"#timestamp\n1,2\n3")
+        assert table.new_lines() == [(1, "#timestamp"), (2, "1,2")]
+        f.write(b",4\r\n")
+        assert table.new_lines() == [(3, "3,4\r")]
+        assert table.new_lines() == []
+
+
+def test_a_folder_that_fills_gives_what_the_whole_log_gives(log: Path, tmp_path: Path) -> None:
+    """Rows and pictures appear bit by bit, the pictures half-written at first, one after its row, one never."""
+    root, settings = tmp_path / "filling", Settings()
+    whole = list(open_source(log, settings).events())
+    for folder in ("cam0", "cam1", "nav0", "imu0"):
+        (root / "mav0" / folder / "data").mkdir(parents=True)
+        shutil.copy(log / "mav0" / folder / "sensor.yaml", root / "mav0" / folder)
+    pictures = sorted((log / "mav0" / "cam0" / "data").iterdir())
+    never = pictures[3].name
+
+    def fill() -> None:
+        tables = {n: (log / "mav0" / n / "data.csv").read_text().splitlines() for n in ("cam0", "cam1", "nav0", "imu0")}
+        header = {n: lines[0] for n, lines in tables.items()}
+        lines = sorted((line for n, t in tables.items() for line in ((int(x.split(",")[0]), n, x) for x in t[1:])))
+        for n, text in header.items():
+            with (root / "mav0" / n / "data.csv").open("a") as f:
+                f.write(text + "\n")
+        for k, (_, n, text) in enumerate(lines):
+            with (root / "mav0" / n / "data.csv").open("a") as f:
+                f.write(text + "\n")
+            if n.startswith("cam") and not (n == "cam0" and text.endswith(never)):
+                name = text.split(",")[1].strip()
+                data = (log / "mav0" / n / "data" / name).read_bytes()
+                target = root / "mav0" / n / "data" / name
+                target.write_bytes(data[: len(data) // 2])
+                time.sleep(0.02)
+                target.write_bytes(data)
+            if k % 25 == 0:
+                time.sleep(0.01)
+
+    source = GrowingLog(root, settings, idle=1.5)
+    threading.Thread(target=fill, daemon=True).start()
+    found = list(source.events())
+    for kind in (NavSample, ImuSample):
+        assert [e.t_ns for e in found if isinstance(e, kind)] == [e.t_ns for e in whole if isinstance(e, kind)]
+    frames = [e for e in found if isinstance(e, Frame)]
+    wanted = [e for e in whole if isinstance(e, Frame)]
+    assert [f.t_ns for f in frames] == [f.t_ns for f in wanted]
+    for a, b in zip(frames, wanted, strict=True):
+        for one, other in zip(a.images, b.images, strict=True):
+            if one is None:
+                assert str(a.t_ns) == Path(never).stem
+            else:
+                assert other is not None
+                assert (one == other).all()
+    assert any(never in w for w in source.warnings)
+
+
+def test_a_folder_without_calibration_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("alight.sources.live.PATIENCE", 0.05)
+    with pytest.raises(InputError, match=r"cam0/sensor\.yaml does not appear"):
+        open_live(str(tmp_path), Settings(), follow=True)
+
+
+# -- cameras
+
+
+def image(t_ms: float, value: int = 0) -> StampedImage:
+    return StampedImage(round(t_ms * 1e6), np.full((2, 2), value, np.uint8))
+
+
+def test_pairs_are_matched_by_their_stamps() -> None:
+    """30 images a second; the right ones 4 ms later, one missing, and one without a left."""
+    matcher, out = ExposureMatcher(2), list[Frame]()
+    for k in range(12):
+        if k != 7:
+            out += matcher.take(0, image(1000 + 33.3 * k, k))
+        if k != 4:
+            out += matcher.take(1, image(1004 + 33.3 * k, k))
+    for k in range(12, 16):
+        out += matcher.take(0, image(1000 + 33.3 * k, k))
+    assert [f.t_ns for f in out[:11]] == [round((1000 + 33.3 * k) * 1e6) for k in range(12) if k != 7]
+    for f in out[:11]:
+        left, right = f.images
+        assert left is not None
+        assert (right is None) == (left[0, 0] == 4)
+        assert right is None or right[0, 0] == left[0, 0]
+
+
+def test_a_sensor_clock_takes_the_smallest_delay() -> None:
+    """Even stamps of a driver with a zero of its own, arrivals late by 5 to 40 ms."""
+    rng, clock = np.random.default_rng(2), SensorClock()
+    own = 7.0 + np.arange(300) / 30.0
+    arrival = 1_000.0 + own + rng.uniform(0.005, 0.040, 300)
+    stamps = np.array([clock.stamp(o, a) for o, a in zip(own, arrival, strict=True)]) * 1e-9
+    np.testing.assert_allclose(stamps[100:] - own[100:], 1_000.005, atol=0.002)
+    assert np.std(np.diff(stamps[100:])) < 0.0005
+    assert clock.stamp(0.0, 5.0) == 5_000_000_000  # a driver without stamps: the arrival
+
+
+@cache
+def film_of(folder: str) -> Path:
+    path = Path(folder) / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 20.0, (160, 120))  # type: ignore[attr-defined]
+    for k in range(12):
+        writer.write(np.full((120, 160, 3), 20 * k, np.uint8))
+    writer.release()
+    return path
+
+
+def test_opencv_gives_the_frames_of_a_film(log: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    film = film_of(str(tmp_path_factory.mktemp("film")))
+    opened = open_live(f"video:{film},video:{film}", Settings(), rig=log)
+    frames = [e for e in opened.events if isinstance(e, Frame)]
+    assert opened.real_time
+    assert len(frames) >= 8
+    means = [float(f.images[0].mean()) for f in frames if f.images[0] is not None]
+    assert all(a < b for a, b in pairwise(means))
+
+
+@pytest.mark.parametrize(
+    ("name", "rig", "says"),
+    [
+        ("camera:77", True, "cannot be opened"),
+        ("camera:0", False, "--rig"),
+        ("video:none.avi", True, "name as many"),
+    ],
+)
+def test_cameras_that_cannot_be_used_say_so(log: Path, name: str, rig: bool, says: str) -> None:
+    names = f"{name},{name}" if says == "cannot be opened" else name
+    with pytest.raises(InputError, match=says):
+        list(open_live(names, Settings(), rig=log if rig else None).events)
