@@ -101,6 +101,11 @@ class Recorder:
         self._put(SITES, t_ns, [json.dumps(tree).encode()])
 
     @property
+    def behind(self) -> float:
+        """MB that wait for the disk."""
+        return self._room * 1e-6
+
+    @property
     def warnings(self) -> list[str]:
         """What is missing in the recording, and why."""
         total = sum(self.lost.values())

@@ -62,7 +62,6 @@ def fly_live(
         source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
         diary=recorder, clocks=Clocks if real_time else None,
     )  # fmt: skip
-    started = time.perf_counter()
     try:
         live.posts[NAVIGATION].worker.wait_until_ready()
         _feed(live, events, tell)
@@ -78,8 +77,7 @@ def fly_live(
     counts = {**result.counts, **live.counts}
     if recorder is not None:
         counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
-    first = {} if told.first is None else {"seconds from the start to the first pose": round(told.first - started, 2)}
-    return replace(result, counts=counts, notes={**result.notes, **first})
+    return replace(result, counts=counts)
 
 
 def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
@@ -99,12 +97,9 @@ class _Told:
 
     def __init__(self, listener: Listener, recorder: Recorder | None) -> None:
         self._to, self._recorder = listener, recorder
-        self.first: float | None = None  # when the first pose was known
         self.listener = Listener(self._motion, self._verdict, listener.lost)
 
     def _motion(self, motion: Motion) -> None:
-        if self.first is None:
-            self.first = time.perf_counter()
         if self._recorder is not None:
             self._recorder.motion(motion)
         self._to.motion(motion)

@@ -1,0 +1,270 @@
+"""A live flight against what it must show: recorded and simulated flights at their own speed, by the clock.
+
+    python bench/bench_live.py                          all of it; a quarter of an hour
+    python bench/bench_live.py rate busy start sample   some parts: rate faster busy cpu memory start sample
+    python bench/bench_live.py memory --minutes 30
+
+The simulated flight, 640 x 480 stereo at 30 exposures a second, is made once and kept in out/bench-live. At its end the
+ground below repeats, and the motion goes on. `cpu` and `sample` need ../shared/data (or $ALIGHT_DATA).
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from motion_common import DATA, Row, say
+
+import alight
+import alight_sim
+from alight.arrays import F64
+from alight.outputs.recorder import Recorder
+from alight.pipeline import Verdict
+from alight.records import Event, Frame, NavSample
+from alight.records.codec import MOTION, FlightHead
+from alight.runner.live import Capacity, Listener, Live
+from alight.runner.replay import appearance_of
+from alight.settings import Settings, load_settings
+from alight.sources import Source, open_source
+from alight.sources.paced import paced
+
+KEPT = Path(__file__).parents[1] / "out" / "bench-live"
+RATE, SECONDS = 30.0, 10.0
+SETTINGS = ("tuning.tracks.count=200", "parallax.cell=0.09")  # 40 m up: 590 x 450 cells below
+WARM = 3.0  # s of flight that are not counted: the ground is still looked for
+
+
+def recording() -> Path:
+    """The simulated flight as a recording; pictures are read from it without decoding."""
+    path = KEPT / f"meadow-{RATE:.0f}-{SECONDS:.0f}.mcap"
+    if not path.exists():
+        print("making the flight ...", flush=True)
+        KEPT.mkdir(parents=True, exist_ok=True)
+        flight = alight_sim.fly("meadow", 3, duration=SECONDS, height=40.0, rate_hz=RATE)
+        head = FlightHead(flight.name, flight.rig, flight.local, True, flight.imu_noise, Settings())
+        recorder = Recorder(path.with_suffix(".tmp"), head)
+        for event in flight.events():
+            recorder.event(event)
+            while recorder.behind > 100:  # MB
+                time.sleep(0.01)
+        recorder.close()
+        assert not recorder.lost
+        path.with_suffix(".tmp").rename(path)
+    return path
+
+
+def around(source: Source, seconds: float) -> Iterator[Event]:
+    """The flight again and again for so long: it goes on where it ended, at the same speed, over the same ground."""
+    known = [e for e in source.events() if isinstance(e, NavSample) and e.position_world is not None]
+    frames = [e.t_ns for e in source.events() if isinstance(e, Frame)]
+    period = frames[-1] - frames[0] + round((frames[-1] - frames[0]) / (len(frames) - 1))
+    per_ns = (known[-1].position_world - known[0].position_world) / (known[-1].t_ns - known[0].t_ns)  # type: ignore[operator]
+    for k in range(int(seconds * 1e9 / period) + 1):
+        for e in source.events():
+            if not frames[0] <= e.t_ns < frames[0] + period:
+                continue
+            if e.t_ns - frames[0] + k * period > seconds * 1e9:
+                return
+            yield moved(e, k * period, per_ns * (k * period))
+
+
+def moved(event: Event, later: int, by: F64) -> Event:
+    """An event so much later and elsewhere."""
+    if isinstance(event, NavSample) and event.position_world is not None:
+        return replace(event, t_ns=event.t_ns + later, position_world=event.position_world + by)
+    return replace(event, t_ns=event.t_ns + later)
+
+
+class Flown:
+    """One live flight and what it showed.
+
+    Args:
+        seconds: of flight.
+        speed: 2 is twice as fast.
+    """
+
+    def __init__(self, seconds: float, speed: float = 1.0, more: Sequence[str] = (), memory: float = 0.0) -> None:
+        source, settings = open_source(recording()), load_settings("", [*SETTINGS, *more])
+        self.verdicts, self.memory = list[Verdict](), list[float]()
+        with tempfile.TemporaryDirectory() as folder:
+            head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
+            recorder = Recorder(Path(folder) / "recording.mcap", head) if not memory else None
+            live = Live(
+                source.rig, settings, Listener(verdict=self.verdicts.append), Capacity(schedule=1000), Path(folder),
+                appearance_of(settings), source.imu_noise, recorder,
+            )  # fmt: skip
+            for p in live.posts.values():
+                p.worker.wait_until_ready()
+            begin = asked = time.perf_counter()
+            first, counts = None, dict[str, int]()
+            for event in paced(around(source, seconds), speed):
+                live.feed(event)
+                now = time.perf_counter()
+                if first is None and now - begin > WARM / speed:
+                    first = now
+                    for times in live.watch.times.values():
+                        times.clear()
+                    counts = dict(live.watch.counts)
+                if memory and now - asked > memory:
+                    asked = now
+                    self.memory.append(resident(os.getpid()))
+                    print(f"  {now - begin:6.0f} s  {self.memory[-1]:7.1f} MB  {live.health.line}", flush=True)
+            assert first is not None
+            self.lasted = time.perf_counter() - first
+            self.times = {k: np.array(v) for k, v in live.watch.times.items()}
+            self.used = live.watch.counts["frames used"] - counts.get("frames used", 0)
+            self.left_out = sum(
+                n - counts.get(k, 0) for k, n in live.watch.counts.items() if k.startswith("navigation: exposures left")
+            )
+            self.restarts = sum(live.watch.restarts.values())
+            live.finish()
+            self.compiled = live.counts["loops compiled in flight"]
+            if recorder is not None:
+                recorder.close()
+
+    def rows(self, what: str, must: float, aim: float | None) -> list[Row]:
+        """What every flight is asked."""
+        t = self.times
+        return [
+            Row(f"{what}: exposures a second that navigation used", self.used / self.lasted, must, aim, "1/s", True),
+            Row(f"{what}: exposures left out", self.left_out, 0),
+            Row(f"{what}: frame to pose, p95", 1e3 * q95(t, "frame to pose"), 50, None, "ms"),
+            Row(f"{what}: map steps a second", len(t.get("map step", ())) / self.lasted, 5, 15, "1/s", True),
+            Row(f"{what}: map step, p95", q95(t, "map step"), 0.25, None, "s"),
+            Row(f"{what}: keyframe to verdict, p95", q95(t, "frame to verdict"), 1.0, 0.4, "s"),
+            Row(f"{what}: lanes lost", self.restarts, 0),
+            Row(f"{what}: loops compiled in flight", self.compiled, 0),
+        ]
+
+
+def q95(times: dict[str, F64], name: str) -> float:
+    """The 95th percentile, NaN without any."""
+    return float(np.percentile(times[name], 95)) if len(times.get(name, ())) else float("nan")
+
+
+def resident(pid: int) -> float:
+    """MB of memory that a process and its children hold, what they share counted once."""
+    total = 0
+    for entry in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(entry.read_text().rpartition(")")[2].split()[1])
+        except (OSError, IndexError):
+            continue
+        if parent == pid:
+            total += resident(int(entry.parent.name))
+    try:
+        pss = next(x for x in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines() if x.startswith("Pss:"))
+    except (OSError, StopIteration):
+        return total
+    return total + int(pss.split()[1]) / 1000
+
+
+def part_rate(_: argparse.Namespace) -> None:
+    """30 exposures a second."""
+    say(*Flown(40.0).rows("30 a second", 29.0, 50.0))
+
+
+def part_faster(_: argparse.Namespace) -> None:
+    """50 exposures a second."""
+    say(*Flown(40.0, 50.0 / RATE).rows("50 a second", 29.0, 49.0))
+
+
+def part_busy(_: argparse.Namespace) -> None:
+    """With a process that keeps one processor busy."""
+    busy = subprocess.Popen([sys.executable, "-c", "import os\nos.sched_setaffinity(0, {0})\nwhile True: pass"])
+    try:
+        flown = Flown(30.0)
+    finally:
+        busy.kill()
+    rate, lost = flown.used / flown.lasted, flown.restarts
+    say(Row("a processor busy: exposures a second that navigation used", rate, 20, None, "1/s", True),
+        Row("a processor busy: lanes lost", lost, 0))  # fmt: skip
+
+
+def part_cpu(_: argparse.Namespace) -> None:
+    """CPU of tracking and filter, and of a map step, over yardsticks of OpenCV."""
+    here = Path(__file__).parent
+    for command in (["bench_motion.py", "speed"], ["-c", "from heights_step import rows; [print(r) for r in rows()]"]):
+        words = [str(here / command[0]), *command[1:]] if command[0].endswith(".py") else command
+        subprocess.run([sys.executable, *words], cwd=here, check=False)
+
+
+def part_memory(args: argparse.Namespace) -> None:
+    """Resident memory, flat after the first tenth."""
+    m = Flown(60.0 * args.minutes, memory=10.0).memory
+    early, late = statistics.median(m[len(m) // 10 : len(m) // 5 + 1]), statistics.median(m[-max(len(m) // 10, 1) :])
+    say(Row(f"memory at the end of {args.minutes:g} minutes", late, 1500, 800, "MB"),
+        Row("... over that at the start", late / early, 1.05))  # fmt: skip
+
+
+def part_start(_: argparse.Namespace) -> None:
+    """From the command to the first pose, everything compiled: the recording's clock tells."""
+    alight.warmup()
+    with tempfile.TemporaryDirectory() as folder:
+        begin, out = time.time_ns(), Path(folder) / "out"
+        subprocess.run(command("live", recording(), "--out", out), check=True, stdout=subprocess.DEVNULL)
+        with (out / "recording.mcap").open("rb") as file:
+            _, _, motion = next(iter(make_reader(file).iter_messages(topics=[MOTION])))
+    say(Row("start to first pose", 1e-9 * (motion.log_time - begin), 5, 3, "s"))
+
+
+def part_sample(_: argparse.Namespace) -> None:
+    """The sample at its own speed: its replay gives the same bits, and its heights stand beside those of batch."""
+    log = DATA / "sample"
+    if not log.exists():
+        print(f"sample: left out, there is no {log}")
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        live, again, batch = (Path(folder) / name for name in ("live", "again", "batch"))
+        for words in (["live", log, "--out", live], ["run", live / "recording.mcap", "--out", again],
+                      ["run", log, "--out", batch]):  # fmt: skip
+            subprocess.run(command(*words), check=True, stdout=subprocess.DEVNULL)
+        files = ("dem.tif", "safe.tif", "terrain.tif", "sites.geojson")
+        differ = sum((live / f).read_bytes() != (again / f).read_bytes() for f in files)
+        found = {p: alight.evaluate(p, log) for p in (live, batch)}
+        noise = {p: f.numbers["ground NMAD, % of height, registered"] for p, f in found.items()}
+        counts = json.loads((live / "run.json").read_text())["counts"]
+    say(Row("sample live: files that differ in its replay", differ, 0),
+        Row("sample live: exposures that navigation used, of 120", counts["frames used"], 120, None, "", True),
+        Row("sample live over batch: ground NMAD, registered", noise[live] / noise[batch], 1.15))  # fmt: skip
+
+
+def command(*words: object) -> list[str]:
+    """The command line in a process of its own."""
+    code = "import sys; from alight.cli import main; sys.argv[0] = 'alight'; main()"
+    return [sys.executable, "-c", code, *(str(w) for w in words)]
+
+
+PARTS = {
+    "rate": part_rate, "faster": part_faster, "busy": part_busy, "cpu": part_cpu, "memory": part_memory,
+    "start": part_start, "sample": part_sample,
+}  # fmt: skip
+
+
+def main() -> None:
+    """The parts that are named, or all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", choices=[[], *PARTS], default=list(PARTS))
+    parser.add_argument("--minutes", type=float, default=30.0, help="of the part `memory`")
+    args = parser.parse_args()
+    for name in args.parts or PARTS:
+        print(f"-- {name}: {PARTS[name].__doc__}", flush=True)
+        PARTS[name](args)
+
+
+if __name__ == "__main__":
+    main()
