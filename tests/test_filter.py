@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from point_flight import fed
+from point_flight import PointFlight, fed, run
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
@@ -162,7 +163,9 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    ring = f.posterior().motions
+    window = f.keyframes()
+    assert window is not None
+    ring = window.posterior().motions
     assert len(ring) == FilterSettings().clones
     assert ring[-1].t_ns == motions[-1].t_ns
     assert seconds(ring[-1]) - seconds(ring[0]) > 0.6
@@ -171,7 +174,9 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
 
 def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
     """Its blocks are the poses' own in the map; between two exposures far less is unknown than of each."""
-    ring = flown[0].posterior()
+    window = flown[0].keyframes()
+    assert window is not None
+    ring = window.posterior()
     K, P = len(ring.motions), ring.covariance
     assert P.shape == (6 * K, 6 * K)
     np.testing.assert_allclose(P, P.T, atol=1e-12)
@@ -386,3 +391,22 @@ def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
     )
     assert found is not None
     assert np.linalg.norm(so3_log(found @ second.rotation.T)) < 0.05
+
+
+def test_the_posterior_follows_from_the_window_alone() -> None:
+    """Computed at once, after the filter has gone on, or in another process: the same bits."""
+    events = PointFlight(seed=4, seconds=2.0, count=40).events
+    half = len(events) // 2
+    estimator, _ = run(events[:half])
+    at_once, later = estimator.keyframes(), estimator.keyframes()
+    assert at_once is not None
+    assert later is not None
+    elsewhere = pickle.loads(pickle.dumps(later))
+    wanted = at_once.posterior()
+    fed(estimator, events[half:])
+    for window in (later, elsewhere):
+        found = window.posterior()
+        np.testing.assert_array_equal(found.covariance, wanted.covariance)
+        for a, b in zip(found.motions, wanted.motions, strict=True):
+            np.testing.assert_array_equal(a.world_from_cams[0].matrix, b.world_from_cams[0].matrix)
+            np.testing.assert_array_equal(a.covariance, b.covariance)

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F64
-from alight.geometry import Pose, so3_exp, so3_log
+from alight.geometry import Pose, so3_log
 from alight.motion.dynamics import (
     MAX_RATE_AGE,
     Step,
@@ -30,18 +30,16 @@ from alight.motion.dynamics import (
 )
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import COURSE_ATTITUDE_SIGMA, MIN_GPS_BASELINE, attitude_from_course
-from alight.motion.ekf.keyframe_posterior import RefinedPoses
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import Gate
 from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
 from alight.motion.ekf.state import (
     ACC,
     ATT,
-    CLONE,
     CORE,
     GYRO,
     MOTION,
-    MOUNT,
     NAV,
     NAV_ATT,
     NAV_POS,
@@ -50,15 +48,14 @@ from alight.motion.ekf.state import (
     TIME,
     VEL,
     FilterState,
+    moment_in_world,
 )
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.preintegration import Preintegral
-from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
     ImuSample,
-    KeyframePosterior,
     Motion,
     MotionState,
     NavSample,
@@ -171,29 +168,10 @@ class MotionFilter:
             residual, unit = so3_log(R @ m.state.R.T), 1.0 / COURSE_ATTITUDE_SIGMA
             m.state.correct(residual / COURSE_ATTITUDE_SIGMA, np.diag(unit), np.arange(ATT.start, ATT.stop))
 
-    def posterior(self) -> KeyframePosterior:
-        """Return the joint posterior of the keyframe window, oldest first, refined with all observations (M23).
-
-        Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
-        offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
-        """
-        s = self._memory.state
-        if s is None or not s.clones:
-            return KeyframePosterior((), np.zeros((0, 0)))
-        refined, K = self._memory.visual.refined_keyframes(s), len(s.clones)
-        order = (CLONE * np.arange(K)[:, None] + POSITION_FIRST).ravel()
-        motions = tuple(self._keyframe(s, i, refined) for i in range(K))
-        return KeyframePosterior(motions, refined.covariance[np.ix_(order, order)])
-
-    def _keyframe(self, s: FilterState, i: int, refined: RefinedPoses) -> Motion:
-        """Return one refined clone as a motion."""
-        rows = CLONE * i + POSITION_FIRST
-        rig = Pose(refined.R[i], refined.p[i])
-        body = Pose(refined.R[i] @ so3_exp(s.core[MOUNT]).T, refined.p[i])
-        covariance = s.in_world(refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows])
-        offset = s.core[OFFSET].copy()
-        cams = tuple(rig @ x for x in self._cams)
-        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, frame_id=self._memory.map_number)
+    def keyframes(self) -> KeyframeWindow | None:
+        """Return the keyframe window by value, which their joint posterior follows from; None without keyframes."""
+        m = self._memory
+        return m.visual.window(m.state, m.map_number) if m.state is not None and m.state.clones else None
 
     def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
         """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
@@ -378,7 +356,9 @@ class MotionFilter:
             stamp_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
-            state.in_world(state.P[np.ix_(order, order)], state.P[order, OFFSET]),
+            moment_in_world(
+                state.P[np.ix_(order, order)], state.P[order, OFFSET], state.core[OFFSET], state.P[OFFSET, OFFSET]
+            ),
             state.core[VEL].copy(),
             judged,
             support,

@@ -6,10 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 from alight.motion.ekf.filter import MotionFilter
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.memory import Snapshot
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import FilterState
-from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, Prediction, RefinedMotions, Rig, Tracks
+from alight.records import ImuSample, Motion, NavSample, Prediction, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 _MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must lie after its stamp for the IMU to be waited for
@@ -104,9 +105,9 @@ class RollbackFilter:
         """Return the predictor of later exposures; None before the first GPS/INS row."""
         return self._filter.predictor()
 
-    def posterior(self) -> KeyframePosterior:
-        """Return the joint posterior of the keyframe window, oldest first (M23)."""
-        return self._filter.posterior()
+    def keyframes(self) -> KeyframeWindow | None:
+        """Return the keyframe window by value (M23); None without keyframes."""
+        return self._filter.keyframes()
 
     def smoothed(self) -> list[Motion]:
         """Return the motions of all exposures so far, smoothed together (M18-M22)."""

@@ -83,19 +83,6 @@ class FilterState:
         """(3, 3) world_from_rig: the attitude with the mounting correction."""
         return self.R @ so3_exp(self.core[MOUNT])
 
-    def in_world(self, covariance: F64, by_offset: F64) -> F64:
-        """Return the (6, 6) second moment of the error of a map pose (position, rotation) in the world.
-
-        Args:
-            covariance: (6, 6) of the pose in the map frame.
-            by_offset: (6, 3) cross covariance with the offset of the map.
-        """
-        out = covariance.copy()
-        out[:, :3] += by_offset
-        out[:3, :] += by_offset.T
-        out[:3, :3] += self.P[OFFSET, OFFSET] + np.outer(self.core[OFFSET], self.core[OFFSET])
-        return out
-
     def clone_slice(self, index: int) -> slice:
         """Rows of a clone in `P`."""
         start = CORE + CLONE * index
@@ -205,6 +192,21 @@ class FilterState:
             c.R, c.p = rotation @ c.R, c.p + shift
         for x, shift in zip(self.landmarks, error[self.landmark_start :].reshape(-1, LANDMARK), strict=True):
             x.x = x.x + shift
+
+
+def moment_in_world(covariance: F64, by_offset: F64, offset: F64, offset_covariance: F64) -> F64:
+    """Return the (6, 6) second moment of the error of a map pose (position, rotation) in the world.
+
+    Args:
+        covariance: (6, 6) of the pose in the map frame.
+        by_offset: (6, 3) cross covariance with the offset of the map.
+        offset, offset_covariance: (3,) m, (3, 3) of the map.
+    """
+    out = covariance.copy()
+    out[:, :3] += by_offset
+    out[:3, :] += by_offset.T
+    out[:3, :3] += offset_covariance + np.outer(offset, offset)
+    return out
 
 
 def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:

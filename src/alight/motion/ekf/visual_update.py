@@ -11,7 +11,7 @@ from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera, Pose, so3_log
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
-from alight.motion.ekf.keyframe_posterior import RefinedPoses, refine_keyframes
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
 from alight.motion.ekf.state import POS, FilterState
 from alight.motion.elimination import marginalise_points, unit_noise_rows
@@ -44,9 +44,9 @@ class VisualUpdate:
         """Return an independent copy."""
         return copy(self)  # attributes are replaced, never changed in place
 
-    def refined_keyframes(self, state: FilterState) -> RefinedPoses:
-        """Return the clones, refined with the unused observations (M23)."""
-        return refine_keyframes(state, self._unused, self._cams, self._settings)
+    def window(self, state: FilterState, map_number: int) -> KeyframeWindow:
+        """Return the clones with the unused observations, from which their posterior follows (M23)."""
+        return KeyframeWindow.of(state, self._unused, self._cams, self._settings, map_number)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
         """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""

@@ -155,14 +155,14 @@ class FilterHalf:
             self._handover.put(self._filter.predictor())
 
     def update(self, tracked: TrackedFrame) -> Navigation | None:
-        """Take the features of an exposure: its motion, and the posterior of the keyframes."""
+        """Take the features of an exposure: its motion, and the keyframes."""
         motion = self._filter.feed_tracks(tracked.tracks)
         self._handover.put(self._filter.predictor())
         if motion is None:
             return None
         self._motions.append(motion)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(tracked.frame, motion, self._filter.posterior())
+        return Navigation(tracked.frame, motion, self._filter.keyframes())
 
     def refined(self) -> RefinedMotions:
         """The motions refined together; empty where that is not asked for or not possible."""
@@ -210,7 +210,7 @@ class FilterLane:
         self._filtering = FilterHalf(rig, settings, between, history)
 
     def feed(self, event: Event) -> Navigation | None:
-        """Take one event; an exposure gives its motion and the posterior of the keyframes."""
+        """Take one event; an exposure gives its motion and the keyframes."""
         batch = self.batch(event)
         if batch is None:
             return None
