@@ -16,7 +16,8 @@ from alight.motion import MotionFilter
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
 from alight.motion.ekf.initial_attitude import attitude_from_course
 from alight.motion.ekf.state import GYRO
-from alight.motion.preintegration import corrected, preintegrate, segments
+from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.preintegration import Segments, corrected, preintegrate, segments
 from alight.motion.projection import jacobians, project
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
@@ -304,15 +305,15 @@ def test_camera_jacobians_agree_with_differences() -> None:
     np.testing.assert_allclose(by_point, numeric(lambda d: project(R, p, cam, x + d), 3), atol=1e-8)
 
 
-def _pieces() -> list[tuple[float, np.ndarray, np.ndarray]]:
+def _pieces() -> Segments:
     rng = np.random.default_rng(1)
     samples = [imu_at(t, rng) for t in np.arange(0.0, 0.31, 0.005)]
-    return segments(samples, START + 3 * MS, START + 292 * MS)
+    return segments(ImuBuffer(samples), START + 3 * MS, START + 292 * MS)
 
 
 def test_preintegration_is_the_motion() -> None:
     pieces = _pieces()
-    assert sum(dt for dt, _, _ in pieces) == pytest.approx(0.289)
+    assert pieces.dt.sum() == pytest.approx(0.289)
     m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
     after = inertial_step(body(0.003).rotation, body(0.003).translation, velocity(0.003), m)
     assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)

@@ -15,7 +15,7 @@ from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp, so3_log
 from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
-from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmark
+from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmarks
 from alight.motion.elimination import marginalise_points, unit_noise_rows
 from alight.motion.gps_ins import Quantity, measurements
 from alight.motion.observations import WindowObservations, WindowPoses
@@ -151,12 +151,12 @@ def test_features_that_drift_together_get_little_weight() -> None:
 def test_a_point_that_lags_behind_is_dropped() -> None:
     """Residuals always on one side, among points whose residuals are nearly as large and on any side."""
     rng = np.random.default_rng(2)
-    points = [Landmark(k, np.zeros(3), np.zeros(3)) for k in range(12)]
+    points, all_of_them = Landmarks.new(np.arange(12), np.zeros((12, 3)), np.zeros((12, 3)), 4), np.arange(12)
     for _ in range(12):
         residual = 0.5 * rng.normal(size=(12, 4)) / 2.0
         residual[0] = 0.4 * np.array([1.0, -1.0, 1.0, -1.0]) + 0.02 * rng.normal(size=4)
-        reject_moving(points, residual)
-    assert [q.rejections >= MAX_REJECTIONS for q in points] == [True] + [False] * 11
+        points = reject_moving(points, all_of_them, residual)
+    assert (points.rejections >= MAX_REJECTIONS).tolist() == [True] + [False] * 11
 
 
 def test_gps_and_ins_rows_agree_with_differences() -> None:

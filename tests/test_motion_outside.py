@@ -45,8 +45,8 @@ def test_the_ring_agrees_with_gtsam(monkeypatch: pytest.MonkeyPatch) -> None:
     pose_noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([2e-3, 0.1], 3))
     pixel, lens = gtsam.noiseModel.Isotropic.Sigma(2, 1e-3), gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0)
     bodies = [gtsam.Pose3(gtsam.Rot3(c.rotation), c.translation) for c in CAMS]
-    for k, c in enumerate(state.clones):
-        pose = gtsam.Pose3(gtsam.Rot3(c.R), c.p)
+    for k, (R, p) in enumerate(zip(state.clones.poses.R, state.clones.poses.p, strict=True)):
+        pose = gtsam.Pose3(gtsam.Rot3(R), p)
         graph.add(gtsam.PriorFactorPose3(k, pose, pose_noise))
         start.insert(k, pose)
     for j, point in enumerate(x):

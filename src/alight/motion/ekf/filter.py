@@ -8,9 +8,6 @@ preintegrated IMU (Forster et al. 2017). See docs/method/motion.md.
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,6 +49,7 @@ from alight.motion.ekf.state import (
 )
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
+from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
@@ -84,7 +82,7 @@ class MotionFilter:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
         self._gate = Gate(settings.gate)
-        self._imu: deque[ImuSample] = deque()
+        self._imu = ImuBuffer()
         self._keep_ns = _IMU_KEEP_NS + round(settings.lateness * 1e9)
         self._memory = FilterMemory(VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast))
         self._recording = RecordedFlight(rig, settings) if settings.smooth else None
@@ -92,7 +90,7 @@ class MotionFilter:
     def feed_imu(self, sample: ImuSample) -> None:
         """Take one inertial measurement; it is used when the next exposure or GPS/INS row comes."""
         m = self._memory
-        if self._imu and sample.t_ns <= self._imu[-1].t_ns:
+        if len(self._imu) and sample.t_ns <= self._imu.last_ns:
             return
         if not (np.isfinite(sample.angular_velocity_body).all() and np.isfinite(sample.specific_force_body).all()):
             return
@@ -103,8 +101,7 @@ class MotionFilter:
             m.inertial = True
             if m.state is not None:
                 self._start_biases(m.state)
-        while self._imu[0].t_ns < sample.t_ns - self._keep_ns:
-            self._imu.popleft()
+        self._imu.forget_before(sample.t_ns - self._keep_ns)
 
     def feed_nav(self, sample: NavSample) -> None:
         """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
@@ -171,7 +168,7 @@ class MotionFilter:
     def keyframes(self) -> KeyframeWindow | None:
         """Return the keyframe window by value, which their joint posterior follows from; None without keyframes."""
         m = self._memory
-        return m.visual.window(m.state, m.map_number) if m.state is not None and m.state.clones else None
+        return m.visual.window(m.state, m.map_number) if m.state is not None and len(m.state.clones) else None
 
     def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
         """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
@@ -214,7 +211,7 @@ class MotionFilter:
         return instant(event.t_ns, self._memory.state.core)
 
     @property
-    def imu(self) -> Sequence[ImuSample]:
+    def imu(self) -> ImuBuffer:
         """The last inertial measurements."""
         return self._imu
 
@@ -294,9 +291,9 @@ class MotionFilter:
         """(3,) rad/s angular velocity in the body, the mean of some samples, and its variance."""
         if not self._memory.inertial:
             return state.core[GYRO].copy(), float(state.P[GYRO, GYRO].diagonal().max())
-        first = bisect_left(self._imu, state.t_ns - _RATE_HALF_WINDOW_NS, key=lambda s: s.t_ns)
-        some = [self._imu[i].angular_velocity_body for i in range(first, len(self._imu))][:_RATE_SAMPLES]
-        mean = np.mean(some or [self._imu[-1].angular_velocity_body], axis=0)
+        first = min(int(np.searchsorted(self._imu.times, state.t_ns - _RATE_HALF_WINDOW_NS)), len(self._imu) - 1)
+        some = self._imu.rates[first : first + _RATE_SAMPLES, :3]
+        mean = some.sum(axis=0) / len(some)
         return mean - state.core[GYRO], self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
@@ -306,7 +303,9 @@ class MotionFilter:
         rows = measurements(state, sample, sigma, self._settings)
         rate = None if self._memory.inertial else rate_measurement(state, sample, self._settings)
         rows += [rate] if rate else []
-        passed = [z for z in rows if self._gate.passes(z.residual, z.H @ state.P @ z.H.T + np.diag(z.variance))]
+        passed = [
+            z for z in rows if self._gate.passes(z.residual, z.H @ state.P[:CORE, :CORE] @ z.H.T + np.diag(z.variance))
+        ]
         if passed:
             residual, H, variance = ([getattr(z, name) for z in passed] for name in ("residual", "H", "variance"))
             state.update(np.concatenate(residual), np.concatenate(H), np.concatenate(variance))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from alight.arrays import F64, Mask
 from alight.geometry import Pose, skew, so3_exp
-from alight.motion.ekf.state import CLONE, CORE, MOUNT, OFFSET, FilterState, moment_in_world
-from alight.motion.elimination import PoseConstraint, marginalise_points
+from alight.motion.ekf.state import CLONE, MOUNT, OFFSET, FilterState, moment_in_world
+from alight.motion.elimination import PoseConstraint, largest_sigma, marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
 from alight.motion.projection import POSITION_FIRST
 from alight.motion.robust import robust_pose_weights
@@ -61,10 +61,10 @@ class KeyframeWindow:
         map_number: int = 0,
     ) -> KeyframeWindow:
         """Copy the window of a state."""
-        rows = slice(CORE, state.landmark_start)
+        rows = state.clone_rows
         return cls(
-            tuple(c.t_ns for c in state.clones),
-            state.window_poses(),
+            state.clones.stamps,
+            state.clones.poses,
             state.P[rows, rows].copy(),
             state.P[rows, OFFSET].copy(),
             state.core[OFFSET].copy(),
@@ -93,7 +93,7 @@ class KeyframeWindow:
             A, b = constraint.information(weight)
             gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
             error = P @ gain @ (b + A @ error)
-            poses = _moved(self.poses, error)
+            poses = self.poses.moved(error)
         inflation = relative_inflation(poses.p, max(1.0, self.settings.pixel_repeat * median))
         cross = gain.T @ self.offset_cross
         return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
@@ -145,7 +145,7 @@ def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
 def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
     """(N,) features whose largest sigma is less than a share of their distance from the last pose."""
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
-    well_known = np.sqrt(np.linalg.eigvalsh(constraint.point_covariance)[:, -1]) < share * distance
+    well_known = largest_sigma(constraint.point_covariance) < share * distance
     return np.asarray(well_known & (constraint.freedom > 0))
 
 
@@ -164,9 +164,3 @@ def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
     columns = slice(CLONE * reference, CLONE * (reference + 1))
     out[:, columns] += (1.0 - root) * by_reference.reshape(CLONE * k, CLONE)
     return np.asarray(out)
-
-
-def _moved(poses: WindowPoses, error: F64) -> WindowPoses:
-    """Return the poses with (6K,) errors added."""
-    e = error.reshape(-1, CLONE)
-    return replace(poses, R=so3_exp(e[:, :3]) @ poses.R, p=poses.p + e[:, 3:])

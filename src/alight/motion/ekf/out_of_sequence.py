@@ -77,13 +77,13 @@ class RollbackFilter:
         if last is None or not isinstance(last.event, Tracks) or last.t_ns - last.event.t_ns < _MIN_AHEAD_NS:
             return
         imu = self._filter.imu
-        if imu and last.imu_ns < last.t_ns <= imu[-1].t_ns:
+        if len(imu) and last.imu_ns < last.t_ns <= imu.last_ns:
             self._filter.restore(self._processed.pop().before)
             self._take(last.event)
 
     def _take(self, event: NavSample | Tracks) -> Motion | None:
         if self._reach_ns:
-            imu_ns = self._filter.imu[-1].t_ns if self._filter.imu else 0
+            imu_ns = self._filter.imu.last_ns if len(self._filter.imu) else 0
             self._processed.append(_Processed(self._filter.time_of(event), event, self._filter.snapshot(), imu_ns))
             while self._processed[0].t_ns < self._processed[-1].t_ns - self._reach_ns:
                 self._processed.popleft()

@@ -16,6 +16,7 @@ from typing import Protocol
 from alight.motion import RollbackFilter
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
+from alight.motion.imu_buffer import ImuBuffer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
@@ -111,16 +112,18 @@ class TrackingHalf:
 
     def __init__(self, rig: Rig, settings: StageSettings, handover: Handover) -> None:
         self._tracker = Tracker(rig, settings.tracks)
-        self._imu: deque[ImuSample] = deque()
+        self._imu = ImuBuffer()
         self._handover = handover
         self._prediction: MotionPredictor | None = None
         self._known, self._exposure = -1, 0  # number of that prediction, and of the next exposure
 
     def track(self, batch: FrameBatch) -> TrackedFrame | None:
         """Follow the features into the exposure of a batch."""
-        self._imu.extend(e for e in batch.rows if isinstance(e, ImuSample))
-        while self._imu and self._imu[0].t_ns < self._imu[-1].t_ns - _IMU_NS:
-            self._imu.popleft()
+        for row in batch.rows:
+            if isinstance(row, ImuSample):
+                self._imu.append(row)
+        if len(self._imu):
+            self._imu.forget_before(self._imu.last_ns - _IMU_NS)
         if batch.frame is None:
             return None
         while self._known < prediction_for(self._exposure):
