@@ -54,7 +54,8 @@ def part_speed(_: argparse.Namespace) -> None:
     events = list(source.events())
     cv2.setNumThreads(1)
     predictions = Mailbox[MotionPredictor | None](4)
-    lane, track, see, hear = FilterLane(source.rig, settings, False, predictions), Meter(), Meter(), Meter()
+    lane = FilterLane(source.rig, settings.stages(source.imu_noise), False, predictions)
+    track, see, hear = Meter(), Meter(), Meter()
     counts, flow, before = list[int](), Meter(), list[U8]()
     boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)
 

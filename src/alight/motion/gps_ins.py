@@ -46,7 +46,7 @@ class NavMeasurement:
 
     quantity: Quantity
     residual: F64  # (3,)
-    H: F64  # (3, n)
+    H: F64  # (3, CORE)
     variance: F64  # (3,) of the white noise
 
 
@@ -119,14 +119,14 @@ def measurements(state: FilterState, sample: NavSample, sigma: F64, noise: Filte
     white, out = whites(sigma, noise) ** 2, []
     if sample.position_world is not None:
         residual = sample.position_world - (state.core[POS] + state.core[OFFSET] + state.core[NAV_POS])
-        H = _selector(state, POS, OFFSET, NAV_POS)
+        H = _selector(POS, OFFSET, NAV_POS)
         out.append(NavMeasurement(Quantity.POSITION, residual, H, white[POSITION_ROWS]))
     if sample.world_from_body is not None:
         expected = so3_exp(state.core[NAV_ATT]) @ state.R
-        residual, H = so3_log(sample.world_from_body @ expected.T), _selector(state, ATT, NAV_ATT)
+        residual, H = so3_log(sample.world_from_body @ expected.T), _selector(ATT, NAV_ATT)
         out.append(NavMeasurement(Quantity.ATTITUDE, residual, H, white[ATTITUDE_ROWS]))
     if sample.velocity_world is not None:
-        residual, H = sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _selector(state, VEL, NAV_VEL)
+        residual, H = sample.velocity_world - state.core[VEL] - state.core[NAV_VEL], _selector(VEL, NAV_VEL)
         out.append(NavMeasurement(Quantity.VELOCITY, residual, H, white[VELOCITY_ROWS]))
     return out
 
@@ -136,12 +136,12 @@ def rate_measurement(state: FilterState, sample: NavSample, noise: FilterSetting
     if sample.angular_velocity_body is None:
         return None
     residual = sample.angular_velocity_body - state.core[GYRO]
-    return NavMeasurement(Quantity.RATE, residual, _selector(state, GYRO), np.full(3, noise.nav_rate_white**2))
+    return NavMeasurement(Quantity.RATE, residual, _selector(GYRO), np.full(3, noise.nav_rate_white**2))
 
 
-def _selector(state: FilterState, *parts: slice) -> F64:
-    """Return the (3, n) matrix that adds up some parts of the errors."""
-    H = np.zeros((3, len(state.P)))
+def _selector(*parts: slice) -> F64:
+    """Return the (3, CORE) matrix that adds up some parts of the core's errors."""
+    H = np.zeros((3, CORE))
     for part in parts:
         H[:, part] = np.eye(3)
     return H

@@ -12,6 +12,15 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
+from alight.motion.rotation_kernels import move_poses
+
+
+def positions(ascending: I64, ids: I64) -> I64:
+    """Return the (N,) places of numbers in ascending ones, -1 where they are not among them."""
+    if not len(ascending):
+        return np.full(len(ids), -1)
+    at = np.minimum(np.searchsorted(ascending, ids), len(ascending) - 1)
+    return np.where(ascending[at] == ids, at, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +56,14 @@ class WindowObservations:
         """Append a pose with the observations made there: known features keep their row, new ones are appended.
 
         Args:
-            ids: (M,) of the features observed at the pose.
+            ids: (M,) of the features observed at the pose, ascending.
             normalised: (M, C, 2), NaN = not observed by that camera.
             sigma: (M,) of a normalised coordinate.
         """
-        _, mine, theirs = np.intersect1d(self.ids, ids, assume_unique=True, return_indices=True)
-        new = np.setdiff1d(np.arange(len(ids)), theirs)
+        theirs = positions(ids, self.ids)
+        mine = np.flatnonzero(theirs >= 0)
+        theirs = theirs[mine]
+        new = np.delete(np.arange(len(ids)), theirs)
         n, k = self.sigma.shape
         all_normalised = np.full((n + len(new), k + 1, *self.normalised.shape[2:]), np.nan)
         all_sigma = np.ones((n + len(new), k + 1))
@@ -70,6 +81,12 @@ class WindowPoses:
     p: F64  # (K, 3) m
     first_R: F64  # noqa: N815
     first_p: F64
+
+    def moved(self, error: F64) -> WindowPoses:
+        """Return the poses with (6K,) errors added, (rotation, position) each; first estimates stay."""
+        R, p = np.empty_like(self.R), np.empty_like(self.p)
+        move_poses(self.R, self.p, error, R, p)
+        return WindowPoses(R, p, self.first_R, self.first_p)
 
 
 def cameras_at(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:

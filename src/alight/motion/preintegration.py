@@ -6,21 +6,27 @@ Forster et al. 2017, on-manifold preintegration).
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import skew, so3_exp
-from alight.records import ImuSample
+from alight.motion.imu_buffer import ImuBuffer
+from alight.motion.imu_kernels import cut_segments, preintegrate_segments
 from alight.settings import FilterSettings
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is taken up by the accelerometer bias
 IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
-Segment = tuple[float, F64, F64]  # s, rad/s, m/s^2
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """N pieces of time without a sample between, with the mean rates of each."""
+
+    dt: F64  # (N,) s
+    rates: F64  # (N, 6) rad/s, m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,82 +52,20 @@ def right_jacobian(phi: F64) -> F64:
     return np.asarray(np.eye(3) - W / 2.0 + W @ W / 6.0)
 
 
-def segments(samples: Sequence[ImuSample], start_ns: int, end_ns: int) -> list[Segment]:
+def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
     """Cut [start, end] at the samples; each segment has the mean of its ends, beyond the last sample that one holds."""
-    if not samples or end_ns <= start_ns:
-        return []
-    times = [s.t_ns for s in samples]
-    first, last = bisect_right(times, start_ns), bisect_right(times, end_ns)
-    cuts = [start_ns, *times[first:last], end_ns]
-    rates = [_interpolated(samples, times, t) for t in cuts]
-    return [
-        ((b - a) * 1e-9, (u[0] + v[0]) / 2.0, (u[1] + v[1]) / 2.0)
-        for a, b, u, v in zip(cuts, cuts[1:], rates, rates[1:], strict=False)
-        if b > a
-    ]
+    n = len(imu) + 1
+    dt, rates = np.empty(n), np.empty((n, 6))
+    count = cut_segments(imu.times, imu.rates, start_ns, end_ns, dt, rates) if n > 1 and end_ns > start_ns else 0
+    return Segments(dt[:count], rates[:count])
 
 
-def _interpolated(samples: Sequence[ImuSample], times: list[int], t_ns: int) -> tuple[F64, F64]:
-    i = bisect_right(times, t_ns)
-    a, b = samples[max(i - 1, 0)], samples[min(i, len(samples) - 1)]
-    f = (t_ns - a.t_ns) / (b.t_ns - a.t_ns) if b.t_ns > a.t_ns and t_ns >= a.t_ns else 0.0
-    return (
-        (1 - f) * a.angular_velocity_body + f * b.angular_velocity_body,
-        (1 - f) * a.specific_force_body + f * b.specific_force_body,
-    )
-
-
-def preintegrate(
-    parts: Sequence[Segment], gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings
-) -> Preintegral:
+def preintegrate(parts: Segments, gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings) -> Preintegral:
     """Integrate segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6)."""
-    R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
-    if not parts:
-        return Preintegral(0.0, R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
-    dt = np.array([s[0] for s in parts])
-    w = np.array([s[1] for s in parts]) - gyro_bias
-    a = np.array([s[2] for s in parts]) - accelerometer_bias
-    half = so3_exp(w * (dt[:, None] / 2.0))
-    middle = np.empty_like(half)  # attitude at the middle of each segment
-    for i, h in enumerate(half):
-        middle[i] = R @ h
-        R = middle[i] @ h
-    dv = np.einsum("nij,nj->ni", middle, a) * dt[:, None]
-    A, B = _error_transitions(dt, w, a, half, middle)
-    Q = (B * _variance(dt, noise)[:, None, :]) @ B.transpose(0, 2, 1)
-    for i in range(len(dt)):
-        J = A[i] @ J - B[i]
-        C = A[i] @ C @ A[i].T + Q[i]
-    v = dv.sum(axis=0)
-    p = ((np.cumsum(dv, axis=0) - 0.5 * dv) * dt[:, None]).sum(axis=0)
-    return Preintegral(float(dt.sum()), R, v, p, J, C, gyro_bias.copy(), accelerometer_bias.copy())
-
-
-def _error_transitions(dt: F64, w: F64, a: F64, half: F64, middle: F64) -> tuple[F64, F64]:
-    """Derivatives of the errors after each of N segments: (N, 9, 9) by those before it, (N, 9, 6) by rate and force.
-
-    Args:
-        dt: (N,) s.
-        w, a: (N, 3) angular velocity and specific force, biases removed.
-        half: (N, 3, 3) rotation over half a segment.
-        middle: (N, 3, 3) attitude at the middle of each segment.
-    """
-    n, t, eye = len(dt), dt[:, None, None], np.eye(3)
-    A, B = np.zeros((n, 9, 9)), np.zeros((n, 9, 6))
-    A[:] = np.eye(9)
-    A[:, IMU_ROTATION, IMU_ROTATION] = (half @ half).transpose(0, 2, 1)
-    force_by_rotation = -(middle @ skew(a)) * t  # at the midpoint
-    A[:, IMU_VELOCITY, IMU_ROTATION] = force_by_rotation @ half.transpose(0, 2, 1)
-    A[:, IMU_POSITION, IMU_ROTATION] = A[:, IMU_VELOCITY, IMU_ROTATION] * (t / 2.0)
-    A[:, IMU_POSITION, IMU_VELOCITY] = eye * t
-    W = skew(w * dt[:, None])
-    rate, force = slice(0, 3), slice(3, 6)
-    B[:, IMU_ROTATION, rate] = (eye - W / 2.0 + W @ W / 6.0) * t
-    B[:, IMU_VELOCITY, rate] = force_by_rotation * (t / 2.0)
-    B[:, IMU_POSITION, rate] = force_by_rotation * (t * t / 4.0)
-    B[:, IMU_VELOCITY, force] = middle * t
-    B[:, IMU_POSITION, force] = middle * (t * t / 2.0)
-    return A, B
+    R, v, p, J, C = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((9, 6)), np.empty((9, 9))
+    bias = np.concatenate([gyro_bias, accelerometer_bias])
+    dt = preintegrate_segments(parts.dt, parts.rates, bias, _variance(parts.dt, noise), R, v, p, J, C)
+    return Preintegral(dt, R, v, p, J, C, bias[:3], bias[3:])
 
 
 def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preintegral:
@@ -138,9 +82,9 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
 
 
 def _variance(dt: F64, noise: FilterSettings) -> F64:
-    """(N, 6) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
-    gyro, accelerometer = noise.gyro_noise**2 / dt, noise.accelerometer_noise**2 / dt
+    """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
+    out = np.empty((len(dt), 2))
     gap = dt > _MAX_SAMPLE_INTERVAL  # not measured: as uncertain as the constant-velocity model
-    gyro = gyro + np.where(gap, noise.angular_acceleration_sigma**2 * dt, 0.0)
-    accelerometer = accelerometer + np.where(gap, noise.acceleration_sigma**2 / dt, 0.0)
-    return np.repeat(np.stack([gyro, accelerometer], axis=1), 3, axis=1)
+    out[:, 0] = noise.gyro_noise**2 / dt + gap * (noise.angular_acceleration_sigma**2 * dt)
+    out[:, 1] = noise.accelerometer_noise**2 / dt + gap * (noise.acceleration_sigma**2 / dt)
+    return out

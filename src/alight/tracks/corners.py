@@ -31,13 +31,14 @@ def oldest_per_cell(ids: I64, pixels: F32, good: Mask, cell: float, most: int) -
     return keep
 
 
-def detect_corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
+def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: int = 2 * BORDER) -> F32:
     """Return the strongest Shi-Tomasi corner of each grid cell without a feature, (N, 2) pixels.
 
     Args:
         taken: (M, 2) pixels of the present features; new ones keep a distance of 0.7 cells.
         cell: px, side of a cell.
         texture: smallest response.
+        border: px along the edge that have no corner.
     """
     height, width = image.shape
     rows, cols = (int(np.ceil(n / cell)) for n in image.shape)
@@ -47,7 +48,7 @@ def detect_corners(image: U8, taken: F32, cell: float, texture: float) -> F32:
     beside = cv2.dilate(empty, np.ones((3, 3), np.uint8))  # features elsewhere are too far from any empty cell
     row, col = np.nonzero(empty)
     edges = np.ceil(np.stack([row, row + 1, col, col + 1], axis=1) * cell).astype(np.int64)
-    b = BORDER + 4
+    b = max(border, 2 * BORDER)
     boxes = np.clip(edges, b, [height - b, height - b, width - b, width - b])
     found = np.empty((len(boxes), 3))
     gx, gy = cv2.spatialGradient(cv2.GaussianBlur(image, (3, 3), 0))

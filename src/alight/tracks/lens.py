@@ -13,11 +13,12 @@ class Lens:
     """Normalised coordinates of pixels, interpolated between whole pixels (error 1e-8 for common lenses)."""
 
     def __init__(self, camera: Camera) -> None:
+        # (H + 2, W + 2, 2) rays of the pixels and of a pixel around the image
         u, v = np.meshgrid(np.arange(-1.0, camera.width + 1.0), np.arange(-1.0, camera.height + 1.0))
-        self._table = np.ascontiguousarray(camera.rays(np.stack([u, v], axis=-1))[..., :2])
+        self.table = np.ascontiguousarray(camera.rays(np.stack([u, v], axis=-1))[..., :2])
 
     def normalise(self, pixels: F64) -> F64:
         """Return the (N, 2) normalised coordinates x/z, y/z of pixels; NaN stays NaN, outside at the edge."""
         out = np.empty((len(pixels), 2))
-        interpolate_rays(self._table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
+        interpolate_rays(self.table, np.asarray(pixels, dtype=np.float64) + 1.0, out)
         return out

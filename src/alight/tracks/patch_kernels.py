@@ -4,85 +4,122 @@ import math
 
 import numpy as np
 
-from alight.arrays import F32, F64, U8
+from alight.arrays import F32, F64, I32, I64, U8
 from alight.compiled import kernel, sum_kernel
 
 _ZERO, _HALF = np.float32(0.0), np.float32(0.5)
 _MIN_GAIN = np.float32(0.2)  # of contrast; a patch with less contrast is not matched
+_DIFFERENCE = 4.0  # px over which the map between two views is differenced
+_MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the view instead
 
 
 @kernel
-def _sample_patch(patch: U8, x: float, y: float, warp: F64, half: int, out: F32) -> bool:
-    """Sample a warped patch bilinearly, `half` px around a place; False: the patch is too small."""
-    n = patch.shape[0]
+def _sample_patch(
+    patch: U8, x: float, y: float, warp: F64, half: int, at: I32, shares: F32, corners: U8, out: F32
+) -> bool:
+    """Sample a warped patch bilinearly, `half` px around a place; False: the patch is too small.
+
+    Addresses, the four grey levels and their mean in three loops: the first and the last one are vectorised, which
+    halves the time.
+
+    Args:
+        at, shares, corners: (S,), (2, S), (4, S) scratch for the S = (2 half + 1)^2 samples.
+        out: (S,) row by row.
+    """
+    rows, cols = patch.shape
     wide = half * (abs(warp[0, 0]) + abs(warp[0, 1]))
     high = half * (abs(warp[1, 0]) + abs(warp[1, 1]))
-    if not (x >= wide and y >= high and x + wide < n - 1 and y + high < n - 1):
+    if not (x >= wide and y >= high and x + wide < cols - 1 and y + high < rows - 1):
         return False
+    m, stride, step = 2 * half + 1, np.int32(cols), np.uint32(cols)
     along, aslant = np.float32(warp[0, 0]), np.float32(warp[1, 0])
-    for r in range(2 * half + 1):
+    for r in range(m):
         left = np.float32(x + warp[0, 1] * (r - half) - warp[0, 0] * half)
         top = np.float32(y + warp[1, 1] * (r - half) - warp[1, 0] * half)
-        for c in range(2 * half + 1):
+        index, a, b = at[r * m : r * m + m], shares[0, r * m : r * m + m], shares[1, r * m : r * m + m]
+        for c in range(m):
             px, py = left + along * np.float32(c), top + aslant * np.float32(c)
-            i, j = np.uint32(py), np.uint32(px)  # not negative: saves a check
-            b, a = py - np.float32(i), px - np.float32(j)
-            p, q = np.float32(patch[i, j]), np.float32(patch[i + 1, j])
-            upper = p + a * (np.float32(patch[i, j + 1]) - p)
-            lower = q + a * (np.float32(patch[i + 1, j + 1]) - q)
-            out[r, c] = upper + b * (lower - upper)
+            i, j = np.int32(py), np.int32(px)
+            index[c] = i * stride + j
+            a[c], b[c] = px - np.float32(j), py - np.float32(i)
+    flat, count = patch.reshape(-1), m * m
+    for k in range(count):
+        first = np.uint32(at[k])  # not negative: saves a check
+        corners[0, k], corners[1, k] = flat[first], flat[first + 1]
+        corners[2, k], corners[3, k] = flat[first + step], flat[first + step + 1]
+    p, q, u, v = corners[0], corners[1], corners[2], corners[3]
+    for k in range(count):
+        upper = np.float32(p[k]) + shares[0, k] * (np.float32(q[k]) - np.float32(p[k]))
+        lower = np.float32(u[k]) + shares[0, k] * (np.float32(v[k]) - np.float32(u[k]))
+        out[k] = upper + shares[1, k] * (lower - upper)
     return True
 
 
 @sum_kernel
-def _normalise_patch(lay: F32, gx: F32, gy: F32, sums: F64) -> None:
-    """Subtract the means of a patch and of its gradients; sums: xx, xy, yy, square of the patch, x and y by patch."""
-    m = gx.shape[0]
-    mean, mx, my = _ZERO, _ZERO, _ZERO
+def _normalise_patch(lay: F32, m: int, grey: F32, gx: F32, gy: F32, sums: F64) -> None:
+    """Write a patch and its gradients less their means, row by row and followed by zeros.
+
+    Args:
+        lay: the window and a pixel around it, row by row.
+        m: side of the window.
+        grey, gx, gy: (S,) out, S at least m^2.
+        sums: out: xx, xy, yy, square of the patch, x and y by patch.
+    """
+    mean, mx, my, count, wide = _ZERO, _ZERO, _ZERO, m * m, m + 2
     for r in range(m):
+        above, here, below = lay[r * wide :], lay[(r + 1) * wide :], lay[(r + 2) * wide :]
         for c in range(m):
-            gx[r, c] = _HALF * (lay[r + 1, c + 2] - lay[r + 1, c])
-            gy[r, c] = _HALF * (lay[r + 2, c + 1] - lay[r, c + 1])
-            mean += lay[r + 1, c + 1]
-            mx += gx[r, c]
-            my += gy[r, c]
-    unit = np.float32(1.0 / (m * m))
+            k = r * m + c
+            grey[k] = here[c + 1]
+            gx[k] = _HALF * (here[c + 2] - here[c])
+            gy[k] = _HALF * (below[c + 1] - above[c + 1])
+    for k in range(count):
+        mean += grey[k]
+        mx += gx[k]
+        my += gy[k]
+    unit = np.float32(1.0 / count)
     mean, mx, my = mean * unit, mx * unit, my * unit
     xx, xy, yy, power, tx, ty = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-    for r in range(m):
-        for c in range(m):
-            gx[r, c] -= mx
-            gy[r, c] -= my
-            lay[r + 1, c + 1] -= mean
-            xx += gx[r, c] * gx[r, c]
-            xy += gx[r, c] * gy[r, c]
-            yy += gy[r, c] * gy[r, c]
-            power += lay[r + 1, c + 1] * lay[r + 1, c + 1]
-            tx += gx[r, c] * lay[r + 1, c + 1]
-            ty += gy[r, c] * lay[r + 1, c + 1]
+    for k in range(count):
+        gx[k] -= mx
+        gy[k] -= my
+        grey[k] -= mean
+        xx += gx[k] * gx[k]
+        xy += gx[k] * gy[k]
+        yy += gy[k] * gy[k]
+        power += grey[k] * grey[k]
+        tx += gx[k] * grey[k]
+        ty += gy[k] * grey[k]
     sums[0], sums[1], sums[2], sums[3], sums[4], sums[5] = xx, xy, yy, power, tx, ty
 
 
 @sum_kernel
-def _gauss_newton_step(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32, sums: F64, step: F64) -> float:
-    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before it."""
-    m = gx.shape[0]
+def _gauss_newton_step(
+    image: U8, x: float, y: float, m: int, grey: F32, gx: F32, gy: F32, value: F32, sums: F64, step: F64
+) -> float:
+    """Write one Gauss-Newton step over shift, gain and offset of brightness; return the correlation before it.
+
+    `value` (S,) is scratch with zeros behind the window, S a multiple of the vector length: sums need no remainder.
+    """
     half = m // 2
     top, left = int(y) - half, int(x) - half
     b, a = np.float32(y - int(y)), np.float32(x - int(x))
     one = np.float32(1.0)
     w00, w01, w10, w11 = (one - a) * (one - b), a * (one - b), (one - a) * b, a * b
-    total, square, cross, ex, ey = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
     for r in range(m):
         upper, lower = image[top + r, left : left + m + 1], image[top + r + 1, left : left + m + 1]
+        row = value[r * m : r * m + m]
         for c in range(m):
-            value = w00 * np.float32(upper[c]) + w01 * np.float32(upper[c + 1])
-            value += w10 * np.float32(lower[c]) + w11 * np.float32(lower[c + 1])
-            total += value
-            square += value * value
-            cross += lay[r + 1, c + 1] * value
-            ex += gx[r, c] * value
-            ey += gy[r, c] * value
+            row[c] = (w00 * np.float32(upper[c]) + w01 * np.float32(upper[c + 1])) + (
+                w10 * np.float32(lower[c]) + w11 * np.float32(lower[c + 1])
+            )
+    total, square, cross, ex, ey = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for k in range(len(value)):
+        total += value[k]
+        square += value[k] * value[k]
+        cross += grey[k] * value[k]
+        ex += gx[k] * value[k]
+        ey += gy[k] * value[k]
     gain = cross / np.float32(sums[3])
     variance = square - total * total / np.float32(m * m)
     if gain <= _MIN_GAIN or variance <= 0:
@@ -96,43 +133,121 @@ def _gauss_newton_step(image: U8, x: float, y: float, lay: F32, gx: F32, gy: F32
 
 @kernel
 def align_patches(
-    patches: U8, places: F64, warps: F64, image: U8, stop: float, rounds: int, lay: F32, slopes: F32, found: F64,
-    fit: F64,
-) -> None:  # fmt: skip
+    patches: U8, slots: I64, places: F64, warps: F64, image: U8, m: int, stop: float, rounds: int, found: F64, fit: F64
+) -> None:
     """Align patches with an image by least squares over a shift, a gain and an offset of brightness.
 
     Inverse compositional Gauss-Newton (Baker and Matthews 2004): gradients are taken once, of the patch.
 
     Args:
-        patches: (N, S, S) grey, cut from earlier images.
+        patches: (M, S, T) grey, cut from earlier images, or whole images.
+        slots: (N,) which of them.
         places: (N, 2) column and row of the features in them.
         warps: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
         image: (H, W) grey.
+        m: px, odd side of the window.
         stop: px, largest last step.
         rounds: most steps; without a last step below `stop` there is no match.
-        lay: (M + 2, M + 2) scratch for a window of M px, M odd.
-        slopes: (2, M, M) scratch.
         found: (N, 2) start pixels; replaced by the aligned ones.
         fit: (N,) out: correlation, -1 = no match.
     """
     h, w = image.shape
-    half, gx, gy = slopes.shape[1] // 2, slopes[0], slopes[1]
+    half, size = m // 2, (m * m + 31) // 32 * 32
+    samples = (m + 2) * (m + 2)
+    at, shares, corners = (
+        np.empty(samples, np.int32),
+        np.empty((2, samples), np.float32),
+        np.empty((4, samples), np.uint8),
+    )
+    lay, rows = np.empty(samples, np.float32), np.zeros((4, size), np.float32)
+    grey, gx, gy, value = rows[0], rows[1], rows[2], rows[3]
     sums, step = np.empty(6), np.empty(2)
-    for k in range(patches.shape[0]):
+    for k in range(len(slots)):
         fit[k] = -1.0
-        if not _sample_patch(patches[k], places[k, 0], places[k, 1], warps[k], half + 1, lay):
+        patch = patches[slots[k]]
+        if not _sample_patch(patch, places[k, 0], places[k, 1], warps[k], half + 1, at, shares, corners, lay):
             continue
-        _normalise_patch(lay, gx, gy, sums)
+        _normalise_patch(lay, m, grey, gx, gy, sums)
         if sums[0] * sums[2] - sums[1] * sums[1] <= 1e-6:
             continue
         x, y = found[k, 0], found[k, 1]
         for _ in range(rounds):
             if not (x >= half and y >= half and x < w - 1 - half and y < h - 1 - half):
                 break
-            correlation = _gauss_newton_step(image, x, y, lay, gx, gy, sums, step)
+            correlation = _gauss_newton_step(image, x, y, m, grey, gx, gy, value, sums, step)
             if correlation < 0:
                 break
             x, y = x - step[0], y - step[1]
             if step[0] * step[0] + step[1] * step[1] < stop * stop:
                 found[k, 0], found[k, 1], fit[k] = x, y, correlation
                 break
+
+
+@kernel
+def cut_patches(image: U8, corners: I64, slots: I64, patches: U8) -> None:
+    """Copy squares out of an image.
+
+    Args:
+        corners: (N, 2) first column and row of each square, inside the image.
+        slots: (N,) where each goes.
+        patches: (M, S, S) out.
+    """
+    side = patches.shape[1]
+    for k in range(len(slots)):
+        for r in range(side):
+            patches[slots[k], r] = image[corners[k, 1] + r, corners[k, 0] : corners[k, 0] + side]
+
+
+@kernel
+def _ray_beside(table: F64, x: float, y: float, ray: F64) -> None:
+    """Interpolate the table of a lens at one pixel."""
+    rows, cols = table.shape[:2]
+    x, y = min(max(x + 1.0, 0.0), cols - 1.001), min(max(y + 1.0, 0.0), rows - 1.001)
+    i, j = int(y), int(x)
+    b, a = y - i, x - j
+    for c in range(2):
+        upper = (1 - a) * table[i, j, c] + a * table[i, j + 1, c]
+        lower = (1 - a) * table[i + 1, j, c] + a * table[i + 1, j + 1, c]
+        ray[c] = (1 - b) * upper + b * lower
+
+
+@kernel
+def warp_patches(
+    pixels: F64, table: F64, R: F64, t: F64, views: I64, up: F64, depth: float, there: F64, other: F64, out: F64
+) -> None:
+    """Write the (N, 2, 2) derivative of pixels in other views by pixels here, for level ground around features.
+
+    Args:
+        pixels: (N, 2) here.
+        table, other: rays of the lens of this view, and of the other views, as in `interpolate_rays`.
+        R, t: (V, 3, 3), (V, 3) other_from_here.
+        views: (N,) which of them.
+        up: (3,) unit, here; depth: m of the ground along the axis; a view that is too oblique has it across.
+        there: (N, 2) pixels in the other views.
+        out: (N, 2, 2).
+    """
+    steep, ray, ends = up[2] < -_MIN_DESCENT, np.empty(2), np.empty((2, 2))
+    moved, by_there = np.empty((2, 2)), np.empty((2, 2))
+    for k in range(len(pixels)):
+        v = views[k]
+        for axis in range(2):
+            for side in range(2):
+                off = _DIFFERENCE if side == 0 else -_DIFFERENCE
+                dx, dy = (off, 0.0) if axis == 0 else (0.0, off)
+                _ray_beside(table, pixels[k, 0] + dx, pixels[k, 1] + dy, ray)
+                down = (ray[0] * up[0] + ray[1] * up[1] + up[2]) / min(up[2], -1e-9)  # 1 along the axis
+                z = depth / down if steep and down > _MIN_DESCENT else depth
+                q0 = z * (R[v, 0, 0] * ray[0] + R[v, 0, 1] * ray[1] + R[v, 0, 2]) + t[v, 0]
+                q1 = z * (R[v, 1, 0] * ray[0] + R[v, 1, 1] * ray[1] + R[v, 1, 2]) + t[v, 1]
+                q2 = z * (R[v, 2, 0] * ray[0] + R[v, 2, 1] * ray[1] + R[v, 2, 2]) + t[v, 2]
+                ends[side, 0], ends[side, 1] = q0 / q2, q1 / q2
+            moved[0, axis], moved[1, axis] = ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1]
+            for side in range(2):
+                off = _DIFFERENCE if side == 0 else -_DIFFERENCE
+                dx, dy = (off, 0.0) if axis == 0 else (0.0, off)
+                _ray_beside(other, there[k, 0] + dx, there[k, 1] + dy, ends[side])
+            by_there[0, axis], by_there[1, axis] = ends[0, 0] - ends[1, 0], ends[0, 1] - ends[1, 1]
+        det = by_there[0, 0] * by_there[1, 1] - by_there[0, 1] * by_there[1, 0]
+        for axis in range(2):
+            out[k, 0, axis] = (by_there[1, 1] * moved[0, axis] - by_there[0, 1] * moved[1, axis]) / det
+            out[k, 1, axis] = (by_there[0, 0] * moved[1, axis] - by_there[1, 0] * moved[0, axis]) / det

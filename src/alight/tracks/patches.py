@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from alight.arrays import F64, I64, U8, Mask
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Pose
 from alight.settings import TracksSettings
 from alight.tracks.lens import Lens
-from alight.tracks.patch_kernels import align_patches
+from alight.tracks.patch_kernels import align_patches, cut_patches, warp_patches
 
+_EDGE = 2  # px from a window to the edge of the image
 _PATCH_MARGIN = 9  # px of a patch around the window: room for rotation and scale
 _BLUR = 0.7  # px; without it linear interpolation biases matches towards whole pixels (M1e)
 _MAX_LAST_STEP, _MAX_STEPS = 0.01, 12  # px; steps
 _NO_DEPTH = 1e6  # m, depth of the ground where no feature has one
-_DIFFERENCE = 4.0  # px over which the map between two views is differenced
-_DIFFERENCES = _DIFFERENCE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-_MIN_DESCENT = 0.2  # cosine; shallower rays meet a plane across the view instead
+_POOL = 256  # patches that there is room for at first
 
 
 def smooth_image(image: U8) -> U8:
@@ -43,41 +41,25 @@ class GroundPlane:
         up = pose.rotation[2] if pose is not None else np.array([0.0, 0.0, -1.0])
         return cls(up, float(np.median(known)) if len(known) else _NO_DEPTH)
 
-    def depths(self, rays: F64) -> F64:
-        """(...) depths in m where (..., 3) rays with z = 1 meet the plane."""
-        down = rays @ self.up / min(float(self.up[2]), -1e-9)  # 1 along the optical axis
-        steep = (down > _MIN_DESCENT) & (self.up[2] < -_MIN_DESCENT)
-        return np.asarray(self.depth / np.where(steep, down, 1.0))
 
-
-def _neighbour_rays(lens: Lens, pixels: F64) -> F64:
-    """(N, 4, 2) normalised coordinates on both sides of (N, 2) pixels, along x and y."""
-    return lens.normalise((pixels[:, None] + _DIFFERENCES).reshape(-1, 2)).reshape(-1, 4, 2)
-
-
-def _differences(values: F64) -> F64:
-    """(N, 2, 2) central differences of (N, 4, 2) values."""
-    return np.asarray((values[:, ::2] - values[:, 1::2]).transpose(0, 2, 1))
-
-
-def patch_warps(pixels: F64, lens: Lens, views: Sequence[Pose], ground: GroundPlane, there: F64, other: Lens) -> F64:
+def patch_warps(
+    pixels: F64, lens: Lens, views: Sequence[Pose], which: I64, ground: GroundPlane, there: F64, other: Lens
+) -> F64:
     """Return the (N, 2, 2) derivative of pixels in other views by pixels here, for the ground around features.
 
     Args:
         pixels: (N, 2) here.
         lens: of this view.
-        views: other_from_here, one for each feature or one for all.
+        views: V other_from_here.
+        which: (N,) of them, for each feature.
         ground: seen from here.
         there: (N, 2) pixels in the other views.
         other: lens of the other views.
     """
-    flat = _neighbour_rays(lens, pixels)
-    rays = np.concatenate([flat, np.ones_like(flat[..., :1])], axis=2)
     R, t = np.array([p.rotation for p in views]), np.array([p.translation for p in views])
-    x = (rays * ground.depths(rays)[..., None]) @ R.transpose(0, 2, 1) + t[:, None]
-    return np.asarray(
-        np.linalg.solve(_differences(_neighbour_rays(other, there)), _differences(x[..., :2] / x[..., 2:]))
-    )
+    out = np.empty((len(pixels), 2, 2))
+    warp_patches(pixels, lens.table, R, t, which, ground.up, ground.depth, there, other.table, out)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,41 +67,120 @@ class FeaturePatches:
     """Appearance of N features."""
 
     ids: I64  # (N,) ascending
-    grey: U8  # (N, S, S)
-    places: F64  # (N, 2) column and row in the patch
+    grey: U8  # (M, S, T) patches, or whole images
+    slots: I64  # (N,) which of them
+    places: F64  # (N, 2) column and row in it
     pixels: F64  # (N, 2) in the image from which it was cut
     image_number: I64  # (N,) number of that image
 
     @classmethod
-    def cut(cls, image: U8, ids: I64, pixels: F64, window: int, image_number: int = 0) -> FeaturePatches:
+    def none(cls, window: int) -> FeaturePatches:
+        """Return no patches, for a window of that many px."""
+        side, empty = window + 2 * _PATCH_MARGIN, np.empty(0, np.int64)
+        return cls(empty, np.empty((_POOL, side, side), np.uint8), empty, np.empty((0, 2)), np.empty((0, 2)), empty)
+
+    @classmethod
+    def cut(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
         """Cut patches out of a smoothed image; features too close to its edge get none."""
-        side = window + 2 * _PATCH_MARGIN
+        return cls.none(window).with_new(image, ids, pixels, 0)
+
+    @classmethod
+    def whole(cls, image: U8, ids: I64, pixels: F64, window: int) -> FeaturePatches:
+        """Take a whole smoothed image as the patch of its features: nothing is copied.
+
+        Features too close to its edge have none.
+        """
+        margin, (height, width) = window // 2 + _EDGE, image.shape
+        inside = ((pixels >= margin) & (pixels <= [width - 1 - margin, height - 1 - margin])).all(axis=1)
+        ids, pixels = ids[inside], pixels[inside]
+        zero = np.zeros(len(ids), np.int64)
+        return cls(ids, image[None], zero, pixels, pixels, zero)
+
+    def select(self, which: Mask | I64) -> FeaturePatches:
+        """Return the patches of some features; their pixels are shared."""
+        return FeaturePatches(
+            self.ids[which],
+            self.grey,
+            self.slots[which],
+            self.places[which],
+            self.pixels[which],
+            self.image_number[which],
+        )
+
+    def with_new(self, image: U8, ids: I64, pixels: F64, image_number: int) -> FeaturePatches:
+        """Return these patches and new ones, cut out of a smoothed image; only free slots are written to."""
+        side = self.grey.shape[1]
         corner = np.rint(pixels).astype(np.int64) - side // 2
         inside = ((corner >= 0) & (corner + side <= image.shape[::-1])).all(axis=1)
-        corner, pixels = corner[inside], pixels[inside]
-        fits = min(image.shape) >= side
-        grey = sliding_window_view(image, (side, side)) if fits else np.empty((1, 1, side, side), np.uint8)
-        cuts = np.ascontiguousarray(grey[corner[:, 1], corner[:, 0]])
-        return cls(ids[inside], cuts, pixels - corner, pixels, np.full(len(corner), image_number))
+        ids, corner, pixels = ids[inside], corner[inside], pixels[inside]
+        grey, slots = self._room_for(len(ids))
+        cut_patches(image, corner, slots, grey)
+        joined = np.concatenate([self.ids, ids])
+        order = np.argsort(joined)
+        return FeaturePatches(
+            joined[order],
+            grey,
+            np.concatenate([self.slots, slots])[order],
+            np.concatenate([self.places, pixels - corner])[order],
+            np.concatenate([self.pixels, pixels])[order],
+            np.concatenate([self.image_number, np.full(len(ids), image_number)])[order],
+        )
 
-    def select(self, which: Mask) -> FeaturePatches:
-        """Return the patches of some features."""
-        return FeaturePatches(*(getattr(self, f.name)[which] for f in fields(self)))
+    def _room_for(self, count: int) -> tuple[U8, I64]:
+        """Return the patches and so many free slots in them; a longer copy where there are too few."""
+        free = np.ones(len(self.grey), bool)
+        free[self.slots] = False
+        slots = np.flatnonzero(free)
+        if len(slots) >= count:
+            return self.grey, slots[:count]
+        more = np.empty((count + len(self.grey), *self.grey.shape[1:]), np.uint8)
+        slots = np.concatenate([slots, np.arange(len(self.grey), len(self.grey) + count)])
+        return np.concatenate([self.grey, more]), slots[:count]
 
-    def merged(self, other: FeaturePatches) -> FeaturePatches:
-        """Return the patches of both, in the order of ids."""
-        order = np.argsort(np.concatenate([self.ids, other.ids]))
-        both = (np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self))
-        return FeaturePatches(*(x[order] for x in both))
+    def locate(
+        self, image: U8, start: F64, warp: F64, settings: TracksSettings, reach: F64 | None = None
+    ) -> tuple[F64, Mask]:
+        """Locate patches in a smoothed image.
 
-    def locate(self, image: U8, predicted: F64, warp: F64, settings: TracksSettings) -> tuple[F64, Mask]:
-        """Locate patches in a smoothed image from (N, 2) predicted pixels on; (N, 2) pixels, and which were found."""
-        there, fit, window = predicted.copy(), np.empty(len(predicted)), settings.window_px | 1
-        lay, slopes = np.empty((window + 2, window + 2), np.float32), np.empty((2, window, window), np.float32)
-        align_patches(self.grey, self.places, warp, image, _MAX_LAST_STEP, _MAX_STEPS, lay, slopes, there, fit)
-        good = fit > settings.patch_correlation
-        good &= np.linalg.norm(there - predicted, axis=1) < settings.patch_moved_px
-        return np.where(good[:, None], there, predicted), good
+        Args:
+            image: smoothed.
+            start: (N, 2) pixels.
+            warp: (N, 2, 2) derivative of pixels of the patch by pixels of the image.
+            settings: least correlation, and the largest distance from the start.
+            reach: (N,) px, another largest distance.
+
+        Returns:
+            (N, 2) pixels, the start where a patch was not found; (N,) which were found.
+        """
+        there, fit = np.array(start, dtype=np.float64), np.empty(len(start))
+        window = settings.window_px | 1
+        align_patches(self.grey, self.slots, self.places, warp, image, window, _MAX_LAST_STEP, _MAX_STEPS, there, fit)
+        shift = there - start
+        far = (shift * shift).sum(axis=1) >= (settings.patch_moved_px if reach is None else reach) ** 2
+        good = (fit > settings.patch_correlation) & ~far
+        return np.where(good[:, None], there, start), good
+
+
+def follow_patches(then: U8, now: U8, pixels: F64, start: F32, settings: TracksSettings) -> tuple[F64, Mask]:
+    """Follow features from one smoothed image to the next one by patches of these two, forward and backward.
+
+    Args:
+        pixels: (N, 2) in the earlier image.
+        start: (N, 2) in the later one, where the search begins.
+
+    Returns:
+        (N, 2) pixels in the later image; (N,) which were found, and found back.
+    """
+    zero, upright, fit = np.zeros(len(pixels), np.int64), np.tile(np.eye(2), (len(pixels), 1, 1)), np.empty(len(pixels))
+    numbers = settings.window_px | 1, _MAX_LAST_STEP, _MAX_STEPS
+    found, back, fit_back = start.astype(np.float64), pixels.copy(), np.empty(len(pixels))
+    align_patches(then[None], zero, pixels, upright, now, *numbers, found, fit)
+    align_patches(now[None], zero, found, upright, then, *numbers, back, fit_back)
+    off = back - pixels
+    good = (np.minimum(fit, fit_back) > settings.patch_correlation) & (
+        (off * off).sum(axis=1) < settings.forward_backward_px**2
+    )
+    return found, good
 
 
 class AnchorPatches:
@@ -129,47 +190,59 @@ class AnchorPatches:
         """Take the lens, and the px that a feature may move before it needs a new patch."""
         self._lens, self._span, self._settings = lens, span, settings
         self._window = settings.window_px | 1
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all patches: their warps are not known any more."""
         self._poses: dict[int, Pose] = {}
-        self._patches = self._none()
+        self._patches = FeaturePatches.none(self._window)
 
-    def _none(self) -> FeaturePatches:
-        return FeaturePatches.cut(np.zeros((1, 1), np.uint8), np.empty(0, np.int64), np.empty((0, 2)), self._window)
-
-    def refine(self, image: U8, ids: I64, pixels: F64, pose: Pose | None, depth: F64) -> F64:
-        """Refine tracked pixels by the anchor patches of their features; (N, 2) pixels.
+    def locate(self, image: U8, ids: I64, pixels: F64, pose: Pose, depth: F64) -> tuple[F64, Mask]:
+        """Locate the anchor patches of features near given pixels.
 
         Args:
             image: smoothed.
             ids: (N,) ascending.
-            pixels: (N, 2) from tracking in time.
-            pose: predicted world_from_cam; without it the warp of patches is unknown and pixels are returned as given.
+            pixels: (N, 2) where the search begins.
+            pose: predicted world_from_cam.
             depth: (N,) m, NaN = unknown.
-        """
-        if pose is None:
-            self._patches, self._poses = self._none(), {}
-            return pixels
-        held = self._patches.select(np.isin(self._patches.ids, ids))
-        at = np.searchsorted(ids, held.ids)
-        if not len(at):
-            return pixels
-        then_from_now = {k: p.inverse @ pose for k, p in self._poses.items()}
-        views = [then_from_now[k] for k in held.image_number.tolist()]
-        warp = patch_warps(pixels[at], self._lens, views, GroundPlane.under(pose, depth), held.pixels, self._lens)
-        there, good = held.locate(image, pixels[at], warp, self._settings)
-        good &= np.linalg.norm(there - held.pixels, axis=1) < self._span
-        out = pixels.copy()
-        out[at] = there
-        self._patches = held.select(good)
-        return out
 
-    def add_missing(self, image: U8, ids: I64, pixels: F64, pose: Pose | None) -> None:
+        Returns:
+            (N, 2) pixels, as given where there is no patch or it does not fit; (N,) which fit.
+        """
+        held = self._patches
+        at = np.searchsorted(ids, held.ids)
+        present = np.flatnonzero(np.append(ids, -1)[at] == held.ids)
+        out, found = np.array(pixels, dtype=np.float64), np.zeros(len(ids), bool)
+        if not len(present):
+            return out, found
+        held, at = held.select(present), at[present]
+        numbers = np.array(list(self._poses))
+        views = [p.inverse @ pose for p in self._poses.values()]
+        which = np.searchsorted(numbers, held.image_number)
+        ground = GroundPlane.under(pose, depth)
+        warp = patch_warps(out[at], self._lens, views, which, ground, held.pixels, self._lens)
+        out[at], found[at] = held.locate(image, out[at], warp, self._settings)
+        return out, found
+
+    def retain(self, ids: I64, pixels: F64) -> None:
+        """Keep the patches of features that are still served by them; the others get new ones.
+
+        Args:
+            ids: (N,) ascending.
+            pixels: (N, 2) where they are now.
+        """
+        held = self._patches
+        at = np.searchsorted(ids, held.ids)
+        present = np.flatnonzero(np.append(ids, -1)[at] == held.ids)
+        moved = pixels[at[present]] - held.pixels[present]
+        self._patches = held.select(present[(moved * moved).sum(axis=1) < self._span**2])
+
+    def add_missing(self, image: U8, ids: I64, pixels: F64, pose: Pose) -> None:
         """Cut patches of the features that have none yet."""
-        if pose is None:
-            return
-        new, image_number = ~np.isin(ids, self._patches.ids), max(self._poses, default=-1) + 1
-        self._patches = self._patches.merged(
-            FeaturePatches.cut(image, ids[new], pixels[new], self._window, image_number)
-        )
-        self._poses = {k: p for k, p in self._poses.items() if (self._patches.image_number == k).any()} | {
-            image_number: pose
-        }
+        number, numbers = max(self._poses, default=-1) + 1, self._patches.image_number
+        has = np.zeros(len(ids), bool)
+        has[np.searchsorted(ids, self._patches.ids)] = True
+        self._patches = self._patches.with_new(image, ids[~has], pixels[~has], number)
+        used = set(numbers.tolist())
+        self._poses = {k: p for k, p in self._poses.items() if k in used} | {number: pose}

@@ -38,7 +38,7 @@ def _pixel_motion(points: F64, moves: F64, focal: float) -> F64:
     return np.asarray(focal / z[..., None] * (moves[:, :2] - (points[:, :2] / z)[..., None] * moves[:, 2:]))
 
 
-def inside_search_region(offset: F32, covariance: F64, sigmas: float, least: float) -> Mask:
+def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, least: float) -> Mask:
     """Return which of (N, 2) offsets from a predicted pixel lie inside some sigmas of it.
 
     Args:

@@ -6,7 +6,7 @@ backward; matches between cameras are checked by the patch and the epipolar line
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -29,7 +29,14 @@ from alight.tracks.global_alignment import (
     warp_affine,
 )
 from alight.tracks.lens import Lens
-from alight.tracks.patches import AnchorPatches, FeaturePatches, GroundPlane, patch_warps, smooth_image
+from alight.tracks.patches import (
+    AnchorPatches,
+    FeaturePatches,
+    GroundPlane,
+    follow_patches,
+    patch_warps,
+    smooth_image,
+)
 from alight.tracks.search_region import inside_search_region, pixel_covariance
 
 Poses = tuple[Pose, ...]
@@ -50,6 +57,7 @@ class _LastExposure:
 
     t_ns: int
     image: U8
+    soft: U8  # the same, smoothed for patches
     poses: Poses | None
     ids: I64
     pixels: F32  # (N, 2)
@@ -61,7 +69,23 @@ class PredictedPixels:
     """Predicted pixels of features, where the search starts."""
 
     pixels: F32  # (N, 2)
+    depth: F64  # (N,) m in that view, NaN = unknown
     covariance: F64 | None = None  # (N, 2, 2) px^2 of the prediction; None: unknown
+
+    def select(self, which: I64) -> PredictedPixels:
+        """Return the predictions of some features."""
+        covariance = None if self.covariance is None else self.covariance[which]
+        return PredictedPixels(self.pixels[which], self.depth[which], covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Features found again in the present exposure."""
+
+    ids: I64  # (N,) ascending
+    pixels: F32  # (N, 2)
+    depth: F64  # (N,) m, NaN = unknown
+    anchored: Mask  # (N,) settled by their own patch already
 
 
 class Tracker:
@@ -100,38 +124,78 @@ class Tracker:
         if frame.images[0] is None:
             return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
         image = grey(frame.images[0])
-        ids, pixels, depth = self._track_in_time(image, prediction)
-        poses = prediction.world_from_cams if prediction else None
-        pose, soft = (
-            poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None,
-            smooth_image(image),
-        )
-        pixels = self._anchors.refine(soft, ids, pixels.astype(np.float64), pose, depth).astype(np.float32)
+        soft = smooth_image(image)
+        found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
+        pose = poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None
+        ids, pixels, depth = found.ids, self._refine_in_time(soft, found, pose), found.depth
         ids, pixels, depth = self._add_corners(image, ids, pixels, depth)
-        self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
+        if pose is not None:
+            self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
         observed, depth = self._match_across_rig(frame, image, soft, pixels, depth, pose)
-        self._last = _LastExposure(frame.t_ns, image, poses, ids, pixels, depth)
+        self._last = _LastExposure(frame.t_ns, image, soft, poses, ids, pixels, depth)
         return self._tracks_of(frame.t_ns, ids, observed, corner_response(image, pixels, self._settings.window_px))
 
-    def _track_in_time(self, image: U8, prediction: Prediction | None) -> tuple[I64, F32, F64]:
+    def _track_in_time(self, image: U8, soft: U8, prediction: Prediction | None) -> _Found:
         m = self._last
         if m is None or not len(m.ids):
-            return np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0)
+            return _Found(np.empty(0, np.int64), np.empty((0, 2), np.float32), np.empty(0), np.empty(0, bool))
         earlier = (prediction.earlier or m.poses) if prediction else None
         now_from_then = prediction.world_from_cams[0].inverse @ earlier[0] if prediction and earlier else None
         if prediction is None or now_from_then is None:
-            predicted = PredictedPixels(relocate(m.image, image, m.pixels, (0.0,)))
+            predicted = PredictedPixels(relocate(m.image, image, m.pixels, (0.0,)), m.depth)
         else:
             predicted = self._predicted_pixels(m, image, now_from_then, prediction.covariance)
-        pixels, good = self._match_in_time(m, image, predicted, now_from_then is not None)
+        anchored = np.zeros(len(m.ids), bool)
+        if prediction is not None and now_from_then is not None and self._is_close(0):
+            pixels, good, anchored = self._align_in_time(m, soft, predicted, prediction.world_from_cams[0])
+        else:
+            pixels, good = self._match_in_time(m, image, predicted, now_from_then is not None)
         if good.mean() < 0.5 and now_from_then is not None:
-            pixels, good = self._match_in_time(m, image, PredictedPixels(predicted.pixels))
+            anchored[:] = False
+            pixels, good = self._match_in_time(m, image, replace(predicted, covariance=None))
         if good.mean() < self._settings.few_share:  # the prediction may be wrong as a whole: try without it
-            other = self._match_in_time(m, image, PredictedPixels(relocate(m.image, image, m.pixels, TURNS)))
+            anywhere = PredictedPixels(relocate(m.image, image, m.pixels, TURNS), m.depth)
+            other = self._match_in_time(m, image, anywhere)
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= oldest_per_cell(m.ids, pixels, good, self._cell, self._settings.most_in_cell)
         depth = self._updated_depths(m, pixels, now_from_then) if now_from_then is not None else m.depth
-        return m.ids[good], pixels[good], depth[good]
+        return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
+
+    def _is_close(self, cam: int) -> bool:
+        """Whether the last predictions were so good that patches are found from them at once."""
+        return self._prediction_error[cam] < self._settings.close_px
+
+    def _align_in_time(
+        self, m: _LastExposure, soft: U8, predicted: PredictedPixels, pose: Pose
+    ) -> tuple[F32, Mask, Mask]:
+        """Settle features from their predicted pixels by patches alone: their own ones, else those of the last image.
+
+        Returns:
+            (N, 2) pixels; (N,) which were found; (N,) which of them by their own patch.
+        """
+        start = predicted.pixels.astype(np.float64)
+        pixels, anchored = self._anchors.locate(soft, m.ids, start, pose, predicted.depth)
+        good = anchored & self._in_search_region(0, pixels, predicted)
+        rest = np.flatnonzero(~good)
+        if len(rest):
+            some = predicted.select(rest)
+            moved, same = follow_patches(m.soft, soft, m.pixels[rest].astype(np.float64), some.pixels, self._settings)
+            settled, own = self._anchors.locate(soft, m.ids[rest], moved, pose, predicted.depth)
+            pixels[rest], good[rest] = settled, same & self._in_search_region(0, settled, some)
+            anchored[rest] = own
+        self._note_prediction_error(0, pixels, predicted, good)
+        return pixels.astype(np.float32), good, anchored & good
+
+    def _refine_in_time(self, soft: U8, found: _Found, pose: Pose | None) -> F32:
+        """Settle what Lucas-Kanade found by the features' own patches; without a pose their warp is unknown."""
+        if pose is None:
+            self._anchors.clear()
+            return found.pixels
+        pixels, anchored = found.pixels.astype(np.float64), found.anchored
+        if not anchored.any():
+            pixels, anchored = self._anchors.locate(soft, found.ids, pixels, pose, found.depth)
+        self._anchors.retain(found.ids[anchored], pixels[anchored])
+        return pixels.astype(np.float32)
 
     def _predicted_pixels(
         self, m: _LastExposure, image: U8, now_from_then: Pose, relative_covariance: F64 | None
@@ -143,14 +207,13 @@ class Tracker:
         if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
             s = self._settings
             shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
-            return PredictedPixels(predicted.pixels + shift)
-        return predicted if has_depth and relative_covariance is not None else PredictedPixels(predicted.pixels)
+            return replace(predicted, pixels=predicted.pixels + shift, covariance=None)
+        return predicted if has_depth and relative_covariance is not None else replace(predicted, covariance=None)
 
     def _match_in_time(
         self, m: _LastExposure, image: U8, predicted: PredictedPixels, expected: bool = False
     ) -> tuple[F32, Mask]:
-        patched = expected and self._prediction_error[0] < self._settings.close_px
-        then, start = (m.image, m.pixels) if patched else warp_affine(m.image, m.pixels, predicted.pixels)
+        then, start = warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
 
     def _common_depth(self, m: _LastExposure, image: U8, now_from_then: Pose) -> F64:
@@ -212,7 +275,8 @@ class Tracker:
         )
         by_depth = (points * relative_sigma[:, None]) @ other_from_first.rotation.T
         covariance = pixel_covariance(moved, by_depth, other.fu, relative_covariance) if has_depth.any() else None
-        return PredictedPixels(np.where(np.isfinite(out), out, pixels), covariance)
+        there = np.where(has_depth, moved[:, 2], np.nan)
+        return PredictedPixels(np.where(np.isfinite(out), out, pixels), there, covariance)
 
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
@@ -231,24 +295,29 @@ class Tracker:
         """
         s = self._settings
         a = match_brightness(a, b, s)
-        enough_levels = 1 if self._prediction_error[cam] < self._settings.close_px else 2
-        patched = expected and enough_levels == 1  # refined by its patch afterwards
-        levels, stop = min(s.levels, enough_levels) if expected else s.levels, _STOP_ROUGH if patched else _STOP
-        found, ok = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, stop)
-        good = ok & _inside(found, self._cameras[cam])
+        levels = min(s.levels, 1 if self._is_close(cam) else 2) if expected else s.levels
+        found, good = self._lucas_kanade(a, b, pixels, predicted.pixels, levels, _STOP)
         if cam == 0:  # a match in another camera is checked by its patch instead
             # the backward match starts where it must end: wrong matches drift away
             back, ok = self._lucas_kanade(b, a, found, pixels, 1, _STOP_ROUGH)
             good &= ok & (np.linalg.norm(back - pixels, axis=1) < s.forward_backward_px)
-        error = found - predicted.pixels
-        distance = np.linalg.norm(error, axis=1)
-        good &= distance < s.search_px
+        good &= self._in_search_region(cam, found, predicted)
+        self._note_prediction_error(cam, found, predicted, good)
+        return found, good
+
+    def _in_search_region(self, cam: int, found: F32 | F64, predicted: PredictedPixels) -> Mask:
+        """(N,) matches inside the image and near enough to their prediction."""
+        s, error = self._settings, found - predicted.pixels
+        good: Mask = _inside(found, self._cameras[cam]) & ((error * error).sum(axis=1) < s.search_px**2)
         if predicted.covariance is not None:
             good &= inside_search_region(error, predicted.covariance, s.search_sigmas, s.search_sigma_px)
-        self._prediction_error[cam] = (
-            float(np.sort(distance[good])[int(0.9 * good.sum())]) if good.mean() > 0.5 else np.inf
-        )
-        return found, good
+        return good
+
+    def _note_prediction_error(self, cam: int, found: F32 | F64, predicted: PredictedPixels, good: Mask) -> None:
+        """Remember the 90th percentile of the distance of the matches from their predictions."""
+        distance = np.sort(np.linalg.norm((found - predicted.pixels)[good], axis=1))
+        count = len(distance)
+        self._prediction_error[cam] = float(distance[int(0.9 * count)]) if count > 0.5 * len(good) else np.inf
 
     @property
     def _cell(self) -> float:
@@ -256,7 +325,8 @@ class Tracker:
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
     def _add_corners(self, image: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
-        new = detect_corners(image, pixels, self._cell, self._settings.texture)
+        border = self._settings.window_px // 2 + BORDER // 2  # patches need their whole window
+        new = detect_corners(image, pixels, self._cell, self._settings.texture, border)
         fresh = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
         return (
@@ -269,9 +339,8 @@ class Tracker:
         self, frame: Frame, image: U8, soft: U8, pixels: F32, depth: F64, pose: Pose | None
     ) -> tuple[F64, F64]:
         """Match features of the left camera in all other cameras; pixels (N, cameras, 2) and depths (N,)."""
-        patches = FeaturePatches.cut(
-            soft, np.arange(len(pixels)), pixels.astype(np.float64), self._settings.window_px | 1
-        )
+        window = self._settings.window_px | 1
+        patches = FeaturePatches.whole(soft, np.arange(len(pixels)), pixels.astype(np.float64), window)
         observed = np.full((len(pixels), len(self._cameras), 2), np.nan)
         observed[:, 0] = pixels
         for i in range(1, len(self._cameras)):
@@ -287,10 +356,19 @@ class Tracker:
     ) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
-        predicted = self._transfer(pixels, depth, pose, camera)
-        matched, good = self._match(left, right, pixels, predicted, i, bool(np.isfinite(depth).any()))
-        matched = self._refine_by_patches(i, smooth_image(right), *soft, matched, good, depth)
-        found = np.where(good[:, None], matched.astype(np.float64), np.nan)
+        predicted, soft_right = self._transfer(pixels, depth, pose, camera), smooth_image(right)
+        expected = bool(np.isfinite(depth).any())
+        matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
+        if expected and self._is_close(i):
+            good[soft[0].ids] = True
+            reach = np.where(np.isfinite(depth), self._settings.patch_moved_px, self._settings.sure_px)
+            matched = self._refine_by_patches(i, soft_right, *soft, matched, good, depth, reach)
+            good &= self._in_search_region(i, matched, predicted)
+            self._note_prediction_error(i, matched, predicted, good)
+        if good.mean() < 0.5:
+            rough, good = self._match(left, right, pixels, predicted, i, expected)
+            matched = self._refine_by_patches(i, soft_right, *soft, rough.astype(np.float64), good, depth)
+        found = np.where(good[:, None], matched, np.nan)
         a, b = self._lenses[0].normalise(pixels.astype(np.float64)), self._lenses[i].normalise(found)
         with np.errstate(invalid="ignore", divide="ignore"):
             w, arm = inverse_depth(a, b, pose)
@@ -302,16 +380,25 @@ class Tracker:
         return found, z
 
     def _refine_by_patches(
-        self, i: int, right: U8, patches: FeaturePatches, pose: Pose | None, found: F32, good: Mask, depth: F64
-    ) -> F32:
+        self,
+        i: int,
+        right: U8,
+        patches: FeaturePatches,
+        pose: Pose | None,
+        found: F64,
+        good: Mask,
+        depth: F64,
+        reach: F64 | None = None,
+    ) -> F64:
         """Refine matches in another camera by their patches; a match that fails is marked in `good`."""
         patched = patches.select(good[patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
-        ground = GroundPlane.under(pose @ to_first if pose is not None else None, depth)
-        predicted = found[at].astype(np.float64)
-        warps = patch_warps(predicted, self._lenses[i], [to_first], ground, patched.pixels, self._lenses[0])
-        found[at], good[at] = patched.locate(right, predicted, warps, self._settings)
-        return found
+        ground, which = GroundPlane.under(pose @ to_first if pose is not None else None, depth), np.zeros_like(at)
+        warps = patch_warps(found[at], self._lenses[i], [to_first], which, ground, patched.pixels, self._lenses[0])
+        out = found.copy()
+        limit = None if reach is None else reach[at]
+        out[at], good[at] = patched.locate(right, found[at], warps, self._settings, limit)
+        return out
 
     def _tracks_of(self, t_ns: int, ids: I64, pixels: F64, texture: F64) -> Tracks:
         normalised = np.full_like(pixels, np.nan)
@@ -320,7 +407,7 @@ class Tracker:
         return Tracks(t_ns, ids, pixels, normalised, texture)
 
 
-def _inside(pixels: F32, camera: Camera) -> Mask:
+def _inside(pixels: F32 | F64, camera: Camera) -> Mask:
     x, y = pixels[:, 0], pixels[:, 1]
     b = BORDER
     return np.asarray((x >= b) & (y >= b) & (x <= camera.width - 1 - b) & (y <= camera.height - 1 - b))

@@ -8,15 +8,12 @@ preintegrated IMU (Forster et al. 2017). See docs/method/motion.md.
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left
-from collections import deque
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from alight.arrays import F64
-from alight.geometry import Pose, so3_exp, so3_log
+from alight.geometry import Pose, so3_log
 from alight.motion.dynamics import (
     MAX_RATE_AGE,
     Step,
@@ -30,18 +27,16 @@ from alight.motion.dynamics import (
 )
 from alight.motion.ekf.health import NEVER_NS, GateCounts, Health, is_diverged
 from alight.motion.ekf.initial_attitude import COURSE_ATTITUDE_SIGMA, MIN_GPS_BASELINE, attitude_from_course
-from alight.motion.ekf.keyframe_posterior import RefinedPoses
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import Gate
 from alight.motion.ekf.memory import FilterMemory, Snapshot
 from alight.motion.ekf.prediction import MotionPredictor, instant, preintegrated
 from alight.motion.ekf.state import (
     ACC,
     ATT,
-    CLONE,
     CORE,
     GYRO,
     MOTION,
-    MOUNT,
     NAV,
     NAV_ATT,
     NAV_POS,
@@ -50,15 +45,15 @@ from alight.motion.ekf.state import (
     TIME,
     VEL,
     FilterState,
+    moment_in_world,
 )
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
+from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral
-from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
     ImuSample,
-    KeyframePosterior,
     Motion,
     MotionState,
     NavSample,
@@ -87,7 +82,7 @@ class MotionFilter:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
         self._gate = Gate(settings.gate)
-        self._imu: deque[ImuSample] = deque()
+        self._imu = ImuBuffer()
         self._keep_ns = _IMU_KEEP_NS + round(settings.lateness * 1e9)
         self._memory = FilterMemory(VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast))
         self._recording = RecordedFlight(rig, settings) if settings.smooth else None
@@ -95,7 +90,7 @@ class MotionFilter:
     def feed_imu(self, sample: ImuSample) -> None:
         """Take one inertial measurement; it is used when the next exposure or GPS/INS row comes."""
         m = self._memory
-        if self._imu and sample.t_ns <= self._imu[-1].t_ns:
+        if len(self._imu) and sample.t_ns <= self._imu.last_ns:
             return
         if not (np.isfinite(sample.angular_velocity_body).all() and np.isfinite(sample.specific_force_body).all()):
             return
@@ -106,8 +101,7 @@ class MotionFilter:
             m.inertial = True
             if m.state is not None:
                 self._start_biases(m.state)
-        while self._imu[0].t_ns < sample.t_ns - self._keep_ns:
-            self._imu.popleft()
+        self._imu.forget_before(sample.t_ns - self._keep_ns)
 
     def feed_nav(self, sample: NavSample) -> None:
         """Take one row of the GPS/INS solution; rows that are older than the state are left out."""
@@ -171,29 +165,10 @@ class MotionFilter:
             residual, unit = so3_log(R @ m.state.R.T), 1.0 / COURSE_ATTITUDE_SIGMA
             m.state.correct(residual / COURSE_ATTITUDE_SIGMA, np.diag(unit), np.arange(ATT.start, ATT.stop))
 
-    def posterior(self) -> KeyframePosterior:
-        """Return the joint posterior of the keyframe window, oldest first, refined with all observations (M23).
-
-        Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
-        offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
-        """
-        s = self._memory.state
-        if s is None or not s.clones:
-            return KeyframePosterior((), np.zeros((0, 0)))
-        refined, K = self._memory.visual.refined_keyframes(s), len(s.clones)
-        order = (CLONE * np.arange(K)[:, None] + POSITION_FIRST).ravel()
-        motions = tuple(self._keyframe(s, i, refined) for i in range(K))
-        return KeyframePosterior(motions, refined.covariance[np.ix_(order, order)])
-
-    def _keyframe(self, s: FilterState, i: int, refined: RefinedPoses) -> Motion:
-        """Return one refined clone as a motion."""
-        rows = CLONE * i + POSITION_FIRST
-        rig = Pose(refined.R[i], refined.p[i])
-        body = Pose(refined.R[i] @ so3_exp(s.core[MOUNT]).T, refined.p[i])
-        covariance = s.in_world(refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows])
-        offset = s.core[OFFSET].copy()
-        cams = tuple(rig @ x for x in self._cams)
-        return Motion(s.clones[i].t_ns, body, cams, covariance, offset_world=offset, frame_id=self._memory.map_number)
+    def keyframes(self) -> KeyframeWindow | None:
+        """Return the keyframe window by value, which their joint posterior follows from; None without keyframes."""
+        m = self._memory
+        return m.visual.window(m.state, m.map_number) if m.state is not None and len(m.state.clones) else None
 
     def predict(self, stamp_ns: int, before_ns: int | None = None) -> Prediction | None:
         """Predict the camera poses at an exposure, relative to that at `before_ns`; None before any GPS/INS row."""
@@ -236,7 +211,7 @@ class MotionFilter:
         return instant(event.t_ns, self._memory.state.core)
 
     @property
-    def imu(self) -> Sequence[ImuSample]:
+    def imu(self) -> ImuBuffer:
         """The last inertial measurements."""
         return self._imu
 
@@ -316,9 +291,9 @@ class MotionFilter:
         """(3,) rad/s angular velocity in the body, the mean of some samples, and its variance."""
         if not self._memory.inertial:
             return state.core[GYRO].copy(), float(state.P[GYRO, GYRO].diagonal().max())
-        first = bisect_left(self._imu, state.t_ns - _RATE_HALF_WINDOW_NS, key=lambda s: s.t_ns)
-        some = [self._imu[i].angular_velocity_body for i in range(first, len(self._imu))][:_RATE_SAMPLES]
-        mean = np.mean(some or [self._imu[-1].angular_velocity_body], axis=0)
+        first = min(int(np.searchsorted(self._imu.times, state.t_ns - _RATE_HALF_WINDOW_NS)), len(self._imu) - 1)
+        some = self._imu.rates[first : first + _RATE_SAMPLES, :3]
+        mean = some.sum(axis=0) / len(some)
         return mean - state.core[GYRO], self._settings.gyro_noise**2 / (2e-9 * _RATE_HALF_WINDOW_NS)
 
     # -- GPS/INS ---------------------------------------------------------------------------------------------------
@@ -328,7 +303,9 @@ class MotionFilter:
         rows = measurements(state, sample, sigma, self._settings)
         rate = None if self._memory.inertial else rate_measurement(state, sample, self._settings)
         rows += [rate] if rate else []
-        passed = [z for z in rows if self._gate.passes(z.residual, z.H @ state.P @ z.H.T + np.diag(z.variance))]
+        passed = [
+            z for z in rows if self._gate.passes(z.residual, z.H @ state.P[:CORE, :CORE] @ z.H.T + np.diag(z.variance))
+        ]
         if passed:
             residual, H, variance = ([getattr(z, name) for z in passed] for name in ("residual", "H", "variance"))
             state.update(np.concatenate(residual), np.concatenate(H), np.concatenate(variance))
@@ -378,7 +355,9 @@ class MotionFilter:
             stamp_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
-            state.in_world(state.P[np.ix_(order, order)], state.P[order, OFFSET]),
+            moment_in_world(
+                state.P[np.ix_(order, order)], state.P[order, OFFSET], state.core[OFFSET], state.P[OFFSET, OFFSET]
+            ),
             state.core[VEL].copy(),
             judged,
             support,

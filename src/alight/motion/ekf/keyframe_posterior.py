@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from alight.arrays import F64, Mask
 from alight.geometry import Pose, skew, so3_exp
-from alight.motion.ekf.state import CLONE, OFFSET, FilterState
-from alight.motion.elimination import PoseConstraint, marginalise_points
+from alight.motion.ekf.state import CLONE, MOUNT, OFFSET, FilterState, moment_in_world
+from alight.motion.elimination import PoseConstraint, largest_sigma, marginalise_points
 from alight.motion.observations import WindowObservations, WindowPoses
+from alight.motion.projection import POSITION_FIRST
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
 from alight.records import KeyframePosterior, Motion
@@ -30,30 +31,101 @@ class RefinedPoses:
     offset_cross: F64  # (6K, 3) cross covariance with the offset of the map
 
 
-def refine_keyframes(
-    state: FilterState, observations: WindowObservations, cams: Sequence[Pose], settings: FilterSettings
-) -> RefinedPoses:
-    """Gauss-Newton over the clones: prior is the joint covariance of the state, data are the unused observations.
+@dataclass(frozen=True, eq=False)
+class KeyframeWindow:
+    """The clones after one exposure and the observations not used by the state yet, by value.
 
-    The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
-    errors of trees, grass in the wind and water are correlated, from feature to feature and in time.
+    Few exposures become keyframes of a map, and the posterior costs as much as the update of the state. So the filter
+    hands out this record, and whoever needs the posterior computes it: it is a function of the record alone.
     """
-    clones, rows = state.window_poses(), state.clone_rows()
-    P = state.P[np.ix_(rows, rows)]
-    error, poses, gain, median = np.zeros(len(P)), clones, np.asarray(np.eye(len(P))), 0.0
-    observations = observations.select(observations.observed.sum(axis=1) >= 2)
-    for _ in range(_ITERATIONS if len(observations.ids) else 0):
-        x = triangulate_window(observations, poses, cams)
-        constraint = marginalise_points(observations, poses, cams, x)
-        used = _well_known(constraint, x, poses, settings.vague_share)
-        weight, median = robust_pose_weights(constraint, P, used, error)
-        A, b = constraint.information(weight)
-        gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
-        error = P @ gain @ (b + A @ error)
-        poses = _moved(clones, error)
-    inflation = relative_inflation(poses.p, max(1.0, settings.pixel_repeat * median))
-    cross = gain.T @ state.P[rows, OFFSET]
-    return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
+
+    stamps: tuple[int, ...]  # ns, of the K exposures, oldest first
+    poses: WindowPoses  # K
+    P: F64  # (6K, 6K) their joint covariance, (rotation, position) a pose
+    offset_cross: F64  # (6K, 3) its cross covariance with the offset of the map
+    offset: F64  # (3,) m
+    offset_covariance: F64  # (3, 3)
+    mount: F64  # (3,) rad, mounting of the cameras
+    observations: WindowObservations
+    cams: tuple[Pose, ...]  # rig_from_cam
+    map_number: int
+    settings: FilterSettings
+
+    @classmethod
+    def of(
+        cls,
+        state: FilterState,
+        observations: WindowObservations,
+        cams: Sequence[Pose],
+        settings: FilterSettings,
+        map_number: int = 0,
+    ) -> KeyframeWindow:
+        """Copy the window of a state."""
+        rows = state.clone_rows
+        return cls(
+            state.clones.stamps,
+            state.clones.poses,
+            state.P[rows, rows].copy(),
+            state.P[rows, OFFSET].copy(),
+            state.core[OFFSET].copy(),
+            state.P[OFFSET, OFFSET].copy(),
+            state.core[MOUNT].copy(),
+            observations,
+            tuple(cams),
+            map_number,
+            settings,
+        )
+
+    def refined(self) -> RefinedPoses:
+        """Gauss-Newton over the clones: prior is their joint covariance, data are the unused observations.
+
+        The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
+        errors of trees, grass in the wind and water are correlated, from feature to feature and in time.
+        """
+        P, poses, median = self.P, self.poses, 0.0
+        error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
+        observations = self.observations.select(self.observations.observed.sum(axis=1) >= 2)
+        for _ in range(_ITERATIONS if len(observations.ids) else 0):
+            x = triangulate_window(observations, poses, self.cams)
+            constraint = marginalise_points(observations, poses, self.cams, x)
+            used = _well_known(constraint, x, poses, self.settings.vague_share)
+            weight, median = robust_pose_weights(constraint, P, used, error)
+            A, b = constraint.information(weight)
+            gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
+            error = P @ gain @ (b + A @ error)
+            poses = self.poses.moved(error)
+        inflation = relative_inflation(poses.p, max(1.0, self.settings.pixel_repeat * median))
+        cross = gain.T @ self.offset_cross
+        return RefinedPoses(poses.R, poses.p, inflation @ P @ gain @ inflation.T, inflation @ cross)
+
+    def posterior(self) -> KeyframePosterior:
+        """Return the joint posterior, oldest first (M23).
+
+        Covariances of the single motions are marginals in the world. The joint covariance is in the map frame, whose
+        offset from the world (`offset_world`) cameras cannot observe. GPS/INS corrections move all poses together.
+        """
+        K = len(self.stamps)
+        if not K:
+            return KeyframePosterior((), np.zeros((0, 0)))
+        refined = self.refined()
+        order = (CLONE * np.arange(K)[:, None] + POSITION_FIRST).ravel()
+        motions = tuple(self._keyframe(i, refined) for i in range(K))
+        return KeyframePosterior(motions, refined.covariance[np.ix_(order, order)])
+
+    def _keyframe(self, i: int, refined: RefinedPoses) -> Motion:
+        """Return one refined clone as a motion."""
+        rows = CLONE * i + POSITION_FIRST
+        rig = Pose(refined.R[i], refined.p[i])
+        body = Pose(refined.R[i] @ so3_exp(self.mount).T, refined.p[i])
+        own, cross = refined.covariance[np.ix_(rows, rows)], refined.offset_cross[rows]
+        return Motion(
+            self.stamps[i],
+            body,
+            tuple(rig @ c for c in self.cams),
+            moment_in_world(own, cross, self.offset, self.offset_covariance),
+            offset_world=self.offset,
+            frame_id=self.map_number,
+        )
 
 
 def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
@@ -73,7 +145,7 @@ def rigid_posterior(motions: Sequence[Motion]) -> KeyframePosterior | None:
 def _well_known(constraint: PoseConstraint, x: F64, poses: WindowPoses, share: float) -> Mask:
     """(N,) features whose largest sigma is less than a share of their distance from the last pose."""
     distance = np.linalg.norm(x - poses.p[-1], axis=1)
-    well_known = np.sqrt(np.linalg.eigvalsh(constraint.point_covariance)[:, -1]) < share * distance
+    well_known = largest_sigma(constraint.point_covariance) < share * distance
     return np.asarray(well_known & (constraint.freedom > 0))
 
 
@@ -92,9 +164,3 @@ def relative_inflation(p: F64, factor: float, reference: int = -1) -> F64:
     columns = slice(CLONE * reference, CLONE * (reference + 1))
     out[:, columns] += (1.0 - root) * by_reference.reshape(CLONE * k, CLONE)
     return np.asarray(out)
-
-
-def _moved(poses: WindowPoses, error: F64) -> WindowPoses:
-    """Return the poses with (6K,) errors added."""
-    e = error.reshape(-1, CLONE)
-    return replace(poses, R=so3_exp(e[:, :3]) @ poses.R, p=poses.p + e[:, 3:])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,9 +11,15 @@ from scipy.stats import chi2
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
 from alight.motion.ekf.health import GateCounts
-from alight.motion.ekf.state import CLONE, LANDMARK, Clone, FilterState, Landmark
+from alight.motion.ekf.landmark_kernels import (
+    gate_distances,
+    innovation_of,
+    linearise_points,
+    project_covariance,
+)
+from alight.motion.ekf.state import CLONE, LANDMARK, FilterState, Landmarks
 from alight.motion.elimination import PoseConstraint, unit_noise_rows
-from alight.motion.projection import depths, jacobians, project
+from alight.motion.observations import cameras_at, positions
 from alight.motion.robust import median_residual, robust_weights
 from alight.motion.triangulation import NEAR
 
@@ -48,51 +54,61 @@ class Gate:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkRows:
-    """Linearised observations of N landmarks from one clone, 2 rows a camera, in sigmas; unobserved rows are zero."""
+    """Linearised observations of N landmarks from the last clone, m = 2 rows a camera, in sigmas.
 
+    Rows that are not observed are zero.
+    """
+
+    pose: int  # first row of the clone in `P`
+    points: I64  # (N,) first row of each landmark
     residual: F64  # (N, m)
-    by_clone: F64  # (N, m, 6)
-    by_landmark: F64  # (N, m, 3)
-    observed: Mask  # (N, m)
+    by_pose: F64  # (N, m, 6)
+    by_point: F64  # (N, m, 3)
+    count: I64  # (N,) rows observed
+    HP: F64  # (N, m, n) their covariance with all errors
 
-    def select(self, which: Mask) -> LandmarkRows:
-        """Return the rows of some landmarks."""
-        return LandmarkRows(self.residual[which], self.by_clone[which], self.by_landmark[which], self.observed[which])
+    def distances(self) -> F64:
+        """Return the (N,) squared Mahalanobis distances."""
+        out = np.empty(len(self.count))
+        gate_distances(self.HP, self.pose, self.points, self.by_pose, self.by_point, self.residual, out)
+        return out
 
-    def scaled(self, factor: F64) -> LandmarkRows:
-        """Return all rows of each landmark times its (N,) factor."""
-        return LandmarkRows(
-            self.residual * factor[:, None],
-            self.by_clone * factor[:, None, None],
-            self.by_landmark * factor[:, None, None],
-            self.observed,
-        )
+    def correct(self, state: FilterState, weight: F64) -> None:
+        """Update the state by the landmarks with a (N,) weight above zero."""
+        used = np.argwhere((weight > 0)[:, None] & self.by_point.any(axis=2))
+        innovation, S = np.empty(len(used)), np.empty((len(used), len(used)))
+        rows = np.empty((len(used), self.HP.shape[2]))
+        given = self.HP, self.pose, self.points, self.by_pose, self.by_point, self.residual
+        innovation_of(*given, used, np.sqrt(weight), rows, S, innovation)
+        state.correct_by(innovation, rows, S)
 
 
 def linearise_landmarks(
-    clone: Clone, x: F64, first_x: F64, normalised: F64, cams: Sequence[Pose], sigma: F64
+    state: FilterState, index: I64, normalised: F64, sigma: F64, cams: Sequence[Pose]
 ) -> LandmarkRows:
     """Residuals at the estimates, Jacobians at the first estimates (M11; Huang et al. 2008).
 
     Args:
-        clone: pose of the rig.
-        x, first_x: (N, 3) landmarks, world.
+        state: with the clone of this exposure as the last one.
+        index: (N,) of the landmarks.
         normalised: (N, cameras, 2) observations, NaN = not observed.
-        cams: rig_from_cam.
         sigma: (N,) of a normalised coordinate.
+        cams: rig_from_cam.
     """
-    n, m = len(x), 2 * len(cams)
-    residual, observed = np.zeros((n, m)), np.zeros((n, m), bool)
-    by_clone, by_landmark = np.zeros((n, m, CLONE)), np.zeros((n, m, LANDMARK))
-    for i, cam in enumerate(cams):
-        rows = slice(2 * i, 2 * i + 2)
-        ok = np.isfinite(normalised[:, i, 0]) & (depths(clone.R, clone.p, cam, x) > NEAR)
-        ok &= depths(clone.first_R, clone.first_p, cam, first_x) > NEAR
-        residual[ok, rows] = normalised[ok, i] - project(clone.R, clone.p, cam, x[ok])
-        by_clone[ok, rows], by_landmark[ok, rows] = jacobians(clone.first_R, clone.first_p, cam, first_x[ok])
-        observed[ok, rows] = True
-    unit = 1.0 / sigma[:, None]
-    return LandmarkRows(residual * unit, by_clone * unit[..., None], by_landmark * unit[..., None], observed)
+    n, m = len(index), 2 * len(cams)
+    poses, q = state.clones.poses, state.landmarks
+    (R, p), (first_R, first_p) = (
+        cameras_at(a[-1:], b[-1:], cams) for a, b in ((poses.R, poses.p), (poses.first_R, poses.first_p))
+    )
+    residual, by_pose, by_point = np.empty((n, m)), np.empty((n, m, CLONE)), np.empty((n, m, LANDMARK))
+    count, HP = np.empty(n, np.int64), np.empty((n, m, len(state.P)))
+    linearise_points(
+        q.x[index], q.first_x[index], normalised, sigma, R[0], p[0], first_R[0], first_p[0], poses.first_p[-1], NEAR,
+        residual, by_pose, by_point, count,
+    )  # fmt: skip
+    pose, points = state.landmark_start - CLONE, state.landmark_start + LANDMARK * index
+    project_covariance(state.P, pose, points, by_pose, by_point, HP)
+    return LandmarkRows(pose, points, residual, by_pose, by_point, count, HP)
 
 
 def update_landmarks(
@@ -106,75 +122,47 @@ def update_landmarks(
         cams: rig_from_cam.
         gate: of one landmark.
     """
-    held = np.array([x.id for x in state.landmarks], dtype=np.int64)
-    index, column = _common(held, ids)
+    column = positions(ids, state.landmarks.ids)
+    index = np.flatnonzero(column >= 0)
     if not len(index):
         return GateCounts()
-    landmarks, clone = [state.landmarks[i] for i in index], len(state.clones) - 1
-    x, first_x = np.array([q.x for q in landmarks]), np.array([q.first_x for q in landmarks])
-    rows = linearise_landmarks(state.clones[clone], x, first_x, normalised[column], cams, sigma[column])
-    tried, distance = np.asarray(rows.observed.any(axis=1)), _mahalanobis(state, clone, index, rows)
-    count = rows.observed.sum(axis=1)
-    passed = tried & (distance <= gate.limits(count))
-    for q, failed in zip(landmarks, tried & ~passed, strict=True):
-        q.rejections = q.rejections + 1 if failed else 0
+    column = column[index]
+    rows = linearise_landmarks(state, index, normalised[column], sigma[column], cams)
+    tried, distance = rows.count > 0, rows.distances()
+    passed = tried & (distance <= gate.limits(rows.count))
+    rejections = state.landmarks.rejections.copy()
+    rejections[index] = np.where(tried & ~passed, rejections[index] + 1, 0)
+    state.landmarks = replace(state.landmarks, rejections=rejections)
     if passed.any():
-        misfit = distance / np.maximum(count, 1)
-        weight = robust_weights(misfit, median_residual(misfit[tried]))
-        reject_moving([q for q, ok in zip(landmarks, tried, strict=True) if ok], rows.residual[tried])
-        _correct(state, clone, index[passed], rows.scaled(np.sqrt(weight)).select(passed))
-    mean = float(distance[passed].sum() / max(count[passed].sum(), 1))
+        misfit = distance / np.maximum(rows.count, 1)
+        weight = passed * robust_weights(misfit, median_residual(misfit[tried]))
+        state.landmarks = reject_moving(state.landmarks, index[tried], rows.residual[tried])
+        rows.correct(state, weight)
+    mean = float(distance[passed].sum() / max(rows.count[passed].sum(), 1))
     return GateCounts(int(passed.sum()), int((tried & ~passed).sum()), mean)
 
 
-def reject_moving(landmarks: Sequence[Landmark], residual: F64) -> None:
+def reject_moving(landmarks: Landmarks, index: I64, residual: F64) -> Landmarks:
     """Mark landmarks whose residual keeps its sign, exposure after exposure: they move slowly.
 
     Args:
-        landmarks: N of them; `rejections` is set to `MAX_REJECTIONS` where they move.
+        landmarks: `rejections` is set to `MAX_REJECTIONS` where they move.
+        index: (N,) of those observed in this exposure.
         residual: (N, m) of this exposure, in sigmas.
     """
-    for q, r in zip(landmarks, residual, strict=True):
-        q.mean_residual = q.mean_residual + _RESIDUAL_GAIN * (r - q.mean_residual)
-        q.mean_square = q.mean_square + _RESIDUAL_GAIN * (float(r @ r) - q.mean_square)
+    mean, square = landmarks.mean_residual.copy(), landmarks.mean_square.copy()
+    rejections = landmarks.rejections.copy()
+    mean[index] += _RESIDUAL_GAIN * (residual - mean[index])
+    square[index] += _RESIDUAL_GAIN * ((residual * residual).sum(axis=1) - square[index])
     by_chance = _RESIDUAL_GAIN / (2.0 - _RESIDUAL_GAIN)  # variance of the running mean of white residuals
-    limit = _MAX_MEAN_RESIDUAL * by_chance * median_residual(np.array([q.mean_square for q in landmarks]))
-    for q in landmarks:
-        q.rejections = MAX_REJECTIONS if q.mean_residual @ q.mean_residual > limit else q.rejections
+    limit = _MAX_MEAN_RESIDUAL * by_chance * median_residual(square[index])
+    rejections[index[(mean[index] ** 2).sum(axis=1) > limit]] = MAX_REJECTIONS
+    return replace(landmarks, mean_residual=mean, mean_square=square, rejections=rejections)
 
 
-def _common(held: I64, ids: I64) -> tuple[I64, I64]:
-    """Return which of the landmarks held are among sorted ids: (index of the landmark, index in ids)."""
-    i = np.searchsorted(ids, held)
-    present = (i < len(ids)) & (ids[np.minimum(i, len(ids) - 1)] == held) if len(ids) else np.zeros(len(held), bool)
-    return np.flatnonzero(present), i[present]
-
-
-def _mahalanobis(state: FilterState, clone: int, index: I64, rows: LandmarkRows) -> F64:
-    """Squared Mahalanobis distance of every landmark by the covariance of its own rows."""
-    pose = np.arange(len(state.P))[state.clone_slice(clone)]
-    columns = np.hstack([np.broadcast_to(pose, (len(index), len(pose))), state.landmark_rows(index)])  # (N, 9)
-    H = np.concatenate([rows.by_clone, rows.by_landmark], axis=2)
-    S = H @ state.P[columns[:, :, None], columns[:, None, :]] @ H.transpose(0, 2, 1)
-    S += np.eye(S.shape[1])
-    return np.asarray((rows.residual * np.linalg.solve(S, rows.residual[..., None])[..., 0]).sum(axis=1))
-
-
-def _correct(state: FilterState, clone: int, index: I64, rows: LandmarkRows) -> None:
-    """Update the state by the rows of landmarks seen from one clone."""
-    n, m = rows.residual.shape
-    pose = np.arange(len(state.P))[state.clone_slice(clone)]
-    columns = np.concatenate([pose, state.landmark_rows(index).ravel()])
-    H = np.zeros((n, m, len(columns)))
-    H[:, :, :CLONE] = rows.by_clone
-    k = np.arange(n)
-    for j in range(LANDMARK):
-        H[k, :, CLONE + LANDMARK * k + j] = rows.by_landmark[:, :, j]
-    observed = rows.observed.ravel()
-    state.correct(rows.residual.ravel()[observed], H.reshape(n * m, -1)[observed], columns)
-
-
-def initialise_landmarks(state: FilterState, ids: I64, x: F64, constraint: PoseConstraint, gate: Gate) -> Mask:
+def initialise_landmarks(
+    state: FilterState, ids: I64, x: F64, constraint: PoseConstraint, gate: Gate, rows: int
+) -> Mask:
     """Move N tracks from the window into the state, if their observations agree (M17); (N,) which were moved.
 
     Delayed initialisation: the observations of a track are split into two independent parts. The part that does not
@@ -186,8 +174,9 @@ def initialise_landmarks(state: FilterState, ids: I64, x: F64, constraint: PoseC
         ids, x: (N,), (N, 3) the tracks and their triangulated points.
         constraint: of these tracks, linearised at `x`.
         gate: of one track.
+        rows: of one exposure's observations of a point.
     """
-    columns = state.clone_rows()
+    columns = state.clone_rows
     P = state.P[columns]
     passed = constraint.mahalanobis(P[:, columns]) <= gate.limits(constraint.freedom)
     misfit = constraint.misfit / np.maximum(constraint.freedom, 1)
@@ -195,13 +184,13 @@ def initialise_landmarks(state: FilterState, ids: I64, x: F64, constraint: PoseC
     if not passed.any():
         return passed
     constraint, x = constraint.select(passed), x[passed]
-    G = constraint.point_by_poses().reshape(-1, len(columns))  # negated
-    covariance = G @ P[:, columns] @ G.T
+    G = constraint.point_by_poses().reshape(-1, len(P))  # negated
+    cross = G @ P
+    covariance = cross[:, columns] @ G.T
     for i, given_poses in enumerate(constraint.point_covariance):
         at = slice(LANDMARK * i, LANDMARK * (i + 1))
         covariance[at, at] += given_poses
-    best = x + constraint.step
-    landmarks = [Landmark(int(k), best[i], x[i]) for i, k in enumerate(ids[passed])]  # Jacobians were taken at x
-    state.add_landmarks(landmarks, -G @ P, covariance)
+    landmarks = Landmarks.new(ids[passed], x + constraint.step, x, rows)  # Jacobians were taken at x
+    state.add_landmarks(landmarks, -cross, covariance)
     state.correct(*unit_noise_rows(*constraint.information(np.ones(len(x)))), columns)
     return passed

@@ -6,10 +6,11 @@ from collections import deque
 from dataclasses import dataclass
 
 from alight.motion.ekf.filter import MotionFilter
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.memory import Snapshot
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.motion.ekf.state import FilterState
-from alight.records import ImuSample, KeyframePosterior, Motion, NavSample, Prediction, RefinedMotions, Rig, Tracks
+from alight.records import ImuSample, Motion, NavSample, Prediction, RefinedMotions, Rig, Tracks
 from alight.settings import FilterSettings
 
 _MIN_AHEAD_NS = 3_000_000  # ns by which an exposure must lie after its stamp for the IMU to be waited for
@@ -76,13 +77,13 @@ class RollbackFilter:
         if last is None or not isinstance(last.event, Tracks) or last.t_ns - last.event.t_ns < _MIN_AHEAD_NS:
             return
         imu = self._filter.imu
-        if imu and last.imu_ns < last.t_ns <= imu[-1].t_ns:
+        if len(imu) and last.imu_ns < last.t_ns <= imu.last_ns:
             self._filter.restore(self._processed.pop().before)
             self._take(last.event)
 
     def _take(self, event: NavSample | Tracks) -> Motion | None:
         if self._reach_ns:
-            imu_ns = self._filter.imu[-1].t_ns if self._filter.imu else 0
+            imu_ns = self._filter.imu.last_ns if len(self._filter.imu) else 0
             self._processed.append(_Processed(self._filter.time_of(event), event, self._filter.snapshot(), imu_ns))
             while self._processed[0].t_ns < self._processed[-1].t_ns - self._reach_ns:
                 self._processed.popleft()
@@ -104,9 +105,9 @@ class RollbackFilter:
         """Return the predictor of later exposures; None before the first GPS/INS row."""
         return self._filter.predictor()
 
-    def posterior(self) -> KeyframePosterior:
-        """Return the joint posterior of the keyframe window, oldest first (M23)."""
-        return self._filter.posterior()
+    def keyframes(self) -> KeyframeWindow | None:
+        """Return the keyframe window by value (M23); None without keyframes."""
+        return self._filter.keyframes()
 
     def smoothed(self) -> list[Motion]:
         """Return the motions of all exposures so far, smoothed together (M18-M22)."""

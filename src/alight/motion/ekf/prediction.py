@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
-from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +15,10 @@ from alight.motion.dynamics import (
     inertial_step,
     inertial_transition,
 )
-from alight.motion.ekf.state import ACC, CLONE, GYRO, MOTION, MOUNT, POS, TIME, VEL, Clone, FilterState
+from alight.motion.ekf.state import ACC, CLONE, GYRO, MOTION, MOUNT, POS, TIME, VEL, FilterState
+from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, preintegrate, segments
-from alight.records import ImuSample, Prediction
+from alight.records import Prediction
 from alight.settings import FilterSettings
 
 _CORE = np.r_[MOTION, MOUNT]  # errors of a state on which predicted poses depend
@@ -32,13 +30,18 @@ def instant(stamp_ns: int, core: F64) -> int:
     return stamp_ns - round(float(core[TIME][0]) * 1e9)
 
 
-def preintegrated(
-    imu: Sequence[ImuSample], start_ns: int, end_ns: int, core: F64, noise: FilterSettings
-) -> Preintegral:
+def preintegrated(imu: ImuBuffer, start_ns: int, end_ns: int, core: F64, noise: FilterSettings) -> Preintegral:
     """Preintegrate the IMU from `start_ns` to `end_ns` at the biases of `core` (M4-M6)."""
-    first = max(bisect_left(imu, start_ns, key=lambda s: s.t_ns) - 1, 0)
-    pieces = segments([imu[i] for i in range(first, len(imu))], start_ns, end_ns)
-    return preintegrate(pieces, core[GYRO], core[ACC], noise)
+    return preintegrate(segments(imu, start_ns, end_ns), core[GYRO], core[ACC], noise)
+
+
+@dataclass(frozen=True, eq=False)
+class LastClone:
+    """Pose of the rig at the last exposure."""
+
+    t_ns: int  # its stamp
+    R: F64  # (3, 3) world_from_rig
+    p: F64  # (3,) m
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +51,7 @@ class MotionPredictor:
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) as in `FilterState`
-    last: Clone | None  # pose of the rig at the last exposure
+    last: LastClone | None  # pose of the rig at the last exposure
     P: F64  # (24, 24) joint: `last` (6; zero without it), ATT to ACC, MOUNT
     cams: tuple[Pose, ...]  # body_from_cam
     inertial: bool
@@ -57,13 +60,14 @@ class MotionPredictor:
     @classmethod
     def of(cls, state: FilterState, cams: tuple[Pose, ...], inertial: bool, noise: FilterSettings) -> MotionPredictor:
         """Copy the relevant part of a state."""
-        last = copy(state.clones[-1]) if state.clones else None
+        c = state.clones
+        last = LastClone(c.stamps[-1], c.poses.R[-1], c.poses.p[-1]) if len(c) else None
         rows = _CORE if last is None else np.r_[state.clone_slice(len(state.clones) - 1), _CORE]
         P = np.zeros((CLONE + len(_CORE), CLONE + len(_CORE)))
         P[-len(rows) :, -len(rows) :] = state.P[np.ix_(rows, rows)]
         return cls(state.t_ns, state.R, state.core.copy(), last, P, cams, inertial, noise)
 
-    def cameras(self, stamp_ns: int, before_ns: int | None, imu: Sequence[ImuSample]) -> Prediction:
+    def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:
         """Predict the cameras at an exposure, relative to that at `before_ns`; for a past exposure: as they are now."""
         last = self.last if self.last is not None and self.last.t_ns == before_ns else None
         if last is None and before_ns is not None and (before := instant(before_ns, self.core)) >= self.t_ns:
@@ -74,10 +78,10 @@ class MotionPredictor:
             return Prediction(now)
         return Prediction(now, self._cameras_of(last.R, last.p), self._relative_covariance(last, after, F, Q))
 
-    def _propagated(self, t_ns: int, imu: Sequence[ImuSample]) -> tuple[Step, F64, F64]:
+    def _propagated(self, t_ns: int, imu: ImuBuffer) -> tuple[Step, F64, F64]:
         """Return the step to a later time, its (15, 15) transition and noise."""
         here = Step(self.R, self.core[POS], self.core[VEL])
-        if self.inertial and imu:
+        if self.inertial and len(imu):
             m = preintegrated(imu, self.t_ns, t_ns, self.core, self.noise)
             after = inertial_step(self.R, here.position, here.velocity, m)
             return after, *inertial_transition(here, after, m)
@@ -85,7 +89,7 @@ class MotionPredictor:
         after = constant_step(self.R, here.position, here.velocity, rate, dt)
         return after, *constant_transition(self.R, rate, dt, self.noise)
 
-    def _at_exposure(self, stamp_ns: int, t_ns: int, imu: Sequence[ImuSample]) -> MotionPredictor:
+    def _at_exposure(self, stamp_ns: int, t_ns: int, imu: ImuBuffer) -> MotionPredictor:
         """Return the predictor at an exposure that the state has not processed yet."""
         after, F, Q = self._propagated(t_ns, imu)
         core, P = self.core.copy(), self.P.copy()
@@ -97,10 +101,10 @@ class MotionPredictor:
         H = np.eye(len(P))
         H[:CLONE], H[:3, CLONE : CLONE + 3], H[3:CLONE, CLONE + 3 : 2 * CLONE] = 0.0, np.eye(3), np.eye(3)
         H[:3, -3:] = after.R
-        last = Clone(stamp_ns, R, after.position, R, after.position)
+        last = LastClone(stamp_ns, R, after.position)
         return replace(self, t_ns=t_ns, R=after.R, core=core, last=last, P=H @ P @ H.T)
 
-    def _relative_covariance(self, last: Clone, after: Step, F: F64, Q: F64) -> F64:
+    def _relative_covariance(self, last: LastClone, after: Step, F: F64, Q: F64) -> F64:
         """(6, 6) covariance of the rotation and shift that take earlier points to camera 0 (`Prediction`)."""
         cam, rig = self.cams[0], after.R @ so3_exp(self.core[MOUNT])
         cam_from_world, arms = (rig @ cam.rotation).T, (last.R @ cam.translation, rig @ cam.translation)

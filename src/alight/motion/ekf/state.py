@@ -6,16 +6,15 @@ Attitude errors are in the world frame: `R = exp(theta) R_hat`, `p = p_hat + dp`
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
-from scipy.linalg.blas import dtrsm
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf
 
-from alight.arrays import F64
+from alight.arrays import F64, I64
 from alight.geometry import so3_exp
+from alight.motion.ekf.state_kernels import insert_rows, keep_rows, mirror_lower
 from alight.motion.observations import WindowPoses
 
 ATT = slice(0, 3)  # rad, body attitude
@@ -37,64 +36,88 @@ LANDMARK = 3
 _UNMODELLED = (1.0, 2.0)  # rad/s^2, m/s^2: accelerations that M27 leaves out
 
 
-@dataclass(eq=False)
-class Clone:
-    """The pose of the rig at an earlier exposure, and its first estimate, where Jacobians are taken."""
+@dataclass(frozen=True, eq=False)
+class Clones:
+    """Poses of the rig at K earlier exposures, oldest first."""
 
-    t_ns: int  # stamp of the exposure
-    R: F64  # (3, 3) world_from_rig
-    p: F64  # (3,) m
-    first_R: F64  # noqa: N815
-    first_p: F64
+    stamps: tuple[int, ...]  # ns
+    poses: WindowPoses  # K, with their first estimates, where Jacobians are taken
+
+    @classmethod
+    def none(cls) -> Clones:
+        """Return no clones."""
+        return cls((), WindowPoses(*(np.zeros((0, *shape)) for shape in ((3, 3), (3,)) * 2)))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def with_pose(self, t_ns: int, R: F64, p: F64) -> Clones:
+        """Return these clones and one more."""
+        w = self.poses
+        R, p = R[None], p[None]
+        arrays = (np.concatenate(pair) for pair in ((w.R, R), (w.p, p), (w.first_R, R), (w.first_p, p)))
+        return Clones((*self.stamps, t_ns), WindowPoses(*arrays))
+
+    def select(self, kept: Sequence[int]) -> Clones:
+        """Return some clones."""
+        w, at = self.poses, list(kept)
+        return Clones(tuple(self.stamps[i] for i in at), WindowPoses(w.R[at], w.p[at], w.first_R[at], w.first_p[at]))
 
 
-@dataclass(eq=False)
-class Landmark:
-    """One point x_i of the paper's state."""
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """N points x_i of the paper's state."""
 
-    id: int
-    x: F64  # (3,) m, world
-    first_x: F64
-    rejections: int = 0  # exposures in a row in which it failed its gate
-    mean_residual: F64 = field(default_factory=lambda: np.zeros(1))  # of the last exposures, in sigmas
-    mean_square: float = 0.0  # of the same residuals
+    ids: I64  # (N,)
+    x: F64  # (N, 3) m, world
+    first_x: F64  # (N, 3) where Jacobians are taken
+    rejections: I64  # (N,) exposures in a row in which it failed its gate
+    mean_residual: F64  # (N, m) of the last exposures, in sigmas
+    mean_square: F64  # (N,) of the same residuals
+
+    @classmethod
+    def new(cls, ids: I64, x: F64, first_x: F64, rows: int) -> Landmarks:
+        """Return landmarks that are observed by `rows` numbers an exposure."""
+        n = len(ids)
+        return cls(ids, x, first_x, np.zeros(n, np.int64), np.zeros((n, rows)), np.zeros(n))
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def select(self, kept: I64) -> Landmarks:
+        """Return some landmarks."""
+        return Landmarks(*(getattr(self, f.name)[kept] for f in fields(self)))
+
+    def joined(self, other: Landmarks) -> Landmarks:
+        """Return these landmarks and others."""
+        if not len(self):
+            return other
+        return Landmarks(*(np.concatenate([getattr(self, f.name), getattr(other, f.name)]) for f in fields(self)))
 
 
 @dataclass(eq=False)
 class FilterState:
-    """Core, clones and landmarks; `P` follows that order."""
+    """Core, clones and landmarks; `P` follows that order. Clones and landmarks are replaced, never changed."""
 
     t_ns: int
     R: F64  # (3, 3) world_from_body
     core: F64  # (31,) values of the slices; ATT stays zero, R holds the attitude
     P: F64  # (n, n)
-    clones: list[Clone] = field(default_factory=list)
-    landmarks: list[Landmark] = field(default_factory=list)
+    clones: Clones = field(default_factory=Clones.none)
+    landmarks: Landmarks = field(
+        default_factory=lambda: Landmarks.new(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), 0)
+    )
     rate: F64 = field(default_factory=lambda: np.zeros(3))  # rad/s, angular velocity in the body frame
     rate_variance: float = 0.0  # (rad/s)^2
 
     def copy(self) -> FilterState:
         """Return an independent copy."""
-        clones, landmarks = [copy(c) for c in self.clones], [copy(x) for x in self.landmarks]
-        return replace(self, core=self.core.copy(), P=self.P.copy(), clones=clones, landmarks=landmarks)
+        return replace(self, core=self.core.copy(), P=self.P.copy())
 
     @property
     def rig(self) -> F64:
         """(3, 3) world_from_rig: the attitude with the mounting correction."""
         return self.R @ so3_exp(self.core[MOUNT])
-
-    def in_world(self, covariance: F64, by_offset: F64) -> F64:
-        """Return the (6, 6) second moment of the error of a map pose (position, rotation) in the world.
-
-        Args:
-            covariance: (6, 6) of the pose in the map frame.
-            by_offset: (6, 3) cross covariance with the offset of the map.
-        """
-        out = covariance.copy()
-        out[:, :3] += by_offset
-        out[:3, :] += by_offset.T
-        out[:3, :3] += self.P[OFFSET, OFFSET] + np.outer(self.core[OFFSET], self.core[OFFSET])
-        return out
 
     def clone_slice(self, index: int) -> slice:
         """Rows of a clone in `P`."""
@@ -111,42 +134,28 @@ class FilterState:
         """Row of the first landmark in `P`."""
         return CORE + CLONE * len(self.clones)
 
-    def clone_rows(self) -> NDArray[np.int64]:
+    @property
+    def clone_rows(self) -> slice:
         """Rows of all clones in `P`."""
-        return np.arange(CORE, self.landmark_start)
-
-    def landmark_rows(self, index: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(N, 3) rows in `P` of (N,) landmarks."""
-        return self.landmark_start + LANDMARK * index[:, None] + np.arange(LANDMARK)
-
-    def window_poses(self) -> WindowPoses:
-        """The poses of the clones."""
-        c = self.clones
-        return WindowPoses(
-            np.array([x.R for x in c]),
-            np.array([x.p for x in c]),
-            np.array([x.first_R for x in c]),
-            np.array([x.first_p for x in c]),
-        )
+        return slice(CORE, self.landmark_start)
 
     def relinearise(self) -> None:
         """Take Jacobians at the present estimates from now on."""
-        for c in self.clones:
-            c.first_R, c.first_p = c.R, c.p
-        for x in self.landmarks:
-            x.first_x = x.x
+        w = self.clones.poses
+        self.clones = Clones(self.clones.stamps, WindowPoses(w.R, w.p, w.R, w.p))
+        self.landmarks = replace(self.landmarks, first_x=self.landmarks.x)
 
     def add_clone(self, t_ns: int) -> None:
         """Append the present pose of the rig to the clones, as that of an exposure stamped `t_ns`.
 
         Its Jacobian by the time offset: a stamp further ahead than assumed means an earlier pose (M27).
         """
-        J = np.zeros((CLONE, len(self.P)))
+        J = np.zeros((CLONE, CORE))
         J[0:3, ATT], J[0:3, MOUNT], J[3:6, POS] = np.eye(3), self.R, np.eye(3)
         J[0:3, TIME], J[3:6, TIME] = -(self.R @ self.rate)[:, None], -self.core[VEL][:, None]
-        self.P = _insert(self.P, self.landmark_start, J @ self.P, J @ self.P @ J.T + self._time_offset_noise())
-        R, p = self.rig, self.core[POS].copy()
-        self.clones.append(Clone(t_ns, R, p, R, p))
+        cross = J @ self.P[:CORE]
+        self._insert(self.landmark_start, cross, cross[:, :CORE] @ J.T + self._time_offset_noise())
+        self.clones = self.clones.with_pose(t_ns, self.rig, self.core[POS])
 
     def _time_offset_noise(self) -> F64:
         """(6, 6) covariance that M27 leaves out while the time offset is uncertain: errors and changes of the rates.
@@ -158,61 +167,91 @@ class FilterState:
         position = time * velocity + (0.5 * time * _UNMODELLED[1]) ** 2
         return np.diag(np.repeat([rotation, position], 3))
 
-    def add_landmarks(self, landmarks: Sequence[Landmark], cross: F64, covariance: F64) -> None:
+    def add_landmarks(self, landmarks: Landmarks, cross: F64, covariance: F64) -> None:
         """Append m landmarks.
 
         Args:
             cross: (3m, n) covariance of the landmarks with the state.
             covariance: (3m, 3m) of the landmarks.
         """
-        self.P = _insert(self.P, len(self.P), cross, covariance)
-        self.landmarks.extend(landmarks)
+        self._insert(len(self.P), cross, covariance)
+        self.landmarks = self.landmarks.joined(landmarks)
 
-    def drop(self, clones: Sequence[int] = (), landmarks: Sequence[int] = ()) -> None:
+    def _insert(self, at: int, cross: F64, own: F64) -> None:
+        """Insert k errors at a row: covariance `own` (k, k), and `cross` (k, n) with the others."""
+        n = len(self.P) + len(own)
+        out = np.empty((n, n))
+        insert_rows(self.P, at, cross, own, out)
+        self.P = out
+
+    def drop(self, clones: Sequence[int] = (), landmarks: I64 | Sequence[int] = ()) -> None:
         """Marginalise clones and landmarks by index."""
-        rows = [np.arange(len(self.P))[self.clone_slice(i)] for i in clones]
-        rows += [np.arange(len(self.P))[self.landmark_slice(i)] for i in landmarks]
-        if rows:
-            keep = np.ones(len(self.P), bool)
-            keep[np.concatenate(rows)] = False
-            self.P = np.ascontiguousarray(self.P[np.ix_(keep, keep)])
-        self.clones = [c for i, c in enumerate(self.clones) if i not in set(clones)]
-        self.landmarks = [x for i, x in enumerate(self.landmarks) if i not in set(landmarks)]
+        if not len(clones) and not len(landmarks):
+            return
+        keep = np.ones(len(self.P), bool)
+        keep[self.clone_rows].reshape(-1, CLONE)[list(clones)] = False
+        keep[self.landmark_start :].reshape(-1, LANDMARK)[np.asarray(landmarks, dtype=np.int64)] = False
+        rows = np.flatnonzero(keep)
+        P = np.empty((len(rows), len(rows)))
+        keep_rows(self.P, rows, P)
+        kept = np.delete(np.arange(len(self.landmarks)), landmarks)
+        self.P, self.landmarks = P, self.landmarks.select(kept)
+        self.clones = self.clones.select([i for i in range(len(self.clones)) if i not in set(clones)])
 
-    def correct(self, residual: F64, H: F64, columns: NDArray[np.int64]) -> None:
+    def correct(self, residual: F64, H: F64, columns: slice | I64) -> None:
         """EKF update by a measurement of unit noise: `residual = H error[columns] + noise`, H (m, len(columns))."""
+        HP = H @ self.P[columns]
+        self.correct_by(residual, HP, HP[:, columns] @ H.T)
+
+    def correct_by(self, residual: F64, HP: F64, S: F64) -> None:
+        """EKF update by a measurement of unit noise.
+
+        Args:
+            residual: (m,)
+            HP: (m, n) covariance of the measured errors with all errors; overwritten.
+            S: (m, m) covariance of the measured errors without the noise, its lower half; overwritten.
+        """
         if not len(residual):
             return
-        HP = H @ self.P[columns]
-        S = HP[:, columns] @ H.T
         S[np.diag_indices(len(S))] += 1.0
-        L = np.linalg.cholesky(S)
-        half = dtrsm(1.0, L.T, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
-        self.P -= half @ half.T  # symmetric by construction
-        self._apply(half @ solve_triangular(L, residual, lower=True, check_finite=False))
+        U, failed = dpotrf(S.T, lower=0, clean=0, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of an innovation is not positive definite")
+        half = dtrsm(1.0, U, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
+        dsyrk(-1.0, half, 1.0, self.P.T, overwrite_c=1)  # symmetric by construction: one half is enough
+        mirror_lower(self.P)
+        self._apply(half @ dtrsm(1.0, U, residual[:, None], trans_a=1)[:, 0])
 
     def update(self, residual: F64, H: F64, noise: F64) -> None:
-        """EKF update by a measurement `residual = H error + noise` of all errors; `noise` (m,) variances."""
-        used, unit = np.flatnonzero(H.any(axis=0)), 1.0 / np.sqrt(noise)  # H is zero for most of the errors
-        self.correct(residual * unit, H[:, used] * unit[:, None], used)
+        """EKF update by a measurement `residual = H error + noise` of the core's errors.
+
+        Args:
+            residual: (m,)
+            H: (m, CORE).
+            noise: (m,) variances.
+        """
+        unit = 1.0 / np.sqrt(noise)
+        self.correct(residual * unit, H * unit[:, None], slice(0, CORE))
 
     def _apply(self, error: F64) -> None:
         """Add (n,) errors to the nominal values."""
         self.R = so3_exp(error[ATT]) @ self.R
         self.core[3:] += error[3:CORE]
-        e = error[CORE : self.landmark_start].reshape(-1, CLONE)
-        for c, rotation, shift in zip(self.clones, so3_exp(e[:, :3]), e[:, 3:], strict=True):
-            c.R, c.p = rotation @ c.R, c.p + shift
-        for x, shift in zip(self.landmarks, error[self.landmark_start :].reshape(-1, LANDMARK), strict=True):
-            x.x = x.x + shift
+        self.clones = Clones(self.clones.stamps, self.clones.poses.moved(error[self.clone_rows]))
+        x = self.landmarks.x + error[self.landmark_start :].reshape(-1, LANDMARK)
+        self.landmarks = replace(self.landmarks, x=x)
 
 
-def _insert(P: F64, at: int, cross: F64, own: F64) -> F64:
-    """Insert k rows and columns at `at`: covariance `own` (k, k), and `cross` (k, n) with the others."""
-    k, n = len(own), len(P)
-    out = np.empty((n + k, n + k))
-    old = np.r_[0:at, at + k : n + k]
-    out[np.ix_(old, old)] = P
-    out[at : at + k, old], out[np.ix_(old, np.arange(at, at + k))] = cross, cross.T
-    out[at : at + k, at : at + k] = own
+def moment_in_world(covariance: F64, by_offset: F64, offset: F64, offset_covariance: F64) -> F64:
+    """Return the (6, 6) second moment of the error of a map pose (position, rotation) in the world.
+
+    Args:
+        covariance: (6, 6) of the pose in the map frame.
+        by_offset: (6, 3) cross covariance with the offset of the map.
+        offset, offset_covariance: (3,) m, (3, 3) of the map.
+    """
+    out = covariance.copy()
+    out[:, :3] += by_offset
+    out[:3, :] += by_offset.T
+    out[:3, :3] += offset_covariance + np.outer(offset, offset)
     return out

@@ -11,11 +11,11 @@ from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera, Pose, so3_log
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
-from alight.motion.ekf.keyframe_posterior import RefinedPoses, refine_keyframes
+from alight.motion.ekf.keyframe_posterior import KeyframeWindow
 from alight.motion.ekf.landmarks import MAX_REJECTIONS, Gate, initialise_landmarks, update_landmarks
 from alight.motion.ekf.state import POS, FilterState
-from alight.motion.elimination import marginalise_points, unit_noise_rows
-from alight.motion.observations import WindowObservations
+from alight.motion.elimination import largest_sigma, marginalise_points, unit_noise_rows
+from alight.motion.observations import WindowObservations, positions
 from alight.motion.projection import observation_sigma
 from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
@@ -44,9 +44,9 @@ class VisualUpdate:
         """Return an independent copy."""
         return copy(self)  # attributes are replaced, never changed in place
 
-    def refined_keyframes(self, state: FilterState) -> RefinedPoses:
-        """Return the clones, refined with the unused observations (M23)."""
-        return refine_keyframes(state, self._unused, self._cams, self._settings)
+    def window(self, state: FilterState, map_number: int) -> KeyframeWindow:
+        """Return the clones with the unused observations, from which their posterior follows (M23)."""
+        return KeyframeWindow.of(state, self._unused, self._cams, self._settings, map_number)
 
     def on_exposure(self, state: FilterState, tracks: Tracks) -> GateCounts:
         """Take one exposure: use ended tracks, clone the pose, update landmarks, initialise new ones."""
@@ -56,11 +56,12 @@ class VisualUpdate:
         self._relinearise_if_stale(state, tracks.t_ns)
         dropped = self._clone_to_drop(state)
         counts = self._update_from_lost_tracks(state, ids, dropped)
-        lost = [i for i, x in enumerate(state.landmarks) if x.rejections >= MAX_REJECTIONS or not _contains(ids, x.id)]
-        state.drop(clones=dropped, landmarks=lost)
+        lost = (state.landmarks.rejections >= MAX_REJECTIONS) | (positions(ids, state.landmarks.ids) < 0)
+        state.drop(clones=dropped, landmarks=np.flatnonzero(lost))
         state.add_clone(tracks.t_ns)
         counts += update_landmarks(state, ids, normalised, sigma, self._cams, self._gate)
-        free = ~np.isin(ids, [x.id for x in state.landmarks])
+        seen = positions(ids, state.landmarks.ids)
+        free = np.delete(np.arange(len(ids)), seen[seen >= 0])
         self._unused = self._unused.without_poses(dropped).with_pose(ids[free], normalised[free], sigma[free])
         return counts + self._initialise_landmarks(state)
 
@@ -68,32 +69,31 @@ class VisualUpdate:
         """After a start with a wrong heading Jacobians are taken anew: between photos in place, else from scratch."""
         if not _is_stale(state):
             return
-        if (t_ns - state.clones[-1].t_ns) * 1e-9 > MAX_RATE_AGE:
+        if (t_ns - state.clones.stamps[-1]) * 1e-9 > MAX_RATE_AGE:
             state.relinearise()
         else:
             self.reset(state)
 
     def _clone_to_drop(self, state: FilterState) -> list[int]:
         """Return the index of the last clone if it is no keyframe, else of the oldest if there are too many."""
-        c = state.clones
-        baseline = self._settings.keyframe_baseline
-        if len(c) >= 3 and np.linalg.norm(c[-1].p - c[-2].p) < baseline * self._median_distance(state):
-            return [len(c) - 1]
-        return [0] if len(c) >= self._settings.clones else []
+        p, baseline = state.clones.poses.p, self._settings.keyframe_baseline
+        if len(p) >= 3 and np.linalg.norm(p[-1] - p[-2]) < baseline * self._median_distance(state):
+            return [len(p) - 1]
+        return [0] if len(p) >= self._settings.clones else []
 
     @staticmethod
     def _median_distance(state: FilterState) -> float:
         """Median distance of the landmarks, metres; 0 without any."""
-        if not state.landmarks:
+        if not len(state.landmarks):
             return 0.0
-        return float(np.median(np.linalg.norm(np.array([x.x for x in state.landmarks]) - state.core[POS], axis=1)))
+        return float(np.median(np.linalg.norm(state.landmarks.x - state.core[POS], axis=1)))
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
         """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
         unused = self._unused
         if not len(unused.ids):
             return GateCounts()
-        ended = ~np.isin(unused.ids, ids)
+        ended = positions(ids, unused.ids) < 0
         if dropped == [0]:
             ended |= unused.observed[:, 0]
         self._unused = unused.select(~ended)
@@ -103,12 +103,12 @@ class VisualUpdate:
         """Update the clones by tracks whose points are eliminated (MSCKF update)."""
         if not len(observations.ids):
             return GateCounts()
-        poses, columns = state.window_poses(), state.clone_rows()
+        poses, columns = state.clones.poses, state.clone_rows
         x = triangulate_window(observations, poses, self._cams)
         constraint = marginalise_points(observations, poses, self._cams, x)
         well_known = self._well_known(constraint.point_covariance, x, state, self._settings.vague_share)
         well_known &= constraint.freedom > 0
-        P, freedom = state.P[np.ix_(columns, columns)], np.maximum(constraint.freedom, 1)
+        P, freedom = state.P[columns, columns], np.maximum(constraint.freedom, 1)
         distance = constraint.mahalanobis(P)
         passed = well_known & (distance <= self._gate.limits(freedom))
         if passed.any():
@@ -124,7 +124,7 @@ class VisualUpdate:
     def _well_known(covariance: F64, x: F64, state: FilterState, share: float) -> Mask:
         """(N,) points whose largest sigma is less than a share of their distance."""
         distance = np.linalg.norm(x - state.core[POS], axis=1)
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]) < share * distance)
+        return np.asarray(largest_sigma(covariance) < share * distance)
 
     def _initialise_landmarks(self, state: FilterState) -> GateCounts:
         """Fill the free places for landmarks, longest tracks first."""
@@ -134,7 +134,7 @@ class VisualUpdate:
         if free <= 0 or not len(ready):
             return GateCounts()
         ready = ready[np.argsort(-length[ready], kind="stable")][: 2 * free]
-        poses, candidates = state.window_poses(), unused.select(ready)
+        poses, candidates = state.clones.poses, unused.select(ready)
         x = triangulate_window(candidates, poses, self._cams)
         constraint = marginalise_points(candidates, poses, self._cams, x)
         well_known = self._well_known(constraint.point_covariance, x, state, s.depth_share)
@@ -142,17 +142,14 @@ class VisualUpdate:
         if not len(tried):
             return GateCounts()
         chosen = ready[tried]
-        passed = initialise_landmarks(state, unused.ids[chosen], x[tried], constraint.select(tried), self._gate)
+        passed = initialise_landmarks(
+            state, unused.ids[chosen], x[tried], constraint.select(tried), self._gate, 2 * len(self._cams)
+        )
         self._unused = unused.select(np.setdiff1d(np.arange(len(unused.ids)), chosen[passed]))
         return GateCounts(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
-def _contains(ids: I64, id_: int) -> bool:
-    """Whether sorted ids contain one."""
-    i = int(np.searchsorted(ids, id_))
-    return i < len(ids) and int(ids[i]) == id_
-
-
 def _is_stale(state: FilterState) -> bool:
     """Whether the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
-    return any(float(np.linalg.norm(so3_log(c.R @ c.first_R.T))) > _MAX_LINEARISATION_ERROR for c in state.clones[:1])
+    w = state.clones.poses
+    return len(w.R) > 0 and float(np.linalg.norm(so3_log(w.R[0] @ w.first_R[0].T))) > _MAX_LINEARISATION_ERROR

@@ -7,7 +7,7 @@ Jacobians are taken at the solution: the poses of one flight come from one consi
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -40,6 +40,7 @@ from alight.motion.ekf.state import (
     VEL,
 )
 from alight.motion.gps_ins import ATTITUDE_ROWS, POSITION_ROWS, VELOCITY_ROWS, sigmas, whites
+from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral, corrected, preintegrate, segments
 from alight.motion.projection import POSITION_FIRST, observation_sigma
 from alight.motion.robust import cauchy
@@ -110,26 +111,25 @@ class _Batch:
         sigma = np.concatenate([observation_sigma(t, r.rig.cameras[0].camera, r.settings) for t in tracks])
         self._segments = TrackSegments(tracks, sigma, self._cams, self._span)
         self._nav_sigma = sigmas(r.nav[-1], r.settings) if r.nav else np.ones(9)
-        self._imu_motion = self._preintegrals(r.imu)
-        self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, r.imu)) is not None]
+        imu = ImuBuffer(r.imu)
+        self._imu_motion = self._preintegrals(imu)
+        self._nav_rows = [row for s in r.nav if (row := self._nav_row(s, imu)) is not None]
 
-    def _preintegrals(self, imu: list[ImuSample]) -> list[Preintegral | None]:
-        if not imu:
+    def _preintegrals(self, imu: ImuBuffer) -> list[Preintegral | None]:
+        if not len(imu):
             return [None] * (len(self._t) - 1)
         return [self._preintegrated(imu, k, b) for k, b in enumerate(self._t[1:])]
 
-    def _preintegrated(self, imu: list[ImuSample], k: int, end_ns: int) -> Preintegral:
-        a = max(bisect_left(imu, self._t[k], key=lambda s: s.t_ns) - 1, 0)
-        b = bisect_right(imu, end_ns, key=lambda s: s.t_ns) + 1
-        return preintegrate(segments(imu[a:b], self._t[k], end_ns), self._x[k, GYRO], self._x[k, ACC], self._settings)
+    def _preintegrated(self, imu: ImuBuffer, k: int, end_ns: int) -> Preintegral:
+        return preintegrate(segments(imu, self._t[k], end_ns), self._x[k, GYRO], self._x[k, ACC], self._settings)
 
-    def _nav_row(self, sample: NavSample, imu: list[ImuSample]) -> _NavRow | None:
+    def _nav_row(self, sample: NavSample, imu: ImuBuffer) -> _NavRow | None:
         k = bisect_right(self._t, sample.t_ns) - 1
         if k < 0:
             return None
         white = whites(sigmas(sample, self._settings), self._settings)
         dt = (sample.t_ns - self._t[k]) * 1e-9
-        return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns) if imu else None, sample, white)
+        return _NavRow(k, dt, self._preintegrated(imu, k, sample.t_ns) if len(imu) else None, sample, white)
 
     def run(self) -> RefinedMotions:
         """Gauss-Newton on all unknowns; the weights of observations follow the residuals."""

@@ -16,6 +16,7 @@ from typing import Protocol
 from alight.motion import RollbackFilter
 from alight.motion.ekf.keyframe_posterior import rigid_posterior
 from alight.motion.ekf.prediction import MotionPredictor
+from alight.motion.imu_buffer import ImuBuffer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory, sparse
 from alight.records import Event, Frame, ImuSample, Motion, MotionState, NavSample, RefinedMotions, Rig, Tracks
@@ -111,16 +112,18 @@ class TrackingHalf:
 
     def __init__(self, rig: Rig, settings: StageSettings, handover: Handover) -> None:
         self._tracker = Tracker(rig, settings.tracks)
-        self._imu: deque[ImuSample] = deque()
+        self._imu = ImuBuffer()
         self._handover = handover
         self._prediction: MotionPredictor | None = None
         self._known, self._exposure = -1, 0  # number of that prediction, and of the next exposure
 
     def track(self, batch: FrameBatch) -> TrackedFrame | None:
         """Follow the features into the exposure of a batch."""
-        self._imu.extend(e for e in batch.rows if isinstance(e, ImuSample))
-        while self._imu and self._imu[0].t_ns < self._imu[-1].t_ns - _IMU_NS:
-            self._imu.popleft()
+        for row in batch.rows:
+            if isinstance(row, ImuSample):
+                self._imu.append(row)
+        if len(self._imu):
+            self._imu.forget_before(self._imu.last_ns - _IMU_NS)
         if batch.frame is None:
             return None
         while self._known < prediction_for(self._exposure):
@@ -155,14 +158,14 @@ class FilterHalf:
             self._handover.put(self._filter.predictor())
 
     def update(self, tracked: TrackedFrame) -> Navigation | None:
-        """Take the features of an exposure: its motion, and the posterior of the keyframes."""
+        """Take the features of an exposure: its motion, and the keyframes."""
         motion = self._filter.feed_tracks(tracked.tracks)
         self._handover.put(self._filter.predictor())
         if motion is None:
             return None
         self._motions.append(motion)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(tracked.frame, motion, self._filter.posterior())
+        return Navigation(tracked.frame, motion, self._filter.keyframes())
 
     def refined(self) -> RefinedMotions:
         """The motions refined together; empty where that is not asked for or not possible."""
@@ -210,7 +213,7 @@ class FilterLane:
         self._filtering = FilterHalf(rig, settings, between, history)
 
     def feed(self, event: Event) -> Navigation | None:
-        """Take one event; an exposure gives its motion and the posterior of the keyframes."""
+        """Take one event; an exposure gives its motion and the keyframes."""
         batch = self.batch(event)
         if batch is None:
             return None

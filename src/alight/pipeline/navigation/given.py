@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,6 +16,17 @@ from alight.settings import MotionSettings
 
 GIVEN_SIGMA = 1e-3  # metres and radians, claimed of poses that are taken as they are
 LONGEST_GAP_NS = 1_000_000_000  # between given poses that are interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class GivenKeyframe:
+    """One given pose, whose errors are its own."""
+
+    motion: Motion
+
+    def posterior(self) -> KeyframePosterior:
+        """The motion by itself."""
+        return KeyframePosterior((self.motion,), self.motion.covariance)
 
 
 class GivenLane:
@@ -53,7 +65,7 @@ class GivenLane:
         cams = tuple(pose @ c.body_from_cam for c in self._rig.cameras)
         motion = Motion(event.t_ns, pose, cams, self._covariance)
         self._motions.append(motion)
-        return Navigation(event, motion, None if self._exact else KeyframePosterior((motion,), self._covariance))
+        return Navigation(event, motion, None if self._exact else GivenKeyframe(motion))
 
     def finish(self, progress: Progress) -> Trajectory:
         """The motions given out before; their errors are independent."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -18,15 +19,28 @@ TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
 _MOST_JOINT = 240  # poses of a joint posterior that no estimator gave; between them errors are interpolated
 
 
+class Keyframes(Protocol):
+    """The keyframes after an exposure, by value."""
+
+    def posterior(self) -> KeyframePosterior:
+        """Their joint posterior, computed from this record alone."""
+
+
 @dataclass(frozen=True, eq=False)
 class Navigation:
     """One exposure with everything that the other lanes may know of its motion, by value."""
 
     frame: Frame
     motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
-    posterior: KeyframePosterior | None = (
-        None  # joint posterior of the keyframes after this exposure; None: poses are exact
-    )
+    keyframes: Keyframes | None = None  # None: poses are exact
+
+    @cached_property
+    def posterior(self) -> KeyframePosterior | None:
+        """Joint posterior of the keyframes after this exposure; None: poses are exact.
+
+        It is computed when it is first asked for, by the lane that asks: only keyframes of the map need it.
+        """
+        return None if self.keyframes is None else self.keyframes.posterior()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,146 @@
+"""Landmarks measured from the last clone: their rows, gates and the innovation of those that pass: kernels (M11)."""
+
+import math
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.compiled import kernel
+
+
+@kernel
+def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
+    """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
+    a, b, c = x[0] - origin[0], x[1] - origin[1], x[2] - origin[2]
+    for i in range(3):
+        q[i] = R[0, i] * a + R[1, i] * b + R[2, i] * c
+
+
+@kernel
+def linearise_points(
+    x: F64, first_x: F64, normalised: F64, sigma: F64, R: F64, origin: F64, first_R: F64, first_origin: F64,
+    first_p: F64, near: float, residual: F64, by_pose: F64, by_point: F64, count: I64,
+) -> None:  # fmt: skip
+    """Write residuals at the estimates and Jacobians at the first estimates, 2 rows a camera, in sigmas.
+
+    Args:
+        x, first_x: (N, 3) points, m.
+        normalised: (N, C, 2) observations, NaN = not observed.
+        sigma: (N,) of a normalised coordinate.
+        R, origin, first_R, first_origin: (C, 3, 3), (C, 3) world_from_cam, now and first.
+        first_p: (3,) m of the rig, at the first estimate.
+        near: m along the axis that a point must have.
+        residual, by_pose, by_point: (N, 2C), (N, 2C, 6), (N, 2C, 3) out; rows that are not observed are zero.
+        count: (N,) out, rows observed.
+    """
+    q, f = np.empty(3), np.empty(3)
+    for n in range(x.shape[0]):
+        residual[n], by_pose[n], by_point[n], count[n] = 0.0, 0.0, 0.0, 0
+        d0, d1, d2 = first_x[n, 0] - first_p[0], first_x[n, 1] - first_p[1], first_x[n, 2] - first_p[2]
+        for c in range(normalised.shape[1]):
+            if not np.isfinite(normalised[n, c, 0]):
+                continue
+            _to_camera(R[c], origin[c], x[n], q)
+            _to_camera(first_R[c], first_origin[c], first_x[n], f)
+            if q[2] <= near or f[2] <= near:
+                continue
+            count[n] += 2
+            w, T = 1.0 / (sigma[n] * f[2]), first_R[c]
+            for h in range(2):
+                X, P, at = by_point[n, 2 * c + h], by_pose[n, 2 * c + h], f[h] / f[2]
+                residual[n, 2 * c + h] = (normalised[n, c, h] - q[h] / q[2]) / sigma[n]
+                for i in range(3):
+                    X[i] = w * (T[i, h] - at * T[i, 2])
+                    P[3 + i] = -X[i]
+                P[0], P[1], P[2] = X[1] * d2 - X[2] * d1, X[2] * d0 - X[0] * d2, X[0] * d1 - X[1] * d0
+
+
+@kernel
+def project_covariance(P: F64, pose: int, points: I64, by_pose: F64, by_point: F64, HP: F64) -> None:
+    """Write the covariance of the rows of N landmarks with all errors.
+
+    Args:
+        P: (n, n).
+        pose: first row of the clone in `P`.
+        points: (N,) first row of each landmark.
+        by_pose, by_point: (N, m, 6), (N, m, 3).
+        HP: (N, m, n) out.
+    """
+    for k in range(by_pose.shape[0]):
+        for r in range(by_pose.shape[1]):
+            out = HP[k, r]
+            a, b = by_pose[k, r], by_point[k, r]
+            a0, a1, a2, a3, a4, a5 = a[0], a[1], a[2], a[3], a[4], a[5]
+            b0, b1, b2, at = b[0], b[1], b[2], points[k]
+            p0, p1, p2, p3, p4, p5 = P[pose], P[pose + 1], P[pose + 2], P[pose + 3], P[pose + 4], P[pose + 5]
+            q0, q1, q2 = P[at], P[at + 1], P[at + 2]
+            for j in range(P.shape[0]):
+                out[j] = (
+                    a0 * p0[j] + a1 * p1[j] + a2 * p2[j] + a3 * p3[j] + a4 * p4[j] + a5 * p5[j]
+                    + b0 * q0[j] + b1 * q1[j] + b2 * q2[j]
+                )  # fmt: skip
+
+
+@kernel
+def _covariance_with(HP: F64, pose: int, point: int, by_pose: F64, by_point: F64) -> float:
+    """Covariance of a row, given with all errors in `HP`, with another row."""
+    out = 0.0
+    for j in range(6):
+        out += HP[pose + j] * by_pose[j]
+    for j in range(3):
+        out += HP[point + j] * by_point[j]
+    return out
+
+
+@kernel
+def gate_distances(HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, out: F64) -> None:
+    """Write the (N,) squared Mahalanobis distance of each landmark by the covariance of its own rows.
+
+    Arguments as in `project_covariance`; `residual` (N, m).
+    """
+    m = residual.shape[1]
+    L, y = np.zeros((m, m)), np.empty(m)
+    for k in range(residual.shape[0]):
+        out[k] = 0.0
+        for r in range(m):
+            e = residual[k, r]
+            for s in range(r + 1):
+                value = _covariance_with(HP[k, r], pose, points[k], by_pose[k, s], by_point[k, s])
+                value += 1.0 if r == s else 0.0
+                for i in range(s):
+                    value -= L[r, i] * L[s, i]
+                L[r, s] = math.sqrt(value) if r == s else value / L[s, s]
+            for i in range(r):
+                e -= L[r, i] * y[i]
+            y[r] = e / L[r, r]
+            out[k] += y[r] * y[r]
+
+
+@kernel
+def innovation_of(
+    HP: F64, pose: int, points: I64, by_pose: F64, by_point: F64, residual: F64, used: I64, scale: F64,
+    rows: F64, S: F64, innovation: F64,
+) -> None:  # fmt: skip
+    """Gather the rows that are used, each times the factor of its landmark.
+
+    Args:
+        HP, pose, points, by_pose, by_point: as in `project_covariance`. residual: (N, m).
+        used: (M, 2) landmark and row.
+        scale: (N,) factor of each landmark.
+        rows: (M, n) out, covariance with all errors.
+        S: (M, M) out, covariance of the rows with each other, its lower half.
+        innovation: (M,) out.
+    """
+    for i in range(len(used)):
+        k, r = used[i]
+        f = scale[k]
+        innovation[i] = f * residual[k, r]
+        for j in range(HP.shape[2]):
+            rows[i, j] = f * HP[k, r, j]
+        for j in range(i + 1):
+            other, s = used[j]
+            S[i, j] = (
+                f
+                * scale[other]
+                * _covariance_with(HP[k, r], pose, points[other], by_pose[other, s], by_point[other, s])
+            )

@@ -1,0 +1,172 @@
+"""Preintegration of inertial measurements, and the transition of the state that follows: kernels (M4-M8)."""
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.compiled import kernel
+from alight.motion.rotation_kernels import exponential, multiply
+
+
+@kernel
+def _rates_at(times: I64, rates: F64, t_ns: int, out: F64) -> None:
+    """Interpolate (M, 6) rates linearly; beyond the ends they hold."""
+    i = int(np.searchsorted(times, t_ns, side="right"))
+    a, b = max(i - 1, 0), min(i, len(times) - 1)
+    f = 0.0
+    if times[b] > times[a] and t_ns >= times[a]:
+        f = (t_ns - times[a]) / (times[b] - times[a])
+    for j in range(6):
+        out[j] = (1.0 - f) * rates[a, j] + f * rates[b, j]
+
+
+@kernel
+def cut_segments(times: I64, rates: F64, start_ns: int, end_ns: int, dt: F64, mean: F64) -> int:
+    """Cut [start, end] at the samples and write the length and the mean rates of each segment; return their number.
+
+    Args:
+        times: (M,) ns, ascending.
+        rates: (M, 6) rad/s, m/s^2.
+        start_ns, end_ns: ns.
+        dt: (M + 1,) out, s.
+        mean: (M + 1, 6) out.
+    """
+    first = int(np.searchsorted(times, start_ns, side="right"))
+    last = int(np.searchsorted(times, end_ns, side="right"))
+    here, there = np.empty(6), np.empty(6)
+    _rates_at(times, rates, start_ns, here)
+    count, begin = 0, start_ns
+    for i in range(first, last + 1):
+        end = times[i] if i < last else end_ns
+        if end > begin:
+            _rates_at(times, rates, end, there)
+            dt[count] = (end - begin) * 1e-9
+            for j in range(6):
+                mean[count, j] = 0.5 * (here[j] + there[j])
+            count += 1
+            begin = end
+            here[:] = there
+    return count
+
+
+@kernel
+def _carry_rows(A_rr: F64, A_vr: F64, t: float, X: F64, out: F64) -> None:
+    """Write A X for the (9, n) X and the transition A of (rotation, velocity, position) over a segment of `t` s."""
+    for i in range(3):
+        for j in range(X.shape[1]):
+            r = A_rr[i, 0] * X[0, j] + A_rr[i, 1] * X[1, j] + A_rr[i, 2] * X[2, j]
+            v = A_vr[i, 0] * X[0, j] + A_vr[i, 1] * X[1, j] + A_vr[i, 2] * X[2, j]
+            out[i, j], out[3 + i, j] = r, v + X[3 + i, j]
+            out[6 + i, j] = 0.5 * t * v + t * X[3 + i, j] + X[6 + i, j]
+
+
+@kernel
+def _turned_force(middle: F64, a: F64, t: float, out: F64) -> None:
+    """Write -middle [a]x t: the change of velocity over a segment by its attitude at the middle."""
+    for i in range(3):
+        x, y, z = middle[i, 0], middle[i, 1], middle[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = (
+            -t * (y * a[2] - z * a[1]),
+            -t * (z * a[0] - x * a[2]),
+            -t * (x * a[1] - y * a[0]),
+        )
+
+
+@kernel
+def _by_rates(force: F64, middle: F64, w: F64, t: float, B: F64) -> None:
+    """Write the (9, 6) derivative of the errors after a segment by its angular rate and specific force."""
+    B[:] = 0.0
+    x, y, z = w[0] * t, w[1] * t, w[2] * t
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    for i in range(3):
+        for j in range(3):
+            square = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
+            B[i, j] = t * ((1.0 if i == j else 0.0) - W[i, j] / 2.0 + square / 6.0)
+            B[3 + i, j], B[6 + i, j] = 0.5 * t * force[i, j], 0.25 * t * t * force[i, j]
+            B[3 + i, 3 + j], B[6 + i, 3 + j] = t * middle[i, j], 0.5 * t * t * middle[i, j]
+
+
+@kernel
+def preintegrate_segments(
+    dt: F64, mean: F64, bias: F64, variance: F64, R: F64, v: F64, p: F64, J: F64, C: F64
+) -> float:
+    """Integrate N segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6); return the time.
+
+    Args:
+        dt: (N,) s.
+        mean: (N, 6) rad/s, m/s^2.
+        bias: (6,) of the gyro and of the accelerometer.
+        variance: (N, 2) of the mean angular rate and of the specific force of each segment.
+        R, v, p: (3, 3), (3,), (3,) out: rotation, velocity and position in the earlier frame.
+        J: (9, 6) out. C: (9, 9) out.
+    """
+    half, middle, turn, A_rr, A_vr = (
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+        np.empty((3, 3)),
+    )
+    force, B, w, a = np.empty((3, 3)), np.empty((9, 6)), np.empty(3), np.empty(3)
+    next_J, rows, total = np.empty((9, 6)), np.empty((9, 9)), 0.0
+    R[:], v[:], p[:], J[:], C[:] = np.eye(3), 0.0, 0.0, 0.0, 0.0
+    for n in range(len(dt)):
+        t = dt[n]
+        for i in range(3):
+            w[i], a[i] = mean[n, i] - bias[i], mean[n, 3 + i] - bias[3 + i]
+        exponential(0.5 * t * w[0], 0.5 * t * w[1], 0.5 * t * w[2], half)
+        multiply(R, half, middle)
+        multiply(middle, half, R)
+        multiply(half, half, turn)
+        for i in range(3):
+            dv = t * (middle[i, 0] * a[0] + middle[i, 1] * a[1] + middle[i, 2] * a[2])
+            p[i] += t * (v[i] + 0.5 * dv)
+            v[i] += dv
+        _turned_force(middle, a, t, force)
+        A_rr[:] = turn.T
+        multiply(force, half.T, A_vr)
+        _by_rates(force, middle, w, t, B)
+        _carry_rows(A_rr, A_vr, t, J, next_J)
+        for i in range(9):
+            for j in range(6):
+                J[i, j] = next_J[i, j] - B[i, j]
+        _carry_rows(A_rr, A_vr, t, C, rows)
+        _carry_rows(A_rr, A_vr, t, rows.T.copy(), C)
+        for i in range(9):
+            for j in range(9):
+                for k in range(6):
+                    C[i, j] += B[i, k] * B[j, k] * variance[n, k // 3]
+        total += t
+    return total
+
+
+@kernel
+def _minus_skew(x: float, y: float, z: float, out: F64) -> None:
+    """Write -[v]x."""
+    out[0, 1], out[0, 2], out[1, 0], out[1, 2], out[2, 0], out[2, 1] = z, -y, -z, x, y, -x
+
+
+@kernel
+def inertial_transition_into(
+    R0: F64, R1: F64, moved: F64, speed_up: F64, dt: float, J: F64, C: F64, F: F64, Q: F64
+) -> None:
+    """Write the transition and the noise of (attitude, position, velocity, gyro, accelerometer bias) over a step.
+
+    Args:
+        R0, R1: (3, 3) attitude before and after.
+        moved, speed_up: (3,) change of the position and of the velocity without initial velocity and gravity.
+        dt: s.
+        J, C: (9, 6), (9, 9) bias Jacobian and covariance of the preintegral.
+        F, Q: (15, 15) out.
+    """
+    F[:], Q[:] = np.eye(15), 0.0
+    _minus_skew(moved[0], moved[1], moved[2], F[3:6, 0:3])
+    _minus_skew(speed_up[0], speed_up[1], speed_up[2], F[6:9, 0:3])
+    G = np.zeros(
+        (9, 9)
+    )  # (attitude, position, velocity) by the errors (rotation, velocity, position) of the preintegral
+    for i in range(3):
+        F[3 + i, 6 + i] = dt
+        for j in range(3):
+            G[i, j], G[3 + i, 6 + j], G[6 + i, 3 + j] = R1[i, j], R0[i, j], R0[i, j]
+    F[:9, 9:15] += np.dot(G, J)
+    Q[:9, :9] = np.dot(np.dot(G, C), G.T)
