@@ -17,7 +17,7 @@ from motion_common import DATA, Row, recording, say
 from alight.arrays import U8
 from alight.motion.ekf.prediction import MotionPredictor
 from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
-from alight.runner.mailbox import Closed, Mailbox
+from alight.runner.live.mailbox import Closed, Mailbox
 from alight.settings import load_settings
 
 T = TypeVar("T")

@@ -105,20 +105,16 @@ def load_cached(parallel: bool) -> int:
     return loaded
 
 
-class CompilationCounter(event.Listener):  # type: ignore[misc]
-    """Counts the loops that this process compiles from now on."""
+class CompilationListener(event.Listener):  # type: ignore[misc]
+    """Notes the loops that this process compiles from now on."""
 
     def __init__(self) -> None:
-        self.count = 0
+        self.names: list[str] = []
         event.register("numba:compile", self)
-
-    def reset(self) -> None:
-        """Begin again at none."""
-        self.count = 0
 
     def on_start(self, event: Any) -> None:
         """A loop is being compiled."""
-        self.count += 1
+        self.names.append(event.data["dispatcher"].py_func.__qualname__)
 
     def on_end(self, event: Any) -> None:
         """It is compiled."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from alight import terrain
@@ -69,7 +69,9 @@ class Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
         judging, at_end = JudgingLane(stages, appearance, timings), all_at_end(kind, stages, poses)
         if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
-            navigation = FilterAgain(lambda: FilterLane(rig, stages, history), schedule.navigation_anew)
+            navigation = FilterAgain(
+                lambda number: FilterLane(rig, stages, history, frame_id=number), schedule.navigation_anew
+            )
             mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), schedule.mapping_anew)
             return cls(navigation, mapping, judging)
         return cls(
@@ -79,37 +81,20 @@ class Lanes:
         )
 
 
-def renumbered(navigation: Navigation, by: int) -> Navigation:
-    """Motions of an estimator that has taken another one's place: their frame numbers go on from those of before."""
-    if not by or navigation.motion is None:
-        return navigation
-    motion, posterior = navigation.motion, navigation.posterior
-    if posterior is not None:
-        moved = tuple(replace(m, frame_id=m.frame_id + by) for m in posterior.motions)
-        posterior = replace(posterior, motions=moved)
-    return replace(navigation, motion=replace(motion, frame_id=motion.frame_id + by), posterior=posterior)
-
-
 class FilterAgain:
-    """The filter's lane, made anew before the exposures of these stamps."""
+    """The filter's lane, made anew before the exposures of these stamps; frame numbers go on."""
 
-    def __init__(self, make: Callable[[], FilterLane], before: Collection[int]) -> None:
-        self._make, self._before = make, frozenset(before)
-        self._lane, self._number, self._next = make(), 0, 0
+    def __init__(self, make: Callable[[int], FilterLane], before: Collection[int]) -> None:
+        self._make, self._before, self._lane = make, frozenset(before), make(0)
 
     def feed(self, event: Event) -> Navigation | None:
         """As the lane; it hears the rows that came since the last exposure that the one before it took."""
         if isinstance(event, Frame) and event.t_ns in self._before:
             waiting = self._lane.waiting()
-            self._lane, self._number = self._make(), self._next
+            self._lane = self._make(self._lane.next_frame)
             for row in waiting:
                 self._lane.feed(row)
-        found = self._lane.feed(event)
-        if found is None:
-            return None
-        found = renumbered(found, self._number)
-        self._next = max(self._next, found.motion.frame_id + 1 if found.motion is not None else 0)
-        return found
+        return self._lane.feed(event)
 
     def finish(self, progress: Progress) -> Trajectory:
         """As the lane."""

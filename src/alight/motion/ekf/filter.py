@@ -76,15 +76,21 @@ _MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the
 
 
 class MotionFilter:
-    """Feed events in order of time; every exposure gives a `Motion` once there has been a row of GPS/INS."""
+    """Feed events in order of time; every exposure gives a `Motion` once there has been a row of GPS/INS.
 
-    def __init__(self, rig: Rig, settings: FilterSettings) -> None:
+    Args:
+        map_number: of its first map; a filter that takes another one's place goes on with the next number.
+    """
+
+    def __init__(self, rig: Rig, settings: FilterSettings, map_number: int = 0) -> None:
         self._cams = tuple(c.body_from_cam for c in rig.cameras)
         self._settings = settings
         self._gate = Gate(settings.gate)
         self._imu = ImuBuffer()
         self._keep_ns = _IMU_KEEP_NS + round(settings.lateness * 1e9)
-        self._memory = FilterMemory(VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast))
+        self._memory = FilterMemory(
+            VisualUpdate(rig.cameras[0].camera, self._cams, settings), Health(settings.coast), map_number=map_number
+        )
         self._recording = RecordedFlight(rig, settings) if settings.smooth else None
 
     def feed_imu(self, sample: ImuSample) -> None:

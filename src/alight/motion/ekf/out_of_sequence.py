@@ -32,8 +32,8 @@ class RollbackFilter:
     Motions returned before a late event stay as they were; later ones include it.
     """
 
-    def __init__(self, rig: Rig, settings: FilterSettings) -> None:
-        self._filter = MotionFilter(rig, settings)
+    def __init__(self, rig: Rig, settings: FilterSettings, map_number: int = 0) -> None:
+        self._filter = MotionFilter(rig, settings, map_number)
         self._reach_ns = round(settings.lateness * 1e9)
         self._processed: deque[_Processed] = deque()
         self.too_late = 0  # events left out because they came later than `lateness`

@@ -137,14 +137,15 @@ class TrackingHalf:
 class FilterHalf:
     """The filter, what it gives out, and how often it was lost."""
 
-    def __init__(self, rig: Rig, settings: StageSettings, handover: Handover, history: bool) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, handover: Handover, history: bool, frame_id: int) -> None:
         self._settings = settings.motion.filter
         if not history:
             self._settings = self._settings.model_copy(update={"smooth": False})
-        self._filter = RollbackFilter(rig, self._settings)
+        self._filter = RollbackFilter(rig, self._settings, frame_id)
         self._handover, self._begun = handover, False
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._given = self._lost = 0  # exposures
+        self.next_frame = frame_id
 
     def hear(self, batch: FrameBatch) -> None:
         """Take the rows of a batch."""
@@ -164,6 +165,7 @@ class FilterHalf:
         if motion is None:
             return None
         self._motions.append(motion)
+        self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
         return Navigation(tracked.frame, motion, self._filter.keyframes())
 
@@ -201,16 +203,22 @@ class FilterLane:
         history: keep what the end of a recording needs; without it memory does not grow with the flight, and nothing
             is smoothed.
         handover: how predictions go from the filter to the tracker, where the halves run on two threads.
+        frame_id: of the first motion; a lane that takes another one's place goes on with its `next_frame`.
     """
 
     def __init__(
-        self, rig: Rig, settings: StageSettings, history: bool = True, handover: Handover | None = None
+        self,
+        rig: Rig,
+        settings: StageSettings,
+        history: bool = True,
+        handover: Handover | None = None,
+        frame_id: int = 0,
     ) -> None:
         self._rig = rig
         between = handover or HandoverInTurn()
         self._batcher = EventBatcher()
         self._tracking = TrackingHalf(rig, settings, between)
-        self._filtering = FilterHalf(rig, settings, between, history)
+        self._filtering = FilterHalf(rig, settings, between, history, frame_id)
 
     def feed(self, event: Event) -> Navigation | None:
         """Take one event; an exposure gives its motion and the keyframes."""
@@ -238,6 +246,11 @@ class FilterLane:
     def update(self, tracked: TrackedFrame) -> Navigation | None:
         """Give the filter the features of an exposure."""
         return self._filtering.update(tracked)
+
+    @property
+    def next_frame(self) -> int:
+        """The first frame number that no motion has had."""
+        return self._filtering.next_frame
 
     def waiting(self) -> tuple[Row, ...]:
         """Take the rows that wait for an exposure."""

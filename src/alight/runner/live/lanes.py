@@ -12,7 +12,6 @@ from alight import compiled, terrain
 from alight.landing.reserve import Reserve
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
-from alight.pipeline.lanes import renumbered
 from alight.pipeline.mapping import FinishedMap, MapSnapshot, MapUpdate, RecursiveMapper
 from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation, Trajectory
 from alight.pipeline.timing import Clock, Timings
@@ -30,8 +29,8 @@ Stages = Mapping[str, Sequence[float]]  # seconds of every step, by stage
 class NavigationProcess:
     """Tracker and filter."""
 
-    def __init__(self, rig: Rig, settings: StageSettings) -> None:
-        self._lane = FilterLane(rig, settings, history=False)
+    def __init__(self, rig: Rig, settings: StageSettings, frame_id: int) -> None:
+        self._lane = FilterLane(rig, settings, history=False, frame_id=frame_id)
 
     def take(self, batch: FrameBatch) -> Navigation | None:
         """Take one exposure with the rows before it; the pictures stay where they came from."""
@@ -117,7 +116,7 @@ class Post:
 
     def __post_init__(self) -> None:
         self.worker = Worker(self.nursery, self.make())
-        self.compiled = 0
+        self.compiled: set[str] = set()
         self.given_up = ""  # why, where there will be no other process
 
     def call(self, method: str, *given: Any) -> Any:
@@ -141,7 +140,7 @@ class Post:
                 self.worker = Worker(self.nursery, self.make())
             raise
         finally:
-            self.compiled = max(self.compiled, self.worker.compiled)
+            self.compiled |= set(self.worker.compiled)
 
     def close(self) -> None:
         """End the process; whoever waits for it is told that it is lost."""
@@ -153,9 +152,9 @@ class Post:
 class RemoteNavigation:
     """The navigation lane in its process; frame numbers go on when the process is replaced."""
 
-    def __init__(self, post: Post) -> None:
-        self.post = post
-        self._number, self._next = 0, 0
+    def __init__(self) -> None:
+        self.post: Post | None = None
+        self.next_frame = 0
 
     def take(self, batch: FrameBatch) -> Navigation | None:
         """Take one exposure with the rows before it.
@@ -163,17 +162,14 @@ class RemoteNavigation:
         Raises:
             LaneLost: the exposure is lost, and the motion begins anew with the next one.
         """
-        try:
-            found: Navigation | None = self.post.call("take", batch)
-        except LaneLost:
-            self._number = self._next
-            raise
+        assert self.post is not None
+        found: Navigation | None = self.post.call("take", batch)
         if found is None:
             return None
         assert batch.frame is not None
-        found = renumbered(replace(found, frame=batch.frame), self._number)
-        self._next = max(self._next, found.motion.frame_id + 1 if found.motion is not None else 0)
-        return found
+        if found.motion is not None:
+            self.next_frame = max(self.next_frame, found.motion.frame_id + 1)
+        return replace(found, frame=batch.frame)
 
     def feed(self, event: Event) -> Navigation | None:
         """Not used in flight, where exposures come in batches."""
@@ -181,9 +177,9 @@ class RemoteNavigation:
 
     def finish(self, progress: Callable[[float], None]) -> Trajectory:
         """The last motion."""
+        assert self.post is not None
         found: Trajectory = self.post.call("finish")
-        motions = tuple(replace(m, frame_id=m.frame_id + self._number) for m in found.motions)
-        return replace(found, motions=motions)
+        return found
 
 
 class RemoteMapping:

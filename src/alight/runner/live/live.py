@@ -166,9 +166,9 @@ class Live:
     ) -> None:  # fmt: skip
         stages, clock, nursery = settings.stages(imu), time.perf_counter, self._nursery
         assert nursery is not None
-        judging = RemoteJudging()
+        navigation, judging = RemoteNavigation(), RemoteJudging()
         usual: dict[str, tuple[Any, Callable[[], tuple[Any, ...]]]] = {
-            NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages)),
+            NAVIGATION: (processes.NavigationProcess, lambda: (rig, stages, navigation.next_frame)),
             MAPPING: (processes.MappingProcess, lambda: (rig, stages, clock, folder)),
             JUDGING: (processes.JudgingProcess, lambda: (stages, clock, appearance, judging.memory)),
         }
@@ -179,8 +179,8 @@ class Live:
             return Post(nursery, lambda: Spec(name, make, given(), NICENESS[name], threads), PATIENCE[name], self._lost)
 
         self.posts = {name: post(name) for name in LANES}
-        judging.post = self.posts[JUDGING]
-        self._navigation, mapping = RemoteNavigation(self.posts[NAVIGATION]), RemoteMapping(self.posts[MAPPING])
+        navigation.post, judging.post = self.posts[NAVIGATION], self.posts[JUDGING]
+        self._navigation, mapping = navigation, RemoteMapping(self.posts[MAPPING])
         self.pipeline = Pipeline(rig, "flight", settings, lanes=Lanes(self._navigation, mapping, judging))
         self._mapping = mapping
 
@@ -214,8 +214,12 @@ class Live:
         late = self._clocks.late if self._clocks else {}
         self.watch.counts |= {f"{name} that came late": n for name, n in late.items() if n}
         restarts = {f"{name}: restarted": n for name, n in self.watch.restarts.items()}
-        compiled = sum(p.compiled for p in self.posts.values())
-        return {**dict(sorted(self.watch.counts.items())), **restarts, "loops compiled in flight": compiled}
+        return {**dict(sorted(self.watch.counts.items())), **restarts, "loops compiled in flight": len(self.compiled)}
+
+    @property
+    def compiled(self) -> list[str]:
+        """The loops that were compiled in flight."""
+        return sorted(set[str]().union(*(p.compiled for p in self.posts.values())))
 
     def feed(self, event: Event) -> None:
         """Take an event; motions and verdicts come by themselves.
@@ -275,7 +279,9 @@ class Live:
     def _said(self, decision: Decision) -> Decision:
         repeated = self._batcher.repeated
         same = [f"motion: {repeated} exposures have the stamp of an earlier one and are left out"] if repeated else []
-        return replace(decision, warnings=[*same, *self.warnings, *decision.warnings])
+        names = self.compiled
+        slow = [f"live: {len(names)} loops were compiled in flight ({', '.join(names)}); run alight warmup before"]
+        return replace(decision, warnings=[*same, *(slow if names else []), *self.warnings, *decision.warnings])
 
     # -- the threads
 

@@ -49,7 +49,7 @@ class Reply:
 
     parcel: Parcel | None
     failure: str = ""
-    compiled: int = 0  # loops that had to be compiled since the process began
+    compiled: tuple[str, ...] = ()  # loops that had to be compiled since the process was ready
 
 
 class Worker:
@@ -62,7 +62,7 @@ class Worker:
 
     def __init__(self, nursery: Nursery, spec: Spec) -> None:
         self.name = spec.name
-        self.compiled = 0  # loops compiled in flight; after the warm-up there should be none
+        self.compiled: tuple[str, ...] = ()  # loops compiled in flight; after the warm-up there should be none
         ours, theirs = socket.socketpair()
         self._sent, self._answered = Block(new_block()), Block(new_block())
         self._pid = nursery.born((theirs.fileno(), self._sent.fileno, self._answered.fileno))
@@ -127,14 +127,14 @@ def serve(line_fileno: int, received_fileno: int, answers_fileno: int) -> None:
         os.nice(spec.niceness)
         cv2.setNumThreads(1)
         compiled.use_threads(spec.threads)
-        compiling = compiled.CompilationCounter()
+        compiling = compiled.CompilationListener()
         lane: Any = None
 
         def answer(work: Any) -> None:
             try:
-                reply = Reply(answers.write(work()), compiled=compiling.count)
+                reply = Reply(answers.write(work()), compiled=tuple(compiling.names))
             except Exception:
-                reply = Reply(None, traceback.format_exc(), compiling.count)
+                reply = Reply(None, traceback.format_exc(), tuple(compiling.names))
             line.send(reply)
 
         def make() -> None:
@@ -142,7 +142,7 @@ def serve(line_fileno: int, received_fileno: int, answers_fileno: int) -> None:
             lane = spec.make(*spec.given)
 
         answer(make)
-        compiling.reset()
+        compiling.names.clear()
         while True:
             method, parcel = line.recv()
             answer(lambda method=method, parcel=parcel: getattr(lane, method)(*received.read(parcel)))
