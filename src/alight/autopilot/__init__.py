@@ -1,0 +1,21 @@
+"""The autopilot: MAVLink 2 as a protocol machine without I/O, and links. NED, FRD and sea level stay in here."""
+
+from alight.autopilot.autopilot import Autopilot
+from alight.autopilot.border import Alignment
+from alight.autopilot.links import Link, open_link
+from alight.autopilot.mission_item import MissionItem, mission_of
+from alight.autopilot.remote_vehicle import RemoteVehicle
+from alight.autopilot.setpoints import Setpoint
+from alight.autopilot.telemetry_events import TelemetryEvents
+
+__all__ = [
+    "Alignment",
+    "Autopilot",
+    "Link",
+    "MissionItem",
+    "RemoteVehicle",
+    "Setpoint",
+    "TelemetryEvents",
+    "mission_of",
+    "open_link",
+]

@@ -1,0 +1,82 @@
+"""The border: NED/FRD and sea level outside, ENU/FLU and the ellipsoid inside. Nothing else in the house knows both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from alight.arrays import F64
+from alight.geometry import LocalFrame, enu_from_flu, matrix_from_quaternion
+from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
+from alight.records import Place
+
+GRAVITY = 9.80665  # m/s^2, of the unit mg
+
+
+def enu(north: float, east: float, down: float) -> F64:
+    """A vector of NED as one of ENU."""
+    return np.array([east, north, -down], dtype=np.float64)
+
+
+def ned(vector_world: ArrayLike) -> F64:
+    """A vector of ENU as one of NED."""
+    return enu(*np.asarray(vector_world, dtype=np.float64))  # its own inverse
+
+
+def flu(x: float, y: float, z: float) -> F64:
+    """A vector of FRD as one of FLU."""
+    return np.array([x, -y, -z], dtype=np.float64)
+
+
+def frd(vector_body: ArrayLike) -> F64:
+    """A vector of FLU as one of FRD."""
+    return flu(*np.asarray(vector_body, dtype=np.float64))  # its own inverse
+
+
+def world_from_body_of_quaternion(quaternion: ArrayLike) -> F64 | None:
+    """NED-from-FRD quaternion (w, x, y, z) as ENU-from-FLU matrix (3, 3); None: it is no rotation."""
+    try:
+        return np.asarray(ENU_FROM_NED @ matrix_from_quaternion(quaternion) @ FRD_FROM_FLU)
+    except ValueError:
+        return None
+
+
+def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | None:
+    """Roll, pitch, yaw of NED/FRD in radians as ENU-from-FLU matrix (3, 3); None: one is not finite."""
+    return enu_from_flu(yaw, pitch, roll) if np.isfinite([roll, pitch, yaw]).all() else None
+
+
+def scaled_degrees(angle: float) -> int:
+    """Degrees as MAVLink's integers of 1e-7 degrees."""
+    return round(angle * 1e7)
+
+
+def signed_angle(angle: float) -> float:
+    """An angle between -pi and pi."""
+    return math.remainder(angle, 2 * math.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Our own position and the autopilot's of the same instant: what ties our world to its.
+
+    What both get wrong (GPS) cancels: a target keeps its place relative to the vehicle.
+    """
+
+    local: LocalFrame
+    position_world: F64  # (3,) metres, ours
+    place: Place  # the autopilot's
+
+    def place_of(self, target_world: ArrayLike) -> Place:
+        """Give a position of our world, (3,) metres, as the autopilot must be told it."""
+        lat, lon, height = self.local.to_geodetic(np.stack([self.position_world, np.asarray(target_world)]))
+        up = float(height[1] - height[0])
+        return Place(
+            self.place.latitude + float(lat[1] - lat[0]),
+            self.place.longitude + float(lon[1] - lon[0]),
+            self.place.altitude_msl + up,
+            self.place.above_home + up,
+        )

@@ -1,0 +1,191 @@
+"""ArduPilot and PX4 behind one interface: what each calls its modes, streams and commands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.autopilot import border
+from alight.autopilot.mission_item import CONDITION_YAW, MissionItem, home_item
+from alight.autopilot.pymavlink_dialect import message
+from alight.records import FlightMode, Place, Telemetry
+
+ARDUPILOT, PX4 = 3, 12  # MAV_AUTOPILOT
+HOVERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, and 4, the helicopter
+_CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
+_NAN = float("nan")
+# Copter's modes in order of their numbers
+_COPTER = """STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE 8 LAND 10 DRIFT 12 SPORT FLIP AUTOTUNE POSHOLD BRAKE
+THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE"""
+_RATES: Mapping[str, float] = {  # Hz
+    "ATTITUDE_QUATERNION": 20.0,
+    "GLOBAL_POSITION_INT": 10.0,
+    "LOCAL_POSITION_NED": 5.0,
+    "GPS_RAW_INT": 5.0,
+    "RC_CHANNELS": 4.0,
+    "EXTENDED_SYS_STATE": 4.0,
+    "SYS_STATUS": 2.0,
+    "MISSION_CURRENT": 2.0,
+    "HOME_POSITION": 0.5,
+}
+
+
+class Firmware(Protocol):
+    """What differs between autopilots."""
+
+    name: str
+    rates: Mapping[str, float]  # Hz of the messages to ask for
+    repeats_setpoints: bool  # whether a set-point must be sent again and again
+    natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
+    home_items: int  # items of its missions that are not ours
+
+    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
+        """What a heartbeat's mode means, and the autopilot's own word for it."""
+
+    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
+        """Parameters of MAV_CMD_DO_SET_MODE."""
+
+    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
+
+    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
+        """The items as they are uploaded."""
+
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
+        """LANDING_TARGET of a target (3,) metres from the vehicle, world axes; None: it cannot be expressed yet."""
+
+
+class ArduPilotFirmware:
+    """ArduPilot's Copter, helicopters included."""
+
+    name = "ArduPilot"
+    rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
+    repeats_setpoints = False
+    natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
+    home_items = 1
+    _names = tuple(_COPTER.split())
+    _meanings: Mapping[str, FlightMode] = {
+        "AUTO": FlightMode.MISSION,
+        "GUIDED": FlightMode.GUIDED,
+        "LAND": FlightMode.LAND,
+        "BRAKE": FlightMode.HOLD,
+        "RTL": FlightMode.RETURN,
+        "SMART_RTL": FlightMode.RETURN,
+        **dict.fromkeys(("STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "DRIFT", "SPORT", "POSHOLD"), FlightMode.PILOT),
+    }
+    _numbers: Mapping[FlightMode, float] = {
+        FlightMode.MISSION: 3.0,
+        FlightMode.GUIDED: 4.0,
+        FlightMode.TAKE_OFF: 4.0,
+        FlightMode.RETURN: 6.0,
+        FlightMode.LAND: 9.0,
+        FlightMode.HOLD: 17.0,
+    }
+
+    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
+        """What a heartbeat's mode means, and the autopilot's own word for it."""
+        name = self._names[custom_mode] if custom_mode < len(self._names) else str(custom_mode)
+        return self._meanings.get(name, FlightMode.OTHER), name
+
+    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
+        """Base mode and Copter's number."""
+        return (_CUSTOM_MODE, self._numbers[mode])
+
+    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """The altitude is above the home."""
+        return (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height)
+
+    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
+        """Item 0 is the home."""
+        return (home_item(home or Place(0.0, 0.0, 0.0, 0.0)), *items)
+
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
+        """Angles and position in the body as it is, not levelled: it looks up its own attitude."""
+        x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
+        distance = float(np.linalg.norm(target_world))
+        return message(
+            "LANDING_TARGET", time_usec=t_ns // 1000, target_num=0, frame=_BODY_FRD, angle_x=math.atan2(y, z),
+            angle_y=math.atan2(-x, z), distance=distance, size_x=0.0, size_y=0.0, x=x, y=y, z=z,
+            q=[1.0, 0.0, 0.0, 0.0], type=2, position_valid=1,
+        )  # fmt: skip
+
+
+class Px4Firmware:
+    """PX4's multicopter."""
+
+    name = "PX4"
+    rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
+    repeats_setpoints = True
+    natural = frozenset(
+        {
+            (FlightMode.TAKE_OFF, FlightMode.HOLD),
+            (FlightMode.MISSION, FlightMode.HOLD),
+            (FlightMode.LAND, FlightMode.HOLD),
+        }
+    )
+    home_items = 0
+    _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
+    _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
+    _meanings: Mapping[str, FlightMode] = {
+        "OFFBOARD": FlightMode.GUIDED,
+        "AUTO.MISSION": FlightMode.MISSION,
+        "AUTO.TAKEOFF": FlightMode.TAKE_OFF,
+        "AUTO.LAND": FlightMode.LAND,
+        "AUTO.PRECLAND": FlightMode.LAND,
+        "AUTO.LOITER": FlightMode.HOLD,
+        "AUTO.RTL": FlightMode.RETURN,
+        **dict.fromkeys(("MANUAL", "ALTCTL", "POSCTL", "ACRO", "STABILIZED", "RATTITUDE"), FlightMode.PILOT),
+    }
+    _numbers: Mapping[FlightMode, tuple[float, float]] = {
+        FlightMode.GUIDED: (6.0, 0.0),
+        FlightMode.TAKE_OFF: (4.0, 2.0),
+        FlightMode.HOLD: (4.0, 3.0),
+        FlightMode.MISSION: (4.0, 4.0),
+        FlightMode.RETURN: (4.0, 5.0),
+        FlightMode.LAND: (4.0, 9.0),  # precision landing: like LAND where no target is reported
+    }
+
+    def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
+        """Main mode in the third byte, sub-mode in the fourth."""
+        main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF
+        name = self._main[main] if main < len(self._main) else str(main)
+        if name == "AUTO":
+            name += "." + (self._auto[sub] if sub < len(self._auto) else str(sub))
+        return self._meanings.get(name, FlightMode.OTHER), name
+
+    def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
+        """Base mode, main mode, sub-mode."""
+        return (_CUSTOM_MODE, *self._numbers[mode])
+
+    def take_off_parameters(self, height: float, telemetry: Telemetry) -> tuple[float, ...]:
+        """The altitude is above sea level; where it stands is kept."""
+        home = telemetry.home or telemetry.place
+        sea = _NAN if home is None else home.altitude_msl + height
+        return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
+
+    def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
+        """Without CONDITION_YAW, which PX4 refuses: the way-points have the heading."""
+        return tuple(i for i in items if i.command != CONDITION_YAW)
+
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
+        """Position in the estimator's local frame."""
+        if own_ned is None:
+            return None
+        x, y, z = (float(v) for v in own_ned + border.ned(target_world))
+        return message(
+            "LANDING_TARGET", time_usec=t_ns // 1000, target_num=0, frame=_LOCAL_NED, angle_x=0.0, angle_y=0.0,
+            distance=float(np.linalg.norm(target_world)), size_x=0.0, size_y=0.0, x=x, y=y, z=z,
+            q=[1.0, 0.0, 0.0, 0.0], type=2, position_valid=1,
+        )  # fmt: skip
+
+
+def firmware_of(autopilot: int) -> Firmware | None:
+    """The firmware by its number in the heartbeat; None: one that is not supported."""
+    if autopilot == ARDUPILOT:
+        return ArduPilotFirmware()
+    return Px4Firmware() if autopilot == PX4 else None

@@ -1,0 +1,122 @@
+"""Bytes to messages and back. What is damaged costs itself and nothing that follows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from alight.autopilot.pymavlink_dialect import dialect
+
+_V1, _V2 = 0xFE, 0xFD
+_SIGNED, _SIGNATURE, _CHECKSUM = 1, 13, 2
+_REMEMBERED_NS = 1_000_000_000  # after this long without a newer one, an old sequence number is a new start
+
+
+@dataclass
+class FrameCounts:
+    """What came over the link."""
+
+    messages: int = 0
+    damaged: int = 0  # bytes that belong to no whole message
+    unknown: int = 0  # messages that the dialect does not have
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A message with its sender."""
+
+    message: Any
+    name: str
+    system: int
+    component: int
+    late: bool  # overtaken by a newer one, or a copy: of no use as a state
+
+
+class Framing:
+    """MAVLink 2 by pymavlink's packing and checksums, with a search for frames that loses no good one.
+
+    pymavlink's own search trusts the length in a damaged header and drops whatever lies within it.
+    """
+
+    def __init__(self, system: int, component: int) -> None:
+        self.counts = FrameCounts()
+        self._mavlink = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
+        self._buffer = bytearray()
+        self._newest: dict[tuple[int, int], tuple[int, int]] = {}  # (sequence, time) of each sender
+
+    def speak_as(self, system: int, component: int) -> None:
+        """Use another address from now on."""
+        self._mavlink.srcSystem, self._mavlink.srcComponent = system, component
+
+    def encode(self, message: Any) -> bytes:
+        """Pack a message with the next sequence number."""
+        data = bytes(message.pack(self._mavlink))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return data
+
+    def decode(self, data: bytes, now_ns: int) -> list[Heard]:
+        """Take bytes as they come, in pieces of any length; give the whole messages."""
+        self._buffer += data
+        out = []
+        while (message := self._next()) is not None:
+            self.counts.messages += 1
+            system, component = message.get_srcSystem(), message.get_srcComponent()
+            late = self._is_late(system, component, message.get_seq(), now_ns)
+            out.append(Heard(message, message.get_type(), system, component, late))
+        return out
+
+    def _next(self) -> Any | None:
+        while True:
+            self._skip_to_marker()
+            length = self._frame_length()
+            if length is None or len(self._buffer) < length:
+                return None
+            message = self._parsed(length)
+            if message is not None:
+                return message
+
+    def _skip_to_marker(self) -> None:
+        found = (i for i in (self._buffer.find(_V1), self._buffer.find(_V2)) if i >= 0)
+        start = min(found, default=len(self._buffer))
+        self.counts.damaged += start
+        del self._buffer[:start]
+
+    def _frame_length(self) -> int | None:
+        """Length of the frame that the buffer seems to start with; None: not enough of it yet."""
+        if len(self._buffer) < 3:
+            return None
+        if self._buffer[0] == _V1:
+            return 6 + self._buffer[1] + _CHECKSUM
+        signed = _SIGNATURE if self._buffer[2] & _SIGNED else 0
+        return 10 + self._buffer[1] + _CHECKSUM + signed
+
+    def _parsed(self, length: int) -> Any | None:
+        """The message of the first `length` bytes, taken out of the buffer; if they are none, one byte is dropped."""
+        module = dialect()
+        frame = self._buffer[:length]
+        try:
+            if frame[0] == _V2 and frame[2] & ~_SIGNED:
+                raise module.MAVError("incompatible")
+            message = self._mavlink.decode(bytearray(frame))
+        except module.MAVError:
+            self._drop(1)
+            return None
+        if message.get_type().startswith("UNKNOWN_"):  # its checksum cannot be tested
+            following = self._buffer[length : length + 1]
+            genuine = not following or following[0] in (_V1, _V2)
+            self.counts.unknown += genuine
+            self._drop(length if genuine else 1, damaged=not genuine)
+            return None
+        del self._buffer[:length]
+        return message
+
+    def _drop(self, count: int, damaged: bool = True) -> None:
+        self.counts.damaged += count if damaged else 0
+        del self._buffer[:count]
+
+    def _is_late(self, system: int, component: int, sequence: int, now_ns: int) -> bool:
+        newest = self._newest.get((system, component))
+        if newest is not None and now_ns - newest[1] < _REMEMBERED_NS and not 1 <= (sequence - newest[0]) % 256 < 128:
+            return True
+        self._newest[system, component] = (sequence, now_ns)
+        return False

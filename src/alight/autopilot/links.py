@@ -1,0 +1,261 @@
+"""Links to an autopilot: UDP, TCP and serial by name. They never wait longer than told, and come back after a break."""
+
+from __future__ import annotations
+
+import logging
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from typing import Any
+
+from alight.records import AlightError, InputError, MissingExtraError, OutputError
+
+log = logging.getLogger(__name__)
+
+_CHUNK = 65_535
+_AGAIN = 1.0  # s between attempts to open a broken link
+_PEER = 10.0  # s for which a sender of datagrams is answered
+NAMES = (
+    "udp:HOST:PORT (listen, as a companion of a ground station), udpout:HOST:PORT (send to), tcp:HOST:PORT, "
+    "serial:DEVICE:BAUD"
+)
+
+
+class Link(ABC):
+    """Bytes in and out. A link that breaks is opened again by itself; `broken` says why it is not open now."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.broken = ""  # why nothing goes through now
+        self._again = 0.0
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open; raises OSError."""
+
+    @abstractmethod
+    def _read(self, timeout: float) -> list[bytes]:
+        """Wait for bytes; raises OSError."""
+
+    @abstractmethod
+    def _write(self, data: bytes) -> None:
+        """Send without waiting; raises OSError."""
+
+    @abstractmethod
+    def _shut(self) -> None:
+        """Let go of what is open."""
+
+    def read(self, timeout: float = 0.0) -> list[bytes]:
+        """Give what has come, one entry a datagram or chunk; wait for it at most `timeout` seconds."""
+        if self.broken and not self._reopened():
+            time.sleep(min(timeout, _AGAIN))
+            return []
+        try:
+            return self._read(timeout)
+        except OSError as e:
+            self._break(e)
+            return []
+
+    def write(self, data: bytes) -> bool:
+        """Send; False: the link is broken or full, and the bytes are lost (the protocol sends again)."""
+        if self.broken and not self._reopened():
+            return False
+        try:
+            self._write(data)
+        except BlockingIOError:
+            return False
+        except OSError as e:
+            self._break(e)
+            return False
+        return True
+
+    def close(self) -> None:
+        """End the link."""
+        with suppress(OSError):
+            self._shut()
+
+    def _break(self, error: OSError) -> None:
+        if not self.broken:
+            log.warning("%s: %s; trying again", self.name, error)
+        self.broken = str(error) or type(error).__name__
+        self._again = time.monotonic() + _AGAIN
+        self.close()
+
+    def _reopened(self) -> bool:
+        if time.monotonic() < self._again:
+            return False
+        try:
+            self._open()
+        except OSError as e:
+            self._break(e)
+            return False
+        log.warning("%s: open again", self.name)
+        self.broken = ""
+        return True
+
+
+class UdpLink(Link):
+    """Datagrams. Listening, it answers whoever has spoken of late; sending, it speaks to one address."""
+
+    def __init__(self, name: str, host: str, port: int, listen: bool) -> None:
+        super().__init__(name)
+        self._address, self._listen = (host, port), listen
+        self._peers: dict[Any, float] = {}
+        self._open()
+
+    @property
+    def port(self) -> int:
+        """Our own port."""
+        return int(self._socket.getsockname()[1])
+
+    def _open(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        if self._listen:
+            try:
+                self._socket.bind(self._address)
+            except OSError:
+                self._socket.close()
+                raise
+        else:
+            self._address = (socket.gethostbyname(self._address[0]), self._address[1])
+
+    def _read(self, timeout: float) -> list[bytes]:
+        if not select.select([self._socket], [], [], timeout)[0]:
+            return []
+        out = []
+        with suppress(BlockingIOError, ConnectionRefusedError):  # refused: nobody listens there yet
+            while True:
+                data, sender = self._socket.recvfrom(_CHUNK)
+                if self._listen or sender == self._address:
+                    self._peers[sender] = time.monotonic()
+                    out.append(data)
+        return out
+
+    def _write(self, data: bytes) -> None:
+        now = time.monotonic()
+        self._peers = {peer: t for peer, t in self._peers.items() if now - t < _PEER}
+        for peer in self._peers if self._listen else [self._address]:
+            with suppress(ConnectionRefusedError):
+                self._socket.sendto(data, peer)
+
+    def _shut(self) -> None:
+        self._socket.close()
+
+
+class TcpLink(Link):
+    """A stream to a server (ArduPilot's SITL, a telemetry bridge)."""
+
+    def __init__(self, name: str, host: str, port: int) -> None:
+        super().__init__(name)
+        self._address = (host, port)
+        self._unsent = b""
+        self._open()
+
+    def _open(self) -> None:
+        self._socket = socket.create_connection(self._address, timeout=1.0)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+        self._unsent = b""
+
+    def _read(self, timeout: float) -> list[bytes]:
+        if not select.select([self._socket], [], [], timeout)[0]:
+            return []
+        with suppress(BlockingIOError):
+            data = self._socket.recv(_CHUNK)
+            if not data:
+                raise ConnectionResetError("the other side has closed the connection")
+            return [data]
+        return []
+
+    def _write(self, data: bytes) -> None:
+        """Half a message would spoil the stream: what does not fit now goes first the next time."""
+        whole = self._unsent + data if len(self._unsent) < _CHUNK else self._unsent
+        self._unsent = whole
+        self._unsent = whole[self._socket.send(whole) :]
+
+    def _shut(self) -> None:
+        self._socket.close()
+
+
+class SerialLink(Link):
+    """A serial port, as a telemetry radio or the autopilot's own USB."""
+
+    def __init__(self, name: str, device: str, baud: int) -> None:
+        super().__init__(name)
+        self._device, self._baud = device, baud
+        self._open()
+
+    def _open(self) -> None:
+        try:
+            import serial
+        except ImportError as e:
+            raise MissingExtraError("pyserial", "fly") from e
+        try:
+            self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+        except ValueError as e:  # a speed that the port cannot do
+            raise OSError(str(e)) from e
+
+    def _read(self, timeout: float) -> list[bytes]:
+        if not select.select([self._port.fileno()], [], [], timeout)[0]:
+            return []
+        data = self._port.read(_CHUNK)
+        if not data:
+            raise OSError("the device is gone")
+        return [data]
+
+    def _write(self, data: bytes) -> None:
+        self._port.write(data)
+
+    def _shut(self) -> None:
+        self._port.close()
+
+
+def _host_port(name: str, rest: str) -> tuple[str, int]:
+    host, _, port = rest.rpartition(":")
+    if not host or not port.isdigit() or not int(port) < 65536:
+        raise InputError(f"{name}: no address; write {NAMES}")
+    return host, int(port)
+
+
+def _opened(name: str, kind: str, rest: str) -> Link:
+    if kind in ("udp", "udpin", "udpout"):
+        return UdpLink(name, *_host_port(name, rest), listen=kind != "udpout")
+    if kind == "tcp":
+        return TcpLink(name, *_host_port(name, rest))
+    device, _, baud = rest.rpartition(":")
+    if kind != "serial" or not device or not baud.isdigit():
+        raise InputError(f"{name}: no link; write {NAMES}")
+    return SerialLink(name, device, int(baud))
+
+
+def open_link(name: str) -> Link:
+    """Open a link by its name.
+
+    Args:
+        name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
+
+    Raises:
+        InputError: the name is malformed, or there is no such host or device.
+        OutputError: the port is taken, or there is no permission for it.
+        MissingExtraError: pyserial is not installed.
+    """
+    kind, _, rest = name.partition(":")
+    try:
+        return _opened(name, kind, rest)
+    except AlightError:
+        raise
+    except PermissionError as e:
+        raise OutputError(f"{name}: no permission; for a serial port add yourself to its group (dialout)") from e
+    except ConnectionRefusedError as e:
+        raise InputError(f"{name}: nobody answers there; start the autopilot or the bridge first") from e
+    except (FileNotFoundError, socket.gaierror) as e:
+        raise InputError(f"{name}: there is no such host or device") from e
+    except OSError as e:
+        if e.errno in (98, 48, 10048):  # EADDRINUSE of Linux, macOS and Windows
+            raise OutputError(f"{name}: the port is taken; end the program that uses it, or name another") from e
+        if "could not open port" in str(e) and "No such file" in str(e):
+            raise InputError(f"{name}: there is no such host or device") from e
+        raise InputError(f"{name}: {e}") from e

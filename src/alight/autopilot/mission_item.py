@@ -1,0 +1,91 @@
+"""A mission: items as an autopilot takes them, made from a route."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from alight.autopilot.border import Alignment, scaled_degrees
+from alight.autopilot.pymavlink_dialect import message
+from alight.records import Place, Route, Waypoint
+
+NAV_WAYPOINT, NAV_LAND = 16, 21  # MAV_CMD
+CONDITION_YAW, DO_CHANGE_SPEED = 115, 178
+GLOBAL, MISSION, ABOVE_HOME = 0, 2, 3  # MAV_FRAME
+_GROUND_SPEED, _AS_IT_IS = 1.0, -1.0
+
+
+@dataclass(frozen=True)
+class MissionItem:
+    """One item. Those without a place (speed, heading) have frame MISSION."""
+
+    command: int
+    parameters: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    place: Place | None = None
+    frame: int = MISSION
+
+    def message(self, sequence: int, system: int, component: int) -> Any:
+        """The item as MISSION_ITEM_INT: altitudes above home, or above sea level for the home itself."""
+        p, at = self.parameters, self.place
+        altitude = 0.0 if at is None else at.altitude_msl if self.frame == GLOBAL else at.above_home
+        return message(
+            "MISSION_ITEM_INT", target_system=system, target_component=component, seq=sequence, frame=self.frame,
+            command=self.command, current=int(sequence == 0), autocontinue=1, param1=p[0], param2=p[1], param3=p[2],
+            param4=p[3], x=0 if at is None else scaled_degrees(at.latitude),
+            y=0 if at is None else scaled_degrees(at.longitude), z=altitude, mission_type=0,
+        )  # fmt: skip
+
+
+def waypoint(place: Place, heading: float = math.nan, hold: float = 0.0) -> MissionItem:
+    """Fly to a place and stay for `hold` seconds; heading in rad clockwise from north, NaN: as the autopilot likes."""
+    return MissionItem(NAV_WAYPOINT, (hold, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
+
+
+def land(place: Place, heading: float = math.nan) -> MissionItem:
+    """Land at a place; its altitude is that of the ground."""
+    return MissionItem(NAV_LAND, (0.0, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
+
+
+def change_speed(speed: float) -> MissionItem:
+    """Fly at so many m/s over the ground from here on."""
+    return MissionItem(DO_CHANGE_SPEED, (_GROUND_SPEED, speed, _AS_IT_IS, 0.0))
+
+
+def face(heading: float) -> MissionItem:
+    """Turn to a heading, rad clockwise from north."""
+    return MissionItem(CONDITION_YAW, (math.degrees(heading) % 360.0, 0.0, 0.0, 0.0))
+
+
+def mission_of(route: Route, alignment: Alignment, look_time: float = 3.0) -> tuple[MissionItem, ...]:
+    """Make the mission of a route: speed, heading and place of each way-point; holds where the ground is looked at.
+
+    Args:
+        route: way-points from the vehicle to the touchdown, in our world.
+        alignment: our position and the autopilot's of one instant; its place must have a height above home.
+        look_time: s, of a hold.
+
+    Raises:
+        ValueError: the autopilot's height above its home is not known.
+    """
+    if not math.isfinite(alignment.place.above_home):
+        raise ValueError("the autopilot's height above its home is not known")
+    items: list[MissionItem] = []
+    speed = math.nan
+    *way, touchdown = route.waypoints
+    for w in way[1:]:
+        if w.speed != speed:
+            items.append(change_speed(speed := w.speed))
+        items += _leg(w, alignment, look_time)
+    return (*items, face(touchdown.heading), land(alignment.place_of(touchdown.position_world), touchdown.heading))
+
+
+def _leg(w: Waypoint, alignment: Alignment, look_time: float) -> Iterable[MissionItem]:
+    yield face(w.heading)  # what precedes a way-point is done on the way to it
+    yield waypoint(alignment.place_of(w.position_world), w.heading, look_time if w.look else 0.0)
+
+
+def home_item(home: Place) -> MissionItem:
+    """The home as an item, which ArduPilot wants as the first one."""
+    return MissionItem(NAV_WAYPOINT, place=home, frame=GLOBAL)

@@ -1,0 +1,127 @@
+"""Mission upload: the autopilot asks for each item; what is lost is sent again, what stalls is begun again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from alight.autopilot.mission_item import MissionItem
+from alight.autopilot.pymavlink_dialect import message
+
+_AGAIN_NS = 1_500_000_000  # without a request, until the last message is sent again
+_TRIES = 8  # of one message
+_STARTS = 4  # of the whole transfer
+_ACCEPTED, _OUT_OF_TURN = 0, 13  # MAV_MISSION_RESULT
+_INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a lost answer or a transfer that timed out looks like
+REFUSALS = {
+    1: "it reports an error",
+    2: "the frame of an item is not supported",
+    3: "an item's command is not supported",
+    4: "there is no space for so many items",
+    5: "an item is invalid",
+    **{6 + i: f"parameter {i + 1} of an item is invalid" for i in range(4)},
+    10: "the latitude of an item is invalid",
+    11: "the longitude of an item is invalid",
+    12: "the altitude of an item is invalid",
+    14: "it takes no missions from us",
+    15: "the transfer was cancelled",
+}
+
+
+@dataclass(frozen=True)
+class TransferResult:
+    """The end of a transfer."""
+
+    ok: bool
+    text: str
+    items: int
+
+
+class MissionTransfer:
+    """One upload (or, without items, one deletion) at a time."""
+
+    def __init__(self, send: Callable[[Any], None]) -> None:
+        self._send = send
+        self._items: tuple[MissionItem, ...] = ()
+        self.target = (0, 0)
+        self.active = False
+        self._last: Callable[[], None] = self._announce
+        self._asked: set[int] = set()
+        self._deadline_ns = self._tries = self._starts = 0
+
+    def start(self, items: tuple[MissionItem, ...], t_ns: int) -> None:
+        """Begin; a transfer that is under way is given up."""
+        self._items, self.active, self._starts = items, True, 1
+        self._begin(t_ns)
+
+    def rebooted(self, t_ns: int) -> None:
+        """The vehicle has forgotten the transfer: begin again."""
+        if self.active:
+            self._begin(t_ns)
+
+    def stop(self) -> None:
+        """Give up."""
+        self.active = False
+
+    def request(self, sequence: int, t_ns: int) -> None:
+        """MISSION_REQUEST or MISSION_REQUEST_INT: send that item, however often it is asked for."""
+        if not self.active or not 0 <= sequence < len(self._items):
+            return
+        if sequence not in self._asked:
+            self._tries = 0
+        self._asked.add(sequence)
+        self._last = lambda: self._send(self._items[sequence].message(sequence, *self.target))
+        self._transmit(t_ns)
+
+    def acknowledge(self, result: int, t_ns: int) -> TransferResult | None:
+        """MISSION_ACK: the end, or a hint that something was lost."""
+        if not self.active or result == _OUT_OF_TURN:  # an item came twice; the request for the next will come
+            return None
+        if result == _ACCEPTED:
+            if self._items and len(self._asked) < len(self._items):
+                return None  # of an earlier transfer
+            return self._end(True, f"mission of {len(self._items)} items accepted")
+        if result in _INTERRUPTED and self._asked and self._starts < _STARTS:
+            self._starts += 1
+            self._begin(t_ns)
+            return None
+        reason = REFUSALS.get(result, f"result {result}")
+        where = f" (after item {max(self._asked)})" if self._asked else ""
+        return self._end(False, f"mission refused: {reason}{where}")
+
+    def tick(self, t_ns: int) -> TransferResult | None:
+        """Send again what was not answered in time; the end, if it never was."""
+        if not self.active or t_ns < self._deadline_ns:
+            return None
+        if self._tries < _TRIES:
+            self._transmit(t_ns)
+            return None
+        if self._asked and self._starts < _STARTS:
+            self._starts += 1
+            self._begin(t_ns)
+            return None
+        return self._end(False, f"mission not accepted: no answer after {len(self._asked)} of {len(self._items)} items")
+
+    def _begin(self, t_ns: int) -> None:
+        self._asked, self._tries, self._last = set(), 0, self._announce
+        self._transmit(t_ns)
+
+    def _transmit(self, t_ns: int) -> None:
+        self._tries += 1
+        self._deadline_ns = t_ns + _AGAIN_NS
+        self._last()
+
+    def _announce(self) -> None:
+        system, component = self.target
+        if self._items:
+            self._send(
+                message("MISSION_COUNT", target_system=system, target_component=component, count=len(self._items),
+                        mission_type=0)
+            )  # fmt: skip
+        else:
+            self._send(message("MISSION_CLEAR_ALL", target_system=system, target_component=component, mission_type=0))
+
+    def _end(self, ok: bool, text: str) -> TransferResult:
+        self.active = False
+        return TransferResult(ok, text, len(self._items))

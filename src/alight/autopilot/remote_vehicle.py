@@ -1,0 +1,293 @@
+"""The vehicle at the other end: what it reports, and the orders to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from alight.arrays import F64
+from alight.autopilot.border import Alignment
+from alight.autopilot.clock import Pace, VehicleClock
+from alight.autopilot.commands import CommandQueue
+from alight.autopilot.control import ControlWatch
+from alight.autopilot.firmware import Firmware
+from alight.autopilot.framing import Heard
+from alight.autopilot.mission_item import CONDITION_YAW, DO_CHANGE_SPEED, MissionItem
+from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
+from alight.autopilot.pymavlink_dialect import message
+from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
+from alight.autopilot.streams import StreamKeeper
+from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
+from alight.geometry import LocalFrame
+from alight.records import FlightMode, NoticeKind, Place, Telemetry
+
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+_TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
+_SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 1_000_000_000, 100_000_000
+_FIRST_TIMESYNCS = 10
+_LINK_NS = 3_500_000_000  # without a heartbeat
+_BROADCAST = 0
+
+
+class RemoteVehicle:
+    """One vehicle that was heard; `Autopilot` makes it.
+
+    Every order returns at once. What became of it comes as a notice with the ticket that the order has returned.
+    After a takeover nothing is sent that moves the vehicle, until the next order.
+    """
+
+    def __init__(
+        self,
+        firmware: Firmware,
+        system: int,
+        us: tuple[int, int],
+        rates: Mapping[str, float],
+        send: Callable[[Any], None],
+        note: Callable[..., None],
+    ) -> None:
+        self.firmware, self.system, self._us = firmware, system, us
+        self._send, self._note = send, note
+        self._state, self._control = VehicleState(firmware), ControlWatch(firmware)
+        self.clock, self._pace = VehicleClock(), Pace()
+        self._commands, self._transfer = CommandQueue(send), MissionTransfer(send)
+        self._commands.target = self._transfer.target = (system, AUTOPILOT)
+        wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
+        self._streams = StreamKeeper(wanted, self._commands)
+        self._target: Target | None = None
+        self._target_ns = self._timesync_ns = self._now_ns = 0
+        self._timesyncs = self._uploads = 0
+        self.alive = True  # its heartbeat is heard
+        self.starts = 1  # counted up by each reboot
+        self._handshakes: dict[str, Callable[[Any], None]] = {
+            "COMMAND_ACK": self._command_ack,
+            "MISSION_REQUEST": self._mission_request,
+            "MISSION_REQUEST_INT": self._mission_request,
+            "MISSION_ACK": self._mission_ack,
+            "TIMESYNC": self._timesync,
+            "STATUSTEXT": self._text,
+            "MISSION_ITEM_REACHED": self._reached,
+        }
+
+    # what it reports
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """A snapshot."""
+        return self._state.telemetry(self._now_ns)
+
+    @property
+    def in_control(self) -> bool:
+        """Whether we fly: from our first order to a takeover."""
+        return self._control.in_control
+
+    @property
+    def patience_ns(self) -> int:
+        """Time for time-outs: the autopilot's own, or ours while it is silent."""
+        return self._pace.t_ns
+
+    def place_at(self, t_ns: int) -> Place | None:
+        """Where the autopilot thought to be at an instant of our clock; None: no report near it."""
+        return self._state.place_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
+
+    def alignment(self, local: LocalFrame, position_world: F64, t_ns: int) -> Alignment | None:
+        """Tie our position (3,) of an instant to the autopilot's of the same; None: it has none near that instant."""
+        place = self.place_at(t_ns)
+        return None if place is None else Alignment(local, position_world, place)
+
+    # orders
+
+    def set_mode(self, mode: FlightMode) -> int:
+        """Fly in this mode from now on; the newest order counts."""
+        if mode is not FlightMode.GUIDED:
+            self._target = None
+        elif self._target is None and self.firmware.repeats_setpoints and (place := self.telemetry.place) is not None:
+            self._aim(hold_at(place))  # the mode is refused without a set-point
+        self._control.ordered(mode, self._pace.t_ns)
+        parameters = self.firmware.mode_parameters(mode)
+        return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns)
+
+    def arm(self) -> int:
+        """Start the motors."""
+        return self._commands.submit("arm", _ARM, (1.0,), self._pace.t_ns)
+
+    def disarm(self) -> int:
+        """Stop the motors; refused in the air."""
+        return self._commands.submit("disarm", _ARM, (0.0,), self._pace.t_ns)
+
+    def take_off(self, height: float) -> int:
+        """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
+        self._control.ordered(FlightMode.TAKE_OFF, self._pace.t_ns)
+        parameters = self.firmware.take_off_parameters(height, self.telemetry)
+        return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
+
+    def change_speed(self, speed: float) -> int:
+        """Fly at so many m/s over the ground."""
+        return self._commands.submit("speed", DO_CHANGE_SPEED, (1.0, speed, -1.0), self._pace.t_ns)
+
+    def face(self, heading: float) -> int:
+        """Turn to a heading, rad clockwise from north (PX4 takes it with a set-point only)."""
+        return self._commands.submit("heading", CONDITION_YAW, (math.degrees(heading) % 360.0,), self._pace.t_ns)
+
+    def upload(self, items: tuple[MissionItem, ...]) -> int:
+        """Send a mission; without items, delete the one that is there."""
+        self._uploads += 1
+        sent = self.firmware.mission(items, self.telemetry.home) if items else ()
+        self._transfer.start(sent, self._pace.t_ns)
+        return self._uploads
+
+    def start_mission(self) -> int:
+        """Fly the mission from its start."""
+        self.set_mode(FlightMode.MISSION)
+        return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
+
+    def guide(self, setpoint: Setpoint, alignment: Alignment | None = None) -> None:
+        """Fly to a set-point (in guided mode). It is repeated where the autopilot wants that.
+
+        Raises:
+            ValueError: the set-point is empty, not finite, or has a position and no alignment.
+        """
+        self._aim(target_of(setpoint, alignment))
+
+    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
+        """Report the target of a precision landing, twenty times a second while it lands.
+
+        Args:
+            t_ns: instant at which this held, our clock.
+            target_world: (3,) metres from the vehicle's reference point to the target, world axes.
+            world_from_body: (3, 3) attitude of that instant.
+
+        Returns:
+            False: not sent; somebody else flies, or PX4's local position is not known.
+        """
+        sent = self.firmware.landing_target(t_ns, target_world, world_from_body, self._state.local_ned)
+        if sent is None or not self._control.in_control:
+            return False
+        self._send(sent)
+        return True
+
+    def _aim(self, target: Target) -> None:
+        self._target, self._target_ns = target, self._now_ns
+        self._send(target.message(self._now_ns, self.system, AUTOPILOT))
+
+    # time
+
+    def tick(self, now_ns: int) -> None:
+        """Let time pass: requests, retries, set-points."""
+        self._now_ns = now_ns
+        self._pace.tick(now_ns)
+        self._watch_link()
+        if not self.alive:
+            return
+        self._ask_time()
+        self._streams.tick(self._pace.t_ns)
+        self._uploaded(self._transfer.tick(self._pace.t_ns))
+        for answer in self._commands.tick(self._pace.t_ns):
+            self._answered(answer.ticket, answer.ok, answer.text)
+        repeats = self._target is not None and self.firmware.repeats_setpoints
+        if repeats and now_ns - self._target_ns >= _SETPOINT_NS and self._target is not None:
+            self._aim(self._target)
+
+    def _watch_link(self) -> None:
+        heard = self._state.heard_ns("HEARTBEAT")
+        if self.alive and heard is not None and self._now_ns - heard > _LINK_NS:
+            self.alive = False
+            self._note(NoticeKind.LINK_LOST, "no heartbeat of the vehicle any more", ok=False)
+
+    def _ask_time(self) -> None:
+        period = _TIMESYNC_NS if self._timesyncs >= _FIRST_TIMESYNCS else _FIRST_TIMESYNC_NS
+        if self._now_ns - self._timesync_ns >= period or not self._timesyncs:
+            self._timesync_ns = self._now_ns
+            self._timesyncs += 1
+            self._send(message("TIMESYNC", tc1=0, ts1=self.clock.question(self._now_ns)))
+
+    # hearing
+
+    def hear(self, heard: Heard, now_ns: int) -> bool:
+        """Take a message of the vehicle; False: it is no telemetry, or was overtaken by a newer one."""
+        self._now_ns = max(now_ns, self._now_ns)
+        m, name = heard.message, heard.name
+        handshake = self._handshakes.get(name)
+        if handshake is not None:
+            handshake(m)
+        if handshake is not None or heard.late:
+            return False
+        boot_ns = boot_time_ns(m)
+        if boot_ns is not None and self._pace.heard(boot_ns, self._now_ns):
+            self._rebooted()
+        self._streams.hear(name, self._pace.t_ns)
+        self._state.hear(name, m, self._now_ns)
+        if name == "HEARTBEAT":
+            self._heartbeat()
+        elif name == "RC_CHANNELS" and self._state.sticks is not None:
+            self._watch(self._control.sticks(self._state.sticks))
+        return True
+
+    def _heartbeat(self) -> None:
+        if not self.alive:
+            self.alive = True
+            self._note(NoticeKind.LINK_BACK, "the vehicle is heard again")
+        now, before = self._state.telemetry(self._now_ns), self._control.mode_name
+        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns)
+        self._watch(reason)
+        if reason is None and before != now.mode_name:
+            self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
+
+    def _watch(self, takeover: str | None) -> None:
+        if takeover is None:
+            return
+        self._control.released()
+        self._target = None
+        self._commands.drop()
+        self._note(NoticeKind.TAKEOVER, takeover, ok=False, mode=self._state.telemetry(self._now_ns).mode)
+
+    def _rebooted(self) -> None:
+        self.starts += 1
+        self._state.rebooted()
+        self._control.rebooted()
+        self._target = None
+        self.clock.forget()
+        self._timesyncs = 0
+        self._commands.drop(everything=True)
+        self._streams.rebooted()
+        self._transfer.rebooted(self._pace.t_ns)
+        self._note(NoticeKind.REBOOT, "the autopilot has started again", ok=False)
+
+    def _is_for_us(self, m: Any) -> bool:
+        system, component = getattr(m, "target_system", 0), getattr(m, "target_component", 0)
+        return system in (_BROADCAST, self._us[0]) and component in (_BROADCAST, self._us[1])
+
+    def _command_ack(self, m: Any) -> None:
+        answer = self._commands.hear(m.command, m.result, self._pace.t_ns) if self._is_for_us(m) else None
+        if answer is not None:
+            self._answered(answer.ticket, answer.ok, answer.text)
+
+    def _answered(self, ticket: int, ok: bool, text: str) -> None:
+        if not self._streams.is_ours(ticket):  # those that do not come are asked for again anyway
+            self._note(NoticeKind.COMMAND, text, ok, ticket=ticket)
+
+    def _mission_request(self, m: Any) -> None:
+        if self._is_for_us(m) and not m.mission_type:
+            self._transfer.request(m.seq, self._pace.t_ns)
+
+    def _mission_ack(self, m: Any) -> None:
+        if self._is_for_us(m) and not m.mission_type:
+            self._uploaded(self._transfer.acknowledge(m.type, self._pace.t_ns))
+
+    def _uploaded(self, result: TransferResult | None) -> None:
+        if result is not None:
+            self._note(NoticeKind.UPLOAD, result.text, result.ok, ticket=self._uploads)
+
+    def _timesync(self, m: Any) -> None:
+        if m.tc1 == 0:  # a question; its stamp comes back with ours
+            self._send(message("TIMESYNC", tc1=self._now_ns, ts1=m.ts1))
+        else:
+            self.clock.answer(m.ts1, m.tc1, self._now_ns)
+
+    def _text(self, m: Any) -> None:
+        self._note(NoticeKind.TEXT, str(m.text), ok=m.severity > 3)
+
+    def _reached(self, m: Any) -> None:
+        item = m.seq - self.firmware.home_items
+        if item >= 0:
+            self._note(NoticeKind.REACHED, f"item {item}", item=item)

@@ -1,0 +1,78 @@
+"""Guided set-points: where to fly, as the autopilot must be told it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.autopilot.border import Alignment, ned, scaled_degrees, signed_angle
+from alight.autopilot.pymavlink_dialect import message
+from alight.records import Place
+
+_GLOBAL_MSL, _LOCAL_NED = 5, 1  # MAV_FRAME_GLOBAL_INT, MAV_FRAME_LOCAL_NED
+_NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448, 1024, 2048
+
+
+@dataclass(frozen=True, eq=False)
+class Setpoint:
+    """Where the vehicle is to be or how it is to move, in our world; None: left to the autopilot."""
+
+    position_world: F64 | None = None  # (3,) metres
+    velocity_world: F64 | None = None  # (3,) m/s; with a position: the speed there
+    heading: float | None = None  # rad, clockwise from north
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A set-point tied to the autopilot's own estimate: it can be sent again and means the same."""
+
+    place: Place | None
+    velocity_ned: F64 | None
+    heading: float | None
+
+    def message(self, t_ns: int, system: int, component: int) -> Any:
+        """The set-point as a message: global above sea level, or a velocity in the local frame."""
+        mask = _NO_ACCELERATION | _NO_YAW_RATE
+        mask |= (_NO_VELOCITY if self.velocity_ned is None else 0) | (_NO_YAW if self.heading is None else 0)
+        vx, vy, vz = (float(v) for v in (np.zeros(3) if self.velocity_ned is None else self.velocity_ned))
+        common = {
+            "time_boot_ms": t_ns // 1_000_000 % 2**32, "target_system": system, "target_component": component,
+            "vx": vx, "vy": vy, "vz": vz, "afx": 0.0, "afy": 0.0, "afz": 0.0,
+            "yaw": 0.0 if self.heading is None else signed_angle(self.heading), "yaw_rate": 0.0,
+        }  # fmt: skip
+        if self.place is None:
+            return message(
+                "SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=_LOCAL_NED, type_mask=mask | _NO_POSITION,
+                x=0.0, y=0.0, z=0.0, **common,
+            )  # fmt: skip
+        return message(
+            "SET_POSITION_TARGET_GLOBAL_INT", coordinate_frame=_GLOBAL_MSL, type_mask=mask,
+            lat_int=scaled_degrees(self.place.latitude), lon_int=scaled_degrees(self.place.longitude),
+            alt=self.place.altitude_msl, **common,
+        )  # fmt: skip
+
+
+def target_of(setpoint: Setpoint, alignment: Alignment | None) -> Target:
+    """Tie a set-point to the autopilot's estimate.
+
+    Raises:
+        ValueError: it has neither position nor velocity, or a number is not finite, or a position has no alignment.
+    """
+    position, velocity, heading = setpoint.position_world, setpoint.velocity_world, setpoint.heading
+    given = [v for v in (position, velocity) if v is not None]
+    if not given or not all(np.isfinite(v).all() for v in given) or not math.isfinite(heading or 0.0):
+        raise ValueError("a set-point needs a position or a velocity, of finite numbers")
+    if position is None:
+        return Target(None, ned(given[0]), heading)
+    if alignment is None:
+        raise ValueError("a position needs our position and the autopilot's of one instant")
+    return Target(alignment.place_of(position), None if velocity is None else ned(velocity), heading)
+
+
+def hold_at(place: Place) -> Target:
+    """Stay at a place."""
+    return Target(place, None, None)

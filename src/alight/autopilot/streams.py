@@ -1,0 +1,70 @@
+"""Streams: asked for message by message, and again whenever one dries up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from alight.autopilot.commands import CommandQueue
+from alight.autopilot.pymavlink_dialect import message_id
+
+SET_MESSAGE_INTERVAL = 511  # MAV_CMD
+_PATIENCE_NS = 2_000_000_000  # a stream has dried up after this and three of its periods
+_FIRST_NS, _LONGEST_NS = 3_000_000_000, 60_000_000_000  # between two requests for a stream that does not come
+
+
+@dataclass
+class _Stream:
+    rate: float
+    heard_ns: int = -1
+    asked_ns: int | None = None
+    wait_ns: int = _FIRST_NS
+
+
+class StreamKeeper:
+    """Keeps the streams of a vehicle flowing (it sends nothing unasked, and nothing again after a reboot)."""
+
+    def __init__(self, rates: Mapping[str, float], commands: CommandQueue) -> None:
+        self._streams = {name: _Stream(rate) for name, rate in rates.items()}
+        self._commands = commands
+        self._tickets: dict[int, str] = {}
+
+    def rebooted(self) -> None:
+        """Ask for everything anew."""
+        self._streams = {name: _Stream(s.rate) for name, s in self._streams.items()}
+        self._tickets.clear()
+
+    def hear(self, name: str, t_ns: int) -> None:
+        """Take note that a message has come."""
+        stream = self._streams.get(name)
+        if stream is not None:
+            stream.heard_ns, stream.wait_ns = t_ns, _FIRST_NS
+
+    def is_ours(self, ticket: int) -> bool:
+        """Whether an answer belongs to a request for a stream."""
+        return self._tickets.pop(ticket, None) is not None
+
+    def tick(self, t_ns: int) -> None:
+        """Ask for what is missing."""
+        for name, stream in self._streams.items():
+            if self._missing(stream, t_ns):
+                self._ask(name, stream, t_ns)
+
+    def dry(self, t_ns: int) -> list[str]:
+        """The streams that do not come."""
+        return [n for n, s in self._streams.items() if s.heard_ns < 0 or self._late(s, t_ns)]
+
+    def _late(self, stream: _Stream, t_ns: int) -> bool:
+        return t_ns - stream.heard_ns > _PATIENCE_NS + 3e9 / stream.rate
+
+    def _missing(self, stream: _Stream, t_ns: int) -> bool:
+        if stream.asked_ns is None:
+            return True
+        return (stream.heard_ns < 0 or self._late(stream, t_ns)) and t_ns - stream.asked_ns > stream.wait_ns
+
+    def _ask(self, name: str, stream: _Stream, t_ns: int) -> None:
+        stream.wait_ns = _FIRST_NS if stream.asked_ns is None else min(2 * stream.wait_ns, _LONGEST_NS)
+        stream.asked_ns = t_ns
+        parameters = (float(message_id(name)), 1e6 / stream.rate)
+        ticket = self._commands.submit(f"stream {name}", SET_MESSAGE_INTERVAL, parameters, t_ns, flies=False)
+        self._tickets[ticket] = name

@@ -1,0 +1,156 @@
+"""Messages in, a snapshot of the vehicle out."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.autopilot import border
+from alight.autopilot.firmware import Firmware
+from alight.records import Battery, GpsQuality, Landed, Place, Telemetry
+
+_ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+_NAN = float("nan")
+_REMEMBERED = 300  # positions, to find the one of an instant
+_EXTRAPOLATED_NS = 400_000_000
+_DEGREES_PER_METRE = 1 / 111_132.0  # of latitude
+
+
+def boot_time_ns(message: Any) -> int | None:
+    """The autopilot's clock in a message; None: it has no stamp of that clock."""
+    stamp = getattr(message, "time_boot_ms", None)
+    return None if stamp is None else int(stamp) * 1_000_000
+
+
+def _measured(value: float, scale: float, unknown: float) -> float:
+    return _NAN if value == unknown else value * scale
+
+
+def gps_quality(m: Any) -> GpsQuality:
+    """GPS_RAW_INT; the accuracies are extensions of MAVLink 2, and 0 where they are not filled."""
+    return GpsQuality(
+        int(m.fix_type),
+        0 if m.satellites_visible == 255 else int(m.satellites_visible),
+        _measured(m.h_acc, 1e-3, 0),
+        _measured(m.v_acc, 1e-3, 0),
+        _measured(m.vel_acc, 1e-3, 0),
+        _NAN if m.alt_ellipsoid == 0 else (m.alt_ellipsoid - m.alt) * 1e-3,
+    )
+
+
+class VehicleState:
+    """The newest of everything that was heard from the vehicle."""
+
+    def __init__(self, firmware: Firmware) -> None:
+        self.firmware = firmware
+        self._now = Telemetry(firmware.name)
+        self._heard: dict[str, int] = {}
+        self._places: deque[tuple[int, Place, F64]] = deque(maxlen=_REMEMBERED)  # autopilot's clock, place, NED m/s
+        self.local_ned: F64 | None = None  # (3,) metres, of the estimator's local frame
+        self.sticks: tuple[int, ...] | None = None
+
+    def telemetry(self, now_ns: int) -> Telemetry:
+        """A snapshot."""
+        return replace(self._now, ages={name: (now_ns - t) * 1e-9 for name, t in self._heard.items()})
+
+    def heard_ns(self, name: str) -> int | None:
+        """When a message was last heard, our clock."""
+        return self._heard.get(name)
+
+    def rebooted(self) -> None:
+        """Forget what a new start has made void."""
+        self._now = replace(Telemetry(self.firmware.name), armed=False, mode=self._now.mode)
+        self._places.clear()
+        self.local_ned = self.sticks = None
+
+    def hear(self, name: str, m: Any, now_ns: int) -> None:
+        """Take a message of the vehicle."""
+        self._heard[name] = now_ns
+        boot_ns = boot_time_ns(m)
+        if boot_ns is not None:
+            self._now = replace(self._now, boot_ns=max(boot_ns, self._now.boot_ns))
+        take = getattr(self, f"_{name.lower()}", None)
+        if take is not None:
+            take(m)
+
+    def place_at(self, boot_ns: int) -> Place | None:
+        """Where the autopilot thought to be at an instant of its own clock; None: too far from every report."""
+        if not self._places:
+            return None
+        t, place, velocity = min(self._places, key=lambda entry: abs(entry[0] - boot_ns))
+        if abs(boot_ns - t) > _EXTRAPOLATED_NS:
+            return None
+        north, east, down = velocity * ((boot_ns - t) * 1e-9)
+        return Place(
+            place.latitude + north * _DEGREES_PER_METRE,
+            place.longitude + east * _DEGREES_PER_METRE / max(math.cos(math.radians(place.latitude)), 1e-6),
+            place.altitude_msl - down,
+            place.above_home - down,
+        )
+
+    def _heartbeat(self, m: Any) -> None:
+        mode, name = self.firmware.mode(m.custom_mode)
+        self._now = replace(self._now, armed=bool(m.base_mode & _ARMED), mode=mode, mode_name=name)
+
+    def _extended_sys_state(self, m: Any) -> None:
+        known = m.landed_state in {state.value for state in Landed}
+        self._now = replace(self._now, landed=Landed(m.landed_state) if known else Landed.UNKNOWN)
+
+    def _global_position_int(self, m: Any) -> None:
+        place = Place(m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, m.relative_alt * 1e-3)
+        velocity_ned = np.array([m.vx, m.vy, m.vz]) * 1e-2
+        self._now = replace(self._now, place=place, velocity_world=border.enu(*velocity_ned))
+        self._places.append((m.time_boot_ms * 1_000_000, place, velocity_ned))
+
+    def _local_position_ned(self, m: Any) -> None:
+        here = np.array([m.x, m.y, m.z], dtype=np.float64)
+        self.local_ned = here if np.isfinite(here).all() else None
+
+    def _attitude_quaternion(self, m: Any) -> None:
+        self._turn(border.world_from_body_of_quaternion([m.q1, m.q2, m.q3, m.q4]), m)
+
+    def _attitude(self, m: Any) -> None:
+        self._turn(border.world_from_body_of_angles(m.roll, m.pitch, m.yaw), m)
+
+    def _turn(self, world_from_body: F64 | None, m: Any) -> None:
+        rates = border.flu(m.rollspeed, m.pitchspeed, m.yawspeed)
+        self._now = replace(self._now, world_from_body=world_from_body, angular_velocity_body=rates)
+
+    def _gps_raw_int(self, m: Any) -> None:
+        self._now = replace(self._now, gps=gps_quality(m))
+
+    def _ekf_status_report(self, m: Any) -> None:
+        self._now = replace(self._now, estimator_flags=int(m.flags))
+
+    def _estimator_status(self, m: Any) -> None:
+        self._now = replace(self._now, estimator_flags=int(m.flags))
+
+    def _sys_status(self, m: Any) -> None:
+        battery = Battery(_measured(m.battery_remaining, 1e-2, -1), _measured(m.voltage_battery, 1e-3, 0xFFFF))
+        self._now = replace(self._now, sensors_healthy=int(m.onboard_control_sensors_health), battery=battery)
+
+    def _home_position(self, m: Any) -> None:
+        self._now = replace(self._now, home=Place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 0.0))
+
+    def _wind(self, m: Any) -> None:
+        """ArduPilot's: where the wind comes from, in degrees."""
+        towards = math.radians(m.direction) + math.pi
+        self._now = replace(
+            self._now, wind_world=border.enu(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
+        )
+
+    def _wind_cov(self, m: Any) -> None:
+        self._now = replace(self._now, wind_world=border.enu(m.wind_x, m.wind_y, m.wind_z))
+
+    def _mission_current(self, m: Any) -> None:
+        item = int(m.seq) - self.firmware.home_items
+        self._now = replace(self._now, mission_item=item if item >= 0 else None)
+
+    def _rc_channels(self, m: Any) -> None:
+        four = (m.chan1_raw, m.chan2_raw, m.chan3_raw, m.chan4_raw)
+        self.sticks = None if any(s in (0, 0xFFFF) for s in four) else four

@@ -1,0 +1,145 @@
+"""What an autopilot reports: its state and what happened to it. ENU, FLU, SI; altitudes above sea level say so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+
+from alight.arrays import F64
+
+_NAN = float("nan")
+PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
+FIX_3D = 3
+_ABSOLUTE, _CONSTANT = 16, 128  # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share
+_DOUBTFUL = 1024 | 32768  # not initialised, or GPS glitches
+
+
+class FlightMode(Enum):
+    """What the autopilot is doing, whatever it calls it."""
+
+    GUIDED = "guided"  # follows our set-points (ArduPilot GUIDED, PX4 Offboard)
+    MISSION = "mission"
+    TAKE_OFF = "take-off"  # PX4 only; ArduPilot takes off within GUIDED
+    LAND = "land"
+    HOLD = "hold"  # stays where it is (BRAKE, Hold)
+    RETURN = "return"
+    PILOT = "pilot"  # a person flies: any mode that follows the sticks
+    OTHER = "other"
+
+
+class Landed(Enum):
+    """MAV_LANDED_STATE."""
+
+    UNKNOWN = 0
+    GROUND = 1
+    AIR = 2
+    TAKING_OFF = 3
+    LANDING = 4
+
+
+@dataclass(frozen=True)
+class Place:
+    """A position as the autopilot knows it; altitudes of one place belong together."""
+
+    latitude: float  # degrees
+    longitude: float  # degrees
+    altitude_msl: float  # metres above mean sea level
+    above_home: float = _NAN  # metres above the autopilot's own home
+
+
+@dataclass(frozen=True)
+class GpsQuality:
+    """How well the receiver knows its place, 1-sigma; NaN: it does not report that."""
+
+    fix: int = 0  # GPS_FIX_TYPE: 3 is 3D, 5 and 6 are RTK
+    satellites: int = 0
+    horizontal: float = _NAN  # metres
+    vertical: float = _NAN  # metres
+    speed: float = _NAN  # m/s
+    separation: float = _NAN  # metres, ellipsoid minus sea level, where the receiver reports both heights
+
+
+@dataclass(frozen=True)
+class Battery:
+    """What is left; NaN: not reported."""
+
+    share: float = _NAN  # 0 to 1
+    voltage: float = _NAN  # V
+
+
+def is_absolute(estimator_flags: int) -> bool:
+    """Whether these flags of the estimator say that it has a position on Earth and no doubt about it."""
+    return bool(estimator_flags & _ABSOLUTE) and not estimator_flags & (_CONSTANT | _DOUBTFUL)
+
+
+def _unknown() -> F64:
+    return np.full(3, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Telemetry:
+    """A snapshot of the vehicle. None and NaN: not heard yet."""
+
+    firmware: str  # "ArduPilot" or "PX4"
+    boot_ns: int = 0  # the autopilot's own clock, newest heard
+    armed: bool = False
+    mode: FlightMode = FlightMode.OTHER
+    mode_name: str = ""  # the autopilot's own word
+    landed: Landed = Landed.UNKNOWN
+    place: Place | None = None
+    velocity_world: F64 = field(default_factory=_unknown)  # (3,) m/s
+    world_from_body: F64 | None = None  # (3, 3) rotation
+    angular_velocity_body: F64 = field(default_factory=_unknown)  # (3,) rad/s
+    gps: GpsQuality = GpsQuality()
+    sensors_healthy: int | None = None  # bits of MAV_SYS_STATUS_SENSOR
+    estimator_flags: int | None = None  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
+    home: Place | None = None
+    wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, where the air goes
+    battery: Battery = Battery()
+    mission_item: int | None = None  # number of the item that is flown, counted from 0 without ArduPilot's home
+    ages: dict[str, float] = field(default_factory=dict)  # s since each kind of message was heard
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the estimator has an absolute position that it believes in."""
+        return self.estimator_flags is not None and is_absolute(self.estimator_flags)
+
+    @property
+    def ready(self) -> bool:
+        """Whether it may be armed: pre-arm checks passed, and an absolute position."""
+        return self.has_position and bool((self.sensors_healthy or 0) & PRE_ARM)
+
+    @property
+    def is_down(self) -> bool:
+        """Whether a landing is over: disarmed, and on the ground."""
+        return not self.armed and self.landed is Landed.GROUND
+
+
+class NoticeKind(Enum):
+    """What a notice is about."""
+
+    FOUND = "found"  # the vehicle was heard for the first time
+    LINK_LOST = "link lost"
+    LINK_BACK = "link back"
+    REBOOT = "reboot"
+    TAKEOVER = "takeover"  # somebody else flies now: nothing of ours is sent any more until we are told to
+    MODE = "mode"  # a change that we asked for, or that follows from it
+    COMMAND = "command"  # a command was accepted, refused or never answered
+    UPLOAD = "upload"  # a mission was accepted, refused or never answered
+    REACHED = "reached"  # a mission item
+    TEXT = "text"  # what the autopilot says
+
+
+@dataclass(frozen=True)
+class Notice:
+    """Something that happened to the vehicle or to what we asked of it."""
+
+    t_ns: int  # our clock
+    kind: NoticeKind
+    text: str
+    ok: bool = True
+    mode: FlightMode | None = None
+    item: int | None = None  # of REACHED
+    ticket: int | None = None  # of COMMAND and UPLOAD: what the request returned
