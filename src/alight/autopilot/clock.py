@@ -50,17 +50,16 @@ class VehicleClock:
         return now_ns
 
     def answer(self, asked_ns: int, theirs_ns: int, now_ns: int) -> bool:
-        """Take an answer; True if it shows that the autopilot's clock has jumped."""
-        if asked_ns not in self._asked or not now_ns - asked_ns >= 0:
+        """Take an answer; False: it is none to a question of ours. After a jump of its clock all begins anew."""
+        if asked_ns not in self._asked or now_ns < asked_ns:
             return False
         self._asked.remove(asked_ns)
         exchange = _Exchange(theirs_ns, (asked_ns + now_ns) // 2 - theirs_ns, (now_ns - asked_ns) * 1e-9)
-        jumped = self._jumped(exchange)
-        if jumped:
+        if self._jumped(exchange):
             self.forget()
         self._exchanges.append(exchange)
         self._update()
-        return jumped
+        return True
 
     def forget(self) -> None:
         """Start anew, as after a reboot."""

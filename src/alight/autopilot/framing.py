@@ -29,7 +29,31 @@ class Heard:
     name: str
     system: int
     component: int
-    late: bool  # overtaken by a newer one, or a copy: of no use as a state
+    late: bool  # a copy, or overtaken by a newer one of its own kind: of no use as a state
+    overtaken: bool  # by a newer one of any kind
+
+
+class _Order:
+    """Sequence numbers of one sender, unwrapped."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+        self._newest_ns = 0
+        self._of_kind: dict[str, int] = {}
+
+    def place(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
+        """Whether a message is late, and whether it was overtaken."""
+        if self._newest is None or now_ns - self._newest_ns > _REMEMBERED_NS:
+            self._newest, self._newest_ns = sequence, now_ns
+            self._of_kind = {name: sequence}
+            return False, False
+        index = self._newest + (sequence - self._newest + 128) % 256 - 128
+        overtaken = index <= self._newest
+        if not overtaken:
+            self._newest, self._newest_ns = index, now_ns
+        late = index <= self._of_kind.get(name, index - 1)
+        self._of_kind[name] = max(index, self._of_kind.get(name, index))
+        return late, overtaken
 
 
 class Framing:
@@ -42,7 +66,7 @@ class Framing:
         self.counts = FrameCounts()
         self._mavlink = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         self._buffer = bytearray()
-        self._newest: dict[tuple[int, int], tuple[int, int]] = {}  # (sequence, time) of each sender
+        self._orders: dict[tuple[int, int], _Order] = {}
 
     def speak_as(self, system: int, component: int) -> None:
         """Use another address from now on."""
@@ -60,9 +84,9 @@ class Framing:
         out = []
         while (message := self._next()) is not None:
             self.counts.messages += 1
-            system, component = message.get_srcSystem(), message.get_srcComponent()
-            late = self._is_late(system, component, message.get_seq(), now_ns)
-            out.append(Heard(message, message.get_type(), system, component, late))
+            sender, name = (message.get_srcSystem(), message.get_srcComponent()), message.get_type()
+            order = self._orders.setdefault(sender, _Order())
+            out.append(Heard(message, name, *sender, *order.place(name, message.get_seq(), now_ns)))
         return out
 
     def _next(self) -> Any | None:
@@ -113,10 +137,3 @@ class Framing:
     def _drop(self, count: int, damaged: bool = True) -> None:
         self.counts.damaged += count if damaged else 0
         del self._buffer[:count]
-
-    def _is_late(self, system: int, component: int, sequence: int, now_ns: int) -> bool:
-        newest = self._newest.get((system, component))
-        if newest is not None and now_ns - newest[1] < _REMEMBERED_NS and not 1 <= (sequence - newest[0]) % 256 < 128:
-            return True
-        self._newest[system, component] = (sequence, now_ns)
-        return False

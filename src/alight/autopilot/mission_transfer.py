@@ -13,7 +13,7 @@ _AGAIN_NS = 1_500_000_000  # without a request, until the last message is sent a
 _TRIES = 8  # of one message
 _STARTS = 4  # of the whole transfer
 _ACCEPTED, _OUT_OF_TURN = 0, 13  # MAV_MISSION_RESULT
-_INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a lost answer or a transfer that timed out looks like
+_INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a copy of an item or a transfer that timed out brings
 REFUSALS = {
     1: "it reports an error",
     2: "the frame of an item is not supported",
@@ -48,6 +48,7 @@ class MissionTransfer:
         self.active = False
         self._last: Callable[[], None] = self._announce
         self._asked: set[int] = set()
+        self._interrupted: int | None = None  # a result after which the transfer may or may not go on
         self._deadline_ns = self._tries = self._starts = 0
 
     def start(self, items: tuple[MissionItem, ...], t_ns: int) -> None:
@@ -69,7 +70,7 @@ class MissionTransfer:
         if not self.active or not 0 <= sequence < len(self._items):
             return
         if sequence not in self._asked:
-            self._tries = 0
+            self._tries, self._interrupted = 0, None
         self._asked.add(sequence)
         self._last = lambda: self._send(self._items[sequence].message(sequence, *self.target))
         self._transmit(t_ns)
@@ -82,29 +83,32 @@ class MissionTransfer:
             if self._items and len(self._asked) < len(self._items):
                 return None  # of an earlier transfer
             return self._end(True, f"mission of {len(self._items)} items accepted")
-        if result in _INTERRUPTED and self._asked and self._starts < _STARTS:
-            self._starts += 1
-            self._begin(t_ns)
+        if result in _INTERRUPTED:  # its acceptance or its next request may still be on the way
+            self._interrupted = result
             return None
-        reason = REFUSALS.get(result, f"result {result}")
-        where = f" (after item {max(self._asked)})" if self._asked else ""
-        return self._end(False, f"mission refused: {reason}{where}")
+        return self._refused(result)
 
     def tick(self, t_ns: int) -> TransferResult | None:
         """Send again what was not answered in time; the end, if it never was."""
         if not self.active or t_ns < self._deadline_ns:
             return None
-        if self._tries < _TRIES:
+        if self._interrupted is None and self._tries < _TRIES:
             self._transmit(t_ns)
             return None
-        if self._asked and self._starts < _STARTS:
+        if (self._asked or self._interrupted is not None) and self._starts < _STARTS:
             self._starts += 1
             self._begin(t_ns)
             return None
+        if self._interrupted is not None:
+            return self._refused(self._interrupted)
         return self._end(False, f"mission not accepted: no answer after {len(self._asked)} of {len(self._items)} items")
 
+    def _refused(self, result: int) -> TransferResult:
+        where = f" (after item {max(self._asked)})" if self._asked else ""
+        return self._end(False, f"mission refused: {REFUSALS.get(result, f'result {result}')}{where}")
+
     def _begin(self, t_ns: int) -> None:
-        self._asked, self._tries, self._last = set(), 0, self._announce
+        self._asked, self._tries, self._last, self._interrupted = set(), 0, self._announce, None
         self._transmit(t_ns)
 
     def _transmit(self, t_ns: int) -> None:

@@ -27,6 +27,7 @@ _TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
 _SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 1_000_000_000, 100_000_000
 _FIRST_TIMESYNCS = 10
 _LINK_NS = 3_500_000_000  # without a heartbeat
+_FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
 _BROADCAST = 0
 
 
@@ -213,8 +214,8 @@ class RemoteVehicle:
         if handshake is not None or heard.late:
             return False
         boot_ns = boot_time_ns(m)
-        if boot_ns is not None and self._pace.heard(boot_ns, self._now_ns):
-            self._rebooted()
+        if boot_ns is not None and not heard.overtaken:
+            self._keep_pace(boot_ns)
         self._streams.hear(name, self._pace.t_ns)
         self._state.hear(name, m, self._now_ns)
         if name == "HEARTBEAT":
@@ -222,6 +223,10 @@ class RemoteVehicle:
         elif name == "RC_CHANNELS" and self._state.sticks is not None:
             self._watch(self._control.sticks(self._state.sticks))
         return True
+
+    def _keep_pace(self, boot_ns: int) -> None:
+        if self._pace.heard(boot_ns, self._now_ns):
+            self._rebooted()
 
     def _heartbeat(self) -> None:
         if not self.alive:
@@ -281,8 +286,8 @@ class RemoteVehicle:
     def _timesync(self, m: Any) -> None:
         if m.tc1 == 0:  # a question; its stamp comes back with ours
             self._send(message("TIMESYNC", tc1=self._now_ns, ts1=m.ts1))
-        else:
-            self.clock.answer(m.ts1, m.tc1, self._now_ns)
+        elif self.clock.answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
+            self._keep_pace(m.tc1)
 
     def _text(self, m: Any) -> None:
         self._note(NoticeKind.TEXT, str(m.text), ok=m.severity > 3)

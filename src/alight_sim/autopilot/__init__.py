@@ -1,0 +1,21 @@
+"""A simulated autopilot (Copter, PX4) over MAVLink, with a vehicle of its own; no code of `alight.autopilot`."""
+
+from alight_sim.autopilot.channel import LossyChannel
+from alight_sim.autopilot.dialects import SpokenArduPilot, SpokenPx4
+from alight_sim.autopilot.estimate import EstimateError
+from alight_sim.autopilot.point_mass import FlightLimits, PointMass, Wanted
+from alight_sim.autopilot.server import UdpServer
+from alight_sim.autopilot.simulated import SimulatedAutopilot, SimulatedHome
+
+__all__ = [
+    "EstimateError",
+    "FlightLimits",
+    "LossyChannel",
+    "PointMass",
+    "SimulatedAutopilot",
+    "SimulatedHome",
+    "SpokenArduPilot",
+    "SpokenPx4",
+    "UdpServer",
+    "Wanted",
+]

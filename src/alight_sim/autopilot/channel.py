@@ -1,0 +1,48 @@
+"""A bad link: loses, doubles, delays and reorders datagrams, the same for the same seed."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class LossyChannel:
+    """One direction of a link; times in seconds of whatever clock the caller has."""
+
+    loss: float = 0.0  # probability
+    delay: float = 0.0  # s
+    jitter: float = 0.0  # s, uniform on top of the delay: what overtakes
+    double: float = 0.0  # probability of a second copy
+    damage: float = 0.0  # probability that a byte of the datagram is wrong
+    seed: int = 0
+    _queue: list[tuple[float, int, bytes]] = field(default_factory=list, init=False)
+    _count: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+
+    def put(self, data: bytes, t: float) -> None:
+        """Send a datagram."""
+        for _ in range(1 + int(self._rng.random() < self.double)):
+            if self._rng.random() < self.loss:
+                continue
+            self._count += 1
+            due = t + self.delay + self.jitter * self._rng.random()
+            heapq.heappush(self._queue, (due, self._count, self._spoiled(data)))
+
+    def get(self, t: float) -> list[bytes]:
+        """What has arrived by now."""
+        out = []
+        while self._queue and self._queue[0][0] <= t:
+            out.append(heapq.heappop(self._queue)[2])
+        return out
+
+    def _spoiled(self, data: bytes) -> bytes:
+        if self._rng.random() >= self.damage:
+            return data
+        out = bytearray(data)
+        out[int(self._rng.integers(len(out)))] ^= int(self._rng.integers(1, 256))
+        return bytes(out)

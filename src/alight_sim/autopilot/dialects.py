@@ -1,0 +1,99 @@
+"""What differs between the autopilots that are simulated: numbers of modes, what they ask for and what they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Protocol
+
+
+class Doing(Enum):
+    """What the simulated autopilot does."""
+
+    PILOT = "pilot"
+    GUIDED = "guided"
+    MISSION = "mission"
+    TAKE_OFF = "take off"
+    LAND = "land"
+    HOLD = "hold"
+    RETURN = "return"
+
+
+class Dialect(Protocol):
+    """An autopilot's habits."""
+
+    autopilot: int  # MAV_AUTOPILOT
+    estimator_message: int  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
+    wind_message: int
+    first_item: int  # of the mission that is flown: ArduPilot's item 0 is the home
+    asks_with_int: bool  # MISSION_REQUEST_INT instead of MISSION_REQUEST
+    mission_commands: frozenset[int]
+    needs_setpoints: bool  # leaves guided flight when they stop
+
+    def number(self, doing: Doing) -> int:
+        """The custom mode of a heartbeat."""
+
+    def doing(self, parameters: tuple[float, ...]) -> Doing | None:
+        """The mode that MAV_CMD_DO_SET_MODE asks for; None: there is no such mode."""
+
+
+class SpokenArduPilot:
+    """Copter."""
+
+    autopilot = 3
+    estimator_message = 193
+    wind_message = 168
+    first_item = 1
+    asks_with_int = False
+    mission_commands = frozenset({16, 19, 20, 21, 22, 115, 178})
+    needs_setpoints = False
+    _numbers: Mapping[Doing, int] = {
+        Doing.PILOT: 5,  # LOITER
+        Doing.GUIDED: 4,
+        Doing.MISSION: 3,
+        Doing.TAKE_OFF: 4,
+        Doing.LAND: 9,
+        Doing.HOLD: 17,
+        Doing.RETURN: 6,
+    }
+
+    def number(self, doing: Doing) -> int:
+        """The custom mode of a heartbeat."""
+        return self._numbers[doing]
+
+    def doing(self, parameters: tuple[float, ...]) -> Doing | None:
+        """By its number in the second parameter."""
+        wanted = {n: d for d, n in self._numbers.items() if d is not Doing.TAKE_OFF}
+        return wanted.get(round(parameters[1]))
+
+
+class SpokenPx4:
+    """PX4's multicopter."""
+
+    autopilot = 12
+    estimator_message = 230
+    wind_message = 231
+    first_item = 0
+    asks_with_int = True
+    mission_commands = frozenset({16, 19, 20, 21, 22, 178})
+    needs_setpoints = True
+    _numbers: Mapping[Doing, tuple[int, int]] = {
+        Doing.PILOT: (3, 0),  # POSCTL
+        Doing.GUIDED: (6, 0),
+        Doing.TAKE_OFF: (4, 2),
+        Doing.HOLD: (4, 3),
+        Doing.MISSION: (4, 4),
+        Doing.RETURN: (4, 5),
+        Doing.LAND: (4, 9),
+    }
+
+    def number(self, doing: Doing) -> int:
+        """Main mode in the third byte, sub-mode in the fourth."""
+        main, sub = self._numbers[doing]
+        return main << 16 | sub << 24
+
+    def doing(self, parameters: tuple[float, ...]) -> Doing | None:
+        """By main mode and sub-mode."""
+        asked = (round(parameters[1]), round(parameters[2]))
+        asked = (4, 9) if asked == (4, 6) else asked  # LAND and PRECLAND
+        return {pair: d for d, pair in self._numbers.items()}.get(asked)

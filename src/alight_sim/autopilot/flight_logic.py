@@ -1,0 +1,219 @@
+"""Modes, missions and landing of the simulated autopilot, in its own estimate: ENU metres from its home."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from alight.arrays import F64
+from alight_sim.autopilot.dialects import Dialect, Doing
+from alight_sim.autopilot.point_mass import Wanted
+
+WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
+_SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands
+_ARRIVED = 0.4  # m
+_TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
+_DISARM_AFTER = 1.0  # s on the ground
+
+
+@dataclass(frozen=True, eq=False)
+class FlightItem:
+    """An item of a mission."""
+
+    command: int
+    parameters: tuple[float, ...]
+    position: F64  # (3,) metres
+
+
+@dataclass
+class FlightLogic:
+    """What the autopilot wants its vehicle to do."""
+
+    dialect: Dialect
+    armed: bool = False
+    doing: Doing = Doing.PILOT
+    items: list[FlightItem] = field(default_factory=list)
+    current: int = 0
+    reached: list[int] = field(default_factory=list)  # items, since they were read last
+    spoken: list[str] = field(default_factory=list)  # texts, since they were read last
+
+    def __post_init__(self) -> None:
+        self._wanted = Wanted()
+        self._set_at = -math.inf
+        self._speed = math.inf
+        self._heading: float | None = None
+        self._target: tuple[float, F64] | None = None
+        self._stood_since: float | None = None
+        self._arrived_at: float | None = None
+        self._here = np.zeros(3)
+        self._anchor = np.zeros(3)
+        self._stands = True
+
+    @property
+    def landed_state(self) -> int:
+        """MAV_LANDED_STATE."""
+        landing = self.doing is Doing.LAND or (self.doing is Doing.MISSION and self._item_command == LAND)
+        if self._stands:
+            return 1
+        return 4 if landing else 2
+
+    @property
+    def _item_command(self) -> int:
+        return self.items[self.current].command if self.current < len(self.items) else 0
+
+    def enter(self, doing: Doing, t: float) -> bool:
+        """Change the mode; False: refused."""
+        stale = t - self._set_at > _SETPOINT_AGE / 2
+        if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
+            return False
+        if doing is Doing.MISSION and len(self.items) <= self.dialect.first_item:
+            return False
+        if doing is not self.doing:
+            self._settle(doing)
+        return True
+
+    def arm(self, wanted: bool) -> bool:
+        """Start or stop the motors; stopping is refused in the air, starting in modes that cannot take off."""
+        if not wanted:
+            if not self._stands:
+                return False
+        elif self.doing in (Doing.LAND, Doing.RETURN, Doing.HOLD) and not self.dialect.needs_setpoints:
+            return False
+        self.armed = wanted
+        self._stood_since = None
+        return True
+
+    def take_off(self, height: float) -> bool:
+        """Climb to a height above the home."""
+        if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
+            return False
+        if self.dialect.needs_setpoints:
+            self._settle(Doing.TAKE_OFF)
+        self._wanted = Wanted(np.array([self._here[0], self._here[1], height]))
+        return True
+
+    def start_mission(self) -> bool:
+        """From its start."""
+        self.current = self.dialect.first_item
+        self._arrived_at = None
+        return self.enter(Doing.MISSION, 0.0)
+
+    def guide(self, wanted: Wanted, t: float) -> None:
+        """Take a set-point."""
+        self._set_at = t
+        if self.doing is Doing.GUIDED:
+            self._wanted = wanted
+
+    def face(self, heading: float) -> None:
+        """Turn to a heading."""
+        self._heading = heading
+
+    def limit(self, speed: float) -> None:
+        """Fly no faster."""
+        self._speed = speed
+
+    def aim_landing(self, target: F64, t: float) -> None:
+        """Take the place of a landing target, (3,) metres."""
+        self._target = (t, target)
+
+    def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
+        """What to do now; None: the motors stand still."""
+        self._here, self._stands = here, stands
+        self._disarm_on_ground(t)
+        if not self.armed:
+            return None
+        wanted = self._by_mode(t)
+        heading = self._heading if wanted.heading is None else wanted.heading
+        return Wanted(wanted.position, wanted.velocity, heading, min(self._speed, wanted.speed))
+
+    def _settle(self, doing: Doing) -> None:
+        self.doing = doing
+        self._anchor = self._here.copy()
+        self._wanted = Wanted(self._anchor)
+        self._arrived_at = None
+
+    def _by_mode(self, t: float) -> Wanted:
+        if self.doing is Doing.GUIDED:
+            return self._guided(t)
+        if self.doing is Doing.TAKE_OFF:
+            if self._near(self._wanted.position):
+                self._settle(Doing.HOLD)
+            return self._wanted
+        if self.doing is Doing.MISSION:
+            return self._mission(t)
+        if self.doing is Doing.LAND:
+            return self._landing(self._anchor, t)
+        if self.doing is Doing.RETURN:
+            over = np.array([0.0, 0.0, max(self._anchor[2], 5.0)])
+            return self._landing(np.zeros(3), t) if self._over(over) else Wanted(over)
+        return Wanted(self._anchor)
+
+    def _guided(self, t: float) -> Wanted:
+        if self.dialect.needs_setpoints and t - self._set_at > _SETPOINT_AGE:
+            self.spoken.append("Offboard set-points lost")
+            self._settle(Doing.HOLD)
+        elif self._wanted.position is None and t - self._set_at > _VELOCITY_AGE:
+            self._wanted = Wanted(self._here.copy())
+        return self._wanted
+
+    def _mission(self, t: float) -> Wanted:
+        while self.current < len(self.items):
+            item = self.items[self.current]
+            if item.command == LAND:
+                return self._landing(item.position, t)
+            if item.command == RETURN_HOME:
+                self._settle(Doing.RETURN)
+                return Wanted(self._anchor)
+            if item.command in (WAYPOINT, TAKE_OFF) and not self._visited(item, t):
+                heading = item.parameters[3]
+                named = self.dialect.needs_setpoints and math.isfinite(heading)
+                return Wanted(item.position, heading=math.radians(heading) if named else None)
+            self._do(item)
+            self.reached.append(self.current)
+            self.current += 1
+        self._settle(Doing.HOLD)
+        return Wanted(self._anchor)
+
+    def _do(self, item: FlightItem) -> None:
+        self._arrived_at = None
+        if item.command == SPEED:
+            self._speed = item.parameters[1]
+        elif item.command == YAW:
+            self._heading = math.radians(item.parameters[0])
+
+    def _visited(self, item: FlightItem, t: float) -> bool:
+        if not self._near(item.position):
+            return False
+        if self._arrived_at is None:
+            self._arrived_at = t
+        hold = item.parameters[0] if item.command == WAYPOINT else 0.0
+        return t - self._arrived_at >= hold
+
+    def _landing(self, place: F64, t: float) -> Wanted:
+        """First over the place, then down, towards the target where one is reported."""
+        seen = self._target is not None and t - self._target[0] < _TARGET_AGE
+        goal = self._target[1] if seen and self._target is not None else place
+        fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
+        sink = _RUSH if fast else _SINK
+        near = bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
+        velocity = np.array([0.0, 0.0, -sink if near else 0.0])
+        return Wanted(np.array([goal[0], goal[1], self._here[2]]), velocity)
+
+    def _near(self, place: F64 | None) -> bool:
+        return place is not None and bool(np.linalg.norm(place - self._here) < _ARRIVED)
+
+    def _over(self, place: F64) -> bool:
+        return bool(np.hypot(*(place[:2] - self._here[:2])) < _ARRIVED)
+
+    def _disarm_on_ground(self, t: float) -> None:
+        landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
+        landing |= self.doing is Doing.MISSION and self._item_command == LAND
+        if not (self.armed and self._stands and landing):
+            self._stood_since = None
+        elif self._stood_since is None:
+            self._stood_since = t
+        elif t - self._stood_since > _DISARM_AFTER:
+            self.armed = False
+            self.spoken.append("Disarming motors")

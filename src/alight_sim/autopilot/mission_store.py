@@ -1,0 +1,82 @@
+"""The receiving end of a mission upload: asks for each item, asks again, gives up after a while."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from alight_sim.autopilot.dialects import Dialect
+
+_AGAIN, _GIVE_UP = 1.0, 8.0  # s
+_ACCEPTED, _ERROR, _UNSUPPORTED, _NO_SPACE, _OUT_OF_TURN, _CANCELLED = 0, 1, 3, 4, 13, 15
+_MOST = 700
+
+
+class MissionStore:
+    """Holds the messages of the mission that was accepted last."""
+
+    def __init__(self, dialect: Dialect, send: Callable[[Any], None]) -> None:
+        self._dialect, self._send = dialect, send
+        self._coming: list[Any] = []
+        self._count = 0
+        self._peer = (0, 0)
+        self._asked_at = self._heard_at = 0.0
+        self.items: list[Any] = []
+        self.fresh = False  # a new mission came since this was read
+
+    def announce(self, m: Any, sender: tuple[int, int], t: float) -> None:
+        """MISSION_COUNT."""
+        self._peer, self._coming = sender, []
+        if m.count > _MOST:
+            self._count = 0
+            self._acknowledge(_NO_SPACE)
+            return
+        self._count, self._heard_at = m.count, t
+        self._ask(t)
+
+    def item(self, m: Any, sender: tuple[int, int], t: float) -> None:
+        """MISSION_ITEM_INT."""
+        if not self._count:
+            self._peer = sender
+            self._acknowledge(_ERROR)
+            return
+        if m.seq != len(self._coming):
+            self._acknowledge(_OUT_OF_TURN)
+            return
+        if m.command not in self._dialect.mission_commands:
+            self._count = 0
+            self._acknowledge(_UNSUPPORTED)
+            return
+        self._coming.append(m)
+        self._heard_at = t
+        if len(self._coming) < self._count:
+            self._ask(t)
+            return
+        self.items, self._coming, self._count, self.fresh = self._coming, [], 0, True
+        self._acknowledge(_ACCEPTED)
+
+    def clear(self, sender: tuple[int, int]) -> None:
+        """MISSION_CLEAR_ALL."""
+        self._peer, self._coming, self._count = sender, [], 0
+        self.items, self.fresh = [], True
+        self._acknowledge(_ACCEPTED)
+
+    def step(self, t: float) -> None:
+        """Ask again, or give up."""
+        if self._count and t - self._heard_at > _GIVE_UP:
+            self._count = 0
+            self._acknowledge(_CANCELLED)
+        elif self._count and t - self._asked_at > _AGAIN:
+            self._ask(t)
+
+    def _ask(self, t: float) -> None:
+        self._asked_at = t
+        kind = mavlink.MAVLink_mission_request_int_message if self._dialect.asks_with_int else (
+            mavlink.MAVLink_mission_request_message
+        )  # fmt: skip
+        self._send(kind(*self._peer, len(self._coming), 0))
+
+    def _acknowledge(self, result: int) -> None:
+        self._send(mavlink.MAVLink_mission_ack_message(*self._peer, result, 0))

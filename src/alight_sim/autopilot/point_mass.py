@@ -1,0 +1,150 @@
+"""A vehicle as a point with limits: set-points in, true pose and velocity out. ENU, FLU, metres from the home."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.geometry import Pose
+
+_GRAVITY = 9.80665  # m/s^2
+_LIFT = np.array([0.0, 0.0, _GRAVITY])
+_REACTION = 0.25  # s, in which a wanted velocity is reached where the limits allow it
+_APPROACH = 0.9  # 1/s, speed per metre that is left
+_BRAKING = 0.7  # share of the acceleration that is planned for braking
+_STAND = 0.02  # m above the ground that counts as standing
+
+
+@dataclass(frozen=True)
+class FlightLimits:
+    """What the vehicle does at most."""
+
+    speed: float = 8.0  # m/s over the ground
+    climb: float = 2.5  # m/s
+    sink: float = 1.5  # m/s
+    acceleration: float = 3.0  # m/s^2
+    turn: float = 1.0  # rad/s
+    drag: float = 0.15  # 1/s, deceleration per m/s of air speed: how far it leans into the wind
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What the vehicle is to do; None: nothing about that."""
+
+    position: F64 | None = None  # (3,) metres
+    velocity: F64 | None = None  # (3,) m/s; with a position: on top of what leads there
+    heading: float | None = None  # rad, clockwise from north
+    speed: float = math.inf  # m/s, a limit below the vehicle's own
+
+
+@dataclass
+class PointMass:
+    """The true vehicle. `step` it; nothing else changes it.
+
+    `ground` gives the height of the ground under a point (east, north); gusts are a Gauss-Markov acceleration.
+    """
+
+    limits: FlightLimits = FlightLimits()
+    ground: Callable[[float, float], float] = lambda east, north: 0.0
+    wind_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, where the air goes
+    gusts: float = 0.0  # m/s^2, standard deviation of what they push
+    seed: int = 0
+    position: F64 = field(default_factory=lambda: np.zeros(3))
+    velocity: F64 = field(default_factory=lambda: np.zeros(3))
+    heading: float = 0.0
+    touchdown_speed: float = 0.0  # m/s, downwards, of the last contact
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.seed)
+        self._gust = np.zeros(3)
+        self._acceleration = np.zeros(3)
+        self._rates = np.zeros(3)
+        self.position = np.array(self.position, dtype=np.float64)
+        self.position[2] = max(self.position[2], self._floor)
+
+    @property
+    def _floor(self) -> float:
+        return float(self.ground(float(self.position[0]), float(self.position[1])))
+
+    @property
+    def stands(self) -> bool:
+        """Whether it touches the ground."""
+        return bool(self.position[2] - self._floor < _STAND)
+
+    @property
+    def world_from_body(self) -> Pose:
+        """The true pose: thrust holds weight, drag and the acceleration."""
+        return Pose(self._attitude(), self.position.copy())
+
+    @property
+    def angular_velocity_body(self) -> F64:
+        """(3,) rad/s, of the last step."""
+        return self._rates.copy()
+
+    @property
+    def specific_force_body(self) -> F64:
+        """(3,) m/s^2, what an accelerometer feels."""
+        return np.asarray(self._attitude().T @ (self._acceleration + _LIFT))
+
+    def step(self, dt: float, wanted: Wanted | None) -> None:
+        """Move for `dt` seconds; None: the motors stand still."""
+        before = self._attitude()
+        if wanted is None:
+            self._fall(dt)
+        else:
+            self._fly(dt, wanted)
+        self._meet_ground()
+        turn = before.T @ self._attitude()
+        self._rates = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / (2 * dt)
+
+    def _fly(self, dt: float, wanted: Wanted) -> None:
+        most = self.limits.acceleration
+        asked = (self._wanted_velocity(wanted) - self.velocity) / _REACTION
+        asked *= min(1.0, most / max(float(np.linalg.norm(asked)), 1e-9))
+        decay = math.exp(-dt / 2.0)
+        self._gust = decay * self._gust + math.sqrt(1 - decay**2) * self.gusts * self._rng.standard_normal(3)
+        self._acceleration = asked + self._gust
+        self.position = self.position + self.velocity * dt + 0.5 * self._acceleration * dt**2
+        self.velocity = self.velocity + self._acceleration * dt
+        if wanted.heading is not None:
+            left = math.remainder(wanted.heading - self.heading, 2 * math.pi)
+            self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
+
+    def _fall(self, dt: float) -> None:
+        self._acceleration = np.zeros(3) if self.stands else np.array([0.0, 0.0, -_GRAVITY])
+        self.position = self.position + self.velocity * dt
+        self.velocity = np.zeros(3) if self.stands else self.velocity + self._acceleration * dt
+
+    def _wanted_velocity(self, wanted: Wanted) -> F64:
+        out = np.zeros(3) if wanted.velocity is None else np.array(wanted.velocity, dtype=np.float64)
+        if wanted.position is not None:
+            left = wanted.position - self.position
+            away = max(float(np.linalg.norm(left)), 1e-9)
+            brakes = math.sqrt(2 * _BRAKING * self.limits.acceleration * away)
+            out = out + left * min(_APPROACH, brakes / away)
+        over = float(np.hypot(out[0], out[1]))
+        out[:2] *= min(1.0, min(self.limits.speed, wanted.speed) / max(over, 1e-9))
+        out[2] = min(max(out[2], -self.limits.sink), self.limits.climb)
+        return out
+
+    def _meet_ground(self) -> None:
+        floor = self._floor
+        if self.position[2] <= floor:
+            if self.velocity[2] < 0:
+                self.touchdown_speed = float(-self.velocity[2])
+            self.position[2] = floor
+            self.velocity = np.array([0.0, 0.0, max(self.velocity[2], 0.0)])
+
+    def _attitude(self) -> F64:
+        """(3, 3) rotation, world from body: z along the thrust, x towards the heading."""
+        push = self._acceleration + self.limits.drag * (self.velocity - self.wind_world) + _LIFT
+        if self.stands or push[2] < 1.0:
+            push = np.array([0.0, 0.0, 1.0])
+        z = push / np.linalg.norm(push)
+        y = np.cross(z, [math.sin(self.heading), math.cos(self.heading), 0.0])
+        y /= np.linalg.norm(y)
+        return np.stack([np.cross(y, z), y, z], axis=1)

@@ -1,0 +1,181 @@
+"""What the simulated autopilot streams: only what it was asked for, and its heartbeat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from scipy.spatial.transform import Rotation
+
+from alight.arrays import F64
+from alight_sim.autopilot.dialects import Dialect
+from alight_sim.autopilot.flight_logic import FlightLogic
+from alight_sim.autopilot.point_mass import PointMass
+
+if TYPE_CHECKING:
+    from alight_sim.autopilot.simulated import SimulatedHome
+
+_PRE_ARM = 0x10000000
+_GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes to stand still
+_SWAP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # NED from ENU
+_FLIP = np.diag([1.0, -1.0, -1.0])  # FLU from FRD
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The autopilot at one instant."""
+
+    logic: FlightLogic
+    vehicle: PointMass
+    degrees: tuple[float, float, float]  # latitude, longitude, altitude above sea level, as it believes
+    metres: F64  # (3,) from the home, as it believes
+    home: SimulatedHome
+    ready: bool
+    boot: float  # s
+    battery: float  # share
+
+    @property
+    def boot_ms(self) -> int:
+        """Its clock."""
+        return round(self.boot * 1e3)
+
+    @property
+    def ned_from_frd(self) -> F64:
+        """(3, 3) attitude."""
+        return np.asarray(_SWAP @ self.vehicle.world_from_body.rotation @ _FLIP)
+
+
+class Reports:
+    """The streams of one start."""
+
+    def __init__(self, dialect: Dialect, send: Callable[[Any], None], kind: int) -> None:
+        self._dialect, self._send, self._kind = dialect, send, kind
+        self._interval: dict[int, float] = {}
+        self._due: dict[int, float] = {}
+        self._heartbeat = 0.0
+        self.sticks = [1500, 1500, 1100, 1500]
+        self._make: dict[int, Callable[[Snapshot], Any]] = {
+            1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 30: self._attitude,
+            31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission, 65: self._sticks,
+            105: self._highres_imu, 242: self._home, 245: self._extended,
+            dialect.estimator_message: self._estimator, dialect.wind_message: self._wind,
+        }  # fmt: skip
+
+    def ask(self, message: int, interval_us: float) -> bool:
+        """SET_MESSAGE_INTERVAL; False: there is no such message."""
+        if message not in self._make:
+            return False
+        self._interval[message] = interval_us * 1e-6
+        self._due.setdefault(message, 0.0)
+        return True
+
+    def step(self, t: float, now: Snapshot) -> None:
+        """Send what is due."""
+        if t >= self._heartbeat:
+            self._heartbeat = t + 1.0
+            base = 1 | (128 if now.logic.armed else 0)
+            number = self._dialect.number(now.logic.doing)
+            self._send(mavlink.MAVLink_heartbeat_message(self._kind, self._dialect.autopilot, base, number, 4, 3))
+        for message, interval in self._interval.items():
+            if interval > 0 and t >= self._due[message]:
+                self._due[message] = max(self._due[message] + interval, t)
+                self._send(self._make[message](now))
+        self._events(now)
+
+    def _events(self, now: Snapshot) -> None:
+        for item in now.logic.reached:
+            self._send(mavlink.MAVLink_mission_item_reached_message(item))
+        for text in now.logic.spoken:
+            self._send(mavlink.MAVLink_statustext_message(6, text.encode()))
+        now.logic.reached.clear()
+        now.logic.spoken.clear()
+
+    def _sys_status(self, now: Snapshot) -> Any:
+        bits = _PRE_ARM if now.ready else 0
+        volts = round((10.5 + 2.1 * now.battery) * 1e3)
+        return mavlink.MAVLink_sys_status_message(
+            _PRE_ARM, _PRE_ARM, bits, 300, volts, 900, round(100 * now.battery), 0, 0, 0, 0, 0, 0
+        )
+
+    def _system_time(self, now: Snapshot) -> Any:
+        return mavlink.MAVLink_system_time_message(0, now.boot_ms)
+
+    def _gps(self, now: Snapshot) -> Any:
+        lat, lon, msl = now.degrees
+        fix = 3 if now.ready else 1
+        return mavlink.MAVLink_gps_raw_int_message(
+            round(now.boot * 1e6), fix, round(lat * 1e7), round(lon * 1e7), round(msl * 1e3), 90, 130, 0, 0, 14,
+            alt_ellipsoid=round((msl + now.home.separation) * 1e3), h_acc=800, v_acc=1200, vel_acc=150,
+        )  # fmt: skip
+
+    def _imu_values(self, now: Snapshot) -> tuple[F64, F64]:
+        return _FLIP @ now.vehicle.specific_force_body, _FLIP @ now.vehicle.angular_velocity_body
+
+    def _imu(self, now: Snapshot) -> Any:
+        force, rates = self._imu_values(now)
+        mg = [round(v / 9.80665 * 1e3) for v in force]
+        return mavlink.MAVLink_scaled_imu_message(now.boot_ms, *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
+
+    def _highres_imu(self, now: Snapshot) -> Any:
+        force, rates = self._imu_values(now)
+        return mavlink.MAVLink_highres_imu_message(round(now.boot * 1e6), *force, *rates, 0, 0, 0, 950, 0, 500, 20, 63)
+
+    def _attitude(self, now: Snapshot) -> Any:
+        yaw, pitch, roll = Rotation.from_matrix(now.ned_from_frd).as_euler("ZYX")
+        rates = _FLIP @ now.vehicle.angular_velocity_body
+        return mavlink.MAVLink_attitude_message(now.boot_ms, roll, pitch, yaw, *rates)
+
+    def _quaternion(self, now: Snapshot) -> Any:
+        x, y, z, w = Rotation.from_matrix(now.ned_from_frd).as_quat()
+        return mavlink.MAVLink_attitude_quaternion_message(
+            now.boot_ms, w, x, y, z, *(_FLIP @ now.vehicle.angular_velocity_body)
+        )
+
+    def _local(self, now: Snapshot) -> Any:
+        return mavlink.MAVLink_local_position_ned_message(
+            now.boot_ms, *(_SWAP @ now.metres), *(_SWAP @ now.vehicle.velocity)
+        )
+
+    def _position(self, now: Snapshot) -> Any:
+        lat, lon, msl = now.degrees
+        north, east, down = (round(100 * v) for v in _SWAP @ now.vehicle.velocity)
+        heading = round(math.degrees(now.vehicle.heading) % 360 * 100)
+        return mavlink.MAVLink_global_position_int_message(
+            now.boot_ms, round(lat * 1e7), round(lon * 1e7), round(msl * 1e3), round(now.metres[2] * 1e3), north, east,
+            down, heading,
+        )  # fmt: skip
+
+    def _mission(self, now: Snapshot) -> Any:
+        return mavlink.MAVLink_mission_current_message(now.logic.current)
+
+    def _sticks(self, now: Snapshot) -> Any:
+        return mavlink.MAVLink_rc_channels_message(now.boot_ms, 4, *self.sticks, *([0xFFFF] * 14), 200)
+
+    def _home(self, now: Snapshot) -> Any:
+        home = now.home
+        return mavlink.MAVLink_home_position_message(
+            round(home.latitude * 1e7), round(home.longitude * 1e7), round(home.altitude_msl * 1e3), 0, 0, 0,
+            [1, 0, 0, 0], 0, 0, 0,
+        )  # fmt: skip
+
+    def _extended(self, now: Snapshot) -> Any:
+        return mavlink.MAVLink_extended_sys_state_message(0, now.logic.landed_state)
+
+    def _estimator(self, now: Snapshot) -> Any:
+        flags = _GOOD_ESTIMATE if now.ready else _NO_POSITION
+        if self._dialect.estimator_message == 193:
+            return mavlink.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0)
+        return mavlink.MAVLink_estimator_status_message(
+            round(now.boot * 1e6), flags, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6
+        )
+
+    def _wind(self, now: Snapshot) -> Any:
+        north, east, down = _SWAP @ now.vehicle.wind_world
+        if self._dialect.wind_message == 168:
+            comes_from = math.degrees(math.atan2(-east, -north))
+            return mavlink.MAVLink_wind_message(comes_from, math.hypot(north, east), down)
+        return mavlink.MAVLink_wind_cov_message(round(now.boot * 1e6), north, east, down, 1, 1, 0, 1, 1)

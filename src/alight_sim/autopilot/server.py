@@ -1,0 +1,69 @@
+"""The simulated autopilot behind a UDP socket, in a thread of its own."""
+
+from __future__ import annotations
+
+import socket
+import time
+from contextlib import suppress
+from threading import Event, Thread
+from types import TracebackType
+from typing import Any
+
+from alight_sim.autopilot.channel import LossyChannel
+from alight_sim.autopilot.simulated import SimulatedAutopilot
+
+
+class UdpServer:
+    """Speaks to `to`, and to whoever speaks to its own port; `speed` times as fast as the clock."""
+
+    def __init__(
+        self,
+        autopilot: SimulatedAutopilot,
+        to: tuple[str, int] | None = None,
+        speed: float = 1.0,
+        step: float = 0.02,
+        outwards: LossyChannel | None = None,
+        inwards: LossyChannel | None = None,
+    ) -> None:
+        self.autopilot = autopilot
+        self._peer: Any = to
+        self._speed, self._step = speed, step
+        self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self._stop = Event()
+        self._thread = Thread(target=self._run, daemon=True)
+
+    @property
+    def port(self) -> int:
+        """Its own port."""
+        return int(self._socket.getsockname()[1])
+
+    def __enter__(self) -> UdpServer:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._step / self._speed):
+            now = time.monotonic()
+            with suppress(BlockingIOError, ConnectionRefusedError):
+                while True:
+                    data, self._peer = self._socket.recvfrom(65_535)
+                    self._inwards.put(data, now)
+            for data in self._inwards.get(now):
+                self.autopilot.receive(data)
+            self.autopilot.step(self._step)
+            for data in self.autopilot.pending():
+                self._outwards.put(data, now)
+            for data in self._outwards.get(now):
+                with suppress(BlockingIOError, ConnectionRefusedError):
+                    if self._peer is not None:
+                        self._socket.sendto(data, self._peer)

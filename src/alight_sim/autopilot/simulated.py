@@ -1,0 +1,241 @@
+"""The simulated autopilot: MAVLink bytes in and out, its own clock, its own estimate, its own vehicle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from alight.arrays import F64
+from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
+from alight_sim.autopilot.estimate import EstimateError
+from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
+from alight_sim.autopilot.mission_store import MissionStore
+from alight_sim.autopilot.point_mass import PointMass, Wanted
+from alight_sim.autopilot.reports import Reports, Snapshot
+
+_START_UP = 3.0  # s from a start until it may be armed
+_ENDURANCE = 1200.0  # s of flight with a full battery
+_ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
+_IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
+_RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
+
+
+@dataclass(frozen=True)
+class SimulatedHome:
+    """Where on Earth it stands: the origin of its vehicle's metres."""
+
+    latitude: float = 47.6
+    longitude: float = 13.4
+    altitude_msl: float = 500.0
+    separation: float = 46.0  # metres, ellipsoid above sea level
+
+    def degrees(self, enu: F64) -> tuple[float, float, float]:
+        """Latitude, longitude and altitude above sea level of (3,) metres from the home."""
+        meridian, parallel = self._radii()
+        return (
+            self.latitude + math.degrees(float(enu[1]) / meridian),
+            self.longitude + math.degrees(float(enu[0]) / parallel),
+            self.altitude_msl + float(enu[2]),
+        )
+
+    def metres(self, latitude: float, longitude: float, altitude_msl: float) -> F64:
+        """The other way round."""
+        meridian, parallel = self._radii()
+        north = math.radians(latitude - self.latitude) * meridian
+        east = math.radians(longitude - self.longitude) * parallel
+        return np.array([east, north, altitude_msl - self.altitude_msl])
+
+    def _radii(self) -> tuple[float, float]:
+        """Radius along the meridian, and that of the parallel, on the WGS84 ellipsoid."""
+        a, e2 = 6378137.0, 0.00669437999014
+        height, s = self.altitude_msl + self.separation, math.sin(math.radians(self.latitude))
+        w = math.sqrt(1 - e2 * s * s)
+        return a * (1 - e2) / w**3 + height, (a / w + height) * math.cos(math.radians(self.latitude))
+
+
+class SimulatedAutopilot:
+    """One autopilot with its vehicle. `receive` bytes, `step` time, send what is `pending`.
+
+    It streams what it was asked for and nothing else but its heartbeat, forgets that at a reboot, and stamps messages
+    with its own clock. `drift` is that clock's error of rate; `shift` in metres is how far its home is from where its
+    vehicle's metres begin.
+    """
+
+    def __init__(
+        self,
+        dialect: Dialect | None = None,
+        vehicle: PointMass | None = None,
+        home: SimulatedHome | None = None,
+        estimate: EstimateError | None = None,
+        drift: float = 0.0,
+        system: int = 1,
+        kind: int = 2,
+    ) -> None:
+        self.dialect = dialect or SpokenArduPilot()
+        self.vehicle, self.home = vehicle or PointMass(), home or SimulatedHome()
+        self.estimate = estimate or EstimateError()
+        self.healthy = True
+        self._drift, self._system, self._kind = drift, system, kind
+        self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
+        self._mavlink.robust_parsing = True
+        self._out: list[bytes] = []
+        self._flown = 0.0
+        self._start()
+
+    def _start(self) -> None:
+        self._boot = 0.0  # s, of its own clock
+        self.logic = FlightLogic(self.dialect)
+        self.missions = MissionStore(self.dialect, self._send)
+        self.reports = Reports(self.dialect, self._send, self._kind)
+        self._mavlink.seq = 0
+
+    @property
+    def boot_ns(self) -> int:
+        """Its clock."""
+        return round(self._boot * 1e9)
+
+    @property
+    def ready(self) -> bool:
+        """Whether it may be armed."""
+        return self.healthy and self._boot > _START_UP
+
+    @property
+    def estimated(self) -> F64:
+        """(3,) metres: where it believes to be."""
+        return self.vehicle.position + self.estimate.error
+
+    def reboot(self) -> None:
+        """Start again: motors off, clock at 0, missions and streams forgotten."""
+        self._start()
+
+    def pilot(self, doing: Doing = Doing.PILOT) -> None:
+        """A person changes the mode."""
+        self.logic.enter(doing, self._boot)
+
+    def pending(self) -> list[bytes]:
+        """Datagrams to send."""
+        out, self._out = self._out, []
+        return out
+
+    def step(self, dt: float) -> None:
+        """Let `dt` seconds of true time pass."""
+        self._boot += dt * (1 + self._drift)
+        self.estimate.step(dt)
+        wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
+        self.vehicle.step(dt, None if wanted is None else self._in_truth(wanted))
+        self._flown += dt if self.logic.armed else 0.0
+        self.missions.step(self._boot)
+        if self.missions.fresh:
+            self.missions.fresh = False
+            self.logic.items = [self._flight_item(m) for m in self.missions.items]
+            self.logic.current = self.dialect.first_item
+        self.reports.step(self._boot, self._snapshot())
+
+    def _in_truth(self, wanted: Wanted) -> Wanted:
+        """It steers by its estimate: the vehicle is off by the error."""
+        position = None if wanted.position is None else wanted.position - self.estimate.error
+        return Wanted(position, wanted.velocity, wanted.heading, wanted.speed)
+
+    def _snapshot(self) -> Snapshot:
+        here = self.home.degrees(self.estimated)
+        return Snapshot(
+            self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot,
+            max(0.0, 1 - self._flown / _ENDURANCE),
+        )  # fmt: skip
+
+    def _flight_item(self, m: Any) -> FlightItem:
+        altitude = m.z + self.home.altitude_msl if m.frame in _RELATIVE_FRAMES else m.z
+        position = self.home.metres(m.x * 1e-7, m.y * 1e-7, altitude)
+        return FlightItem(m.command, (m.param1, m.param2, m.param3, m.param4), position)
+
+    def _send(self, message: Any) -> None:
+        self._out.append(bytes(message.pack(self._mavlink)))
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+
+    def receive(self, data: bytes) -> None:
+        """Take a datagram."""
+        for m in self._mavlink.parse_buffer(data) or ():
+            handler = getattr(self, f"_on_{m.get_type().lower()}", None)
+            if handler is not None and getattr(m, "target_system", self._system) in (0, self._system):
+                handler(m, (m.get_srcSystem(), m.get_srcComponent()))
+
+    def _on_timesync(self, m: Any, sender: tuple[int, int]) -> None:
+        if m.tc1 == 0:
+            self._send(mavlink.MAVLink_timesync_message(self.boot_ns, m.ts1))
+
+    def _on_mission_count(self, m: Any, sender: tuple[int, int]) -> None:
+        self.missions.announce(m, sender, self._boot)
+
+    def _on_mission_item_int(self, m: Any, sender: tuple[int, int]) -> None:
+        self.missions.item(m, sender, self._boot)
+
+    def _on_mission_clear_all(self, m: Any, sender: tuple[int, int]) -> None:
+        self.missions.clear(sender)
+
+    def _on_set_position_target_global_int(self, m: Any, sender: tuple[int, int]) -> None:
+        altitude = m.alt + self.home.altitude_msl if m.coordinate_frame in _RELATIVE_FRAMES else m.alt
+        self._guide(m, self.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, altitude))
+
+    def _on_set_position_target_local_ned(self, m: Any, sender: tuple[int, int]) -> None:
+        self._guide(m, np.array([m.y, m.x, -m.z]))
+
+    def _guide(self, m: Any, position: F64) -> None:
+        mask = m.type_mask
+        velocity = np.array([m.vy, m.vx, -m.vz])
+        wanted = Wanted(
+            None if mask & _IGNORE_POSITION == _IGNORE_POSITION else position,
+            None if mask & _IGNORE_VELOCITY == _IGNORE_VELOCITY else velocity,
+            None if mask & _IGNORE_YAW else m.yaw,
+        )
+        self.logic.guide(wanted, self._boot)
+
+    def _on_landing_target(self, m: Any, sender: tuple[int, int]) -> None:
+        if not m.position_valid:
+            return
+        if m.frame == _BODY_FRD:
+            line = np.array([m.x, -m.y, -m.z])
+            angles = np.tan([m.angle_x, m.angle_y]) * m.z - [m.y, -m.x]
+            if np.abs(angles).max() > 0.05 * max(m.distance, 1.0):
+                return  # angles and position contradict each other
+            target = self.estimated + self.vehicle.world_from_body.rotation @ line
+        else:
+            target = np.array([m.y, m.x, -m.z])
+        self.logic.aim_landing(target, self._boot)
+
+    def _on_command_long(self, m: Any, sender: tuple[int, int]) -> None:
+        parameters = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
+        result = self._command(m.command, parameters)
+        self._send(mavlink.MAVLink_command_ack_message(m.command, result, 0, 0, *sender))
+
+    def _command(self, command: int, p: tuple[float, ...]) -> int:
+        if command == 511:
+            return _ACCEPTED if self.reports.ask(round(p[0]), p[1]) else _DENIED
+        if command == 176:
+            doing = self.dialect.doing(p)
+            return _ACCEPTED if doing is not None and self.logic.enter(doing, self._boot) else _FAILED
+        if command == 400:
+            refused = p[0] > 0.5 and not self.ready
+            return _FOR_NOW if refused else self._said(self.logic.arm(p[0] > 0.5))
+        if command == 22:
+            return self._said(
+                self.logic.take_off(p[6] - (self.home.altitude_msl if self.dialect.needs_setpoints else 0))
+            )
+        if command == 300:
+            return self._said(self.logic.start_mission())
+        if command == 178:
+            self.logic.limit(p[1])
+            return _ACCEPTED
+        if command == 115 and not self.dialect.needs_setpoints:
+            self.logic.face(math.radians(p[0]))
+            return _ACCEPTED
+        if command == 246:
+            self.reboot()
+            return _ACCEPTED
+        return _UNSUPPORTED
+
+    def _said(self, done: bool) -> int:
+        return _ACCEPTED if done else _FAILED

@@ -1,0 +1,193 @@
+"""Whatever a link does to the bytes: good messages come through, damaged ones do no harm."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from autopilot_rig import Rig
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from alight.autopilot import Autopilot
+from alight.autopilot.framing import Framing
+from alight.records import NoticeKind
+
+SECOND = 1_000_000_000
+
+
+def spoken(count: int, system: int = 1, component: int = 1, first: int = 0) -> list[bytes]:
+    """Messages as pymavlink's own packing makes them."""
+    talker = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    out = []
+    for k in range(count):
+        talker.seq = (first + k) % 256
+        out.append(bytes(mavlink.MAVLink_system_time_message(1_000_000 + k, 1000 * k).pack(talker)))
+    return out
+
+
+def stamps(framing: Framing, data: bytes, now_ns: int = 0) -> list[int]:
+    return [h.message.time_boot_ms // 1000 for h in framing.decode(data, now_ns) if h.name == "SYSTEM_TIME"]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(1, 40), min_size=1, max_size=60), st.integers(1, 12))
+def test_pieces_of_any_length_give_the_same_messages(cuts: list[int], count: int) -> None:
+    data, framing, got = b"".join(spoken(count)), Framing(255, 191), []
+    for cut in cuts:
+        got += stamps(framing, data[:cut])
+        data = data[cut:]
+    assert got + stamps(framing, data) == list(range(count))
+    assert framing.counts.damaged == 0
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.binary(max_size=60), min_size=4, max_size=4), st.booleans())
+def test_rubbish_between_messages_costs_none_of_them(rubbish: list[bytes], with_markers: bool) -> None:
+    """Rubbish may hold markers and claim any length; once enough bytes have followed, every good message is out."""
+    good, framing = spoken(4), Framing(255, 191)
+    pieces = [b"\xfd" * with_markers + r + g for r, g in zip(rubbish, good, strict=True)]
+    tail = b"".join(spoken(16, first=4))  # longer than any frame: what a false header waits for
+    got = stamps(framing, b"".join(pieces) + tail)
+    assert got[:4] == [0, 1, 2, 3]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.data())
+def test_a_wrong_byte_costs_one_message_at_most(data: st.DataObject) -> None:
+    stream = bytearray(b"".join(spoken(30)))
+    place = data.draw(st.integers(0, len(stream) - 320))
+    stream[place] ^= data.draw(st.integers(1, 255))
+    got = stamps(Framing(255, 191), bytes(stream))
+    assert len(got) >= 29
+    assert sorted(set(got)) == got
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=600))
+def test_no_bytes_raise_and_nothing_is_believed(data: bytes) -> None:
+    ours = Autopilot()
+    ours.receive(data, 0)
+    ours.tick(0)
+    assert ours.vehicle is None
+
+
+@pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+def test_damage_during_a_flight_harms_nothing(dialect: str) -> None:
+    rig = Rig(dialect, seed=4, link={"damage": 0.3, "jitter": 0.05, "double": 0.2})
+    rig.up_and_flying(10.0)
+    assert rig.ours.counts.damaged > 1000
+    assert not rig.of(NoticeKind.TAKEOVER)
+    assert not rig.of(NoticeKind.REBOOT)
+    errors = [np.abs(s.position_world).max() for s in rig.samples if s.position_world is not None]
+    assert max(errors) < 11.0
+
+
+def test_version_1_is_understood_and_version_2_is_spoken() -> None:
+    talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    old = bytes(mavlink.MAVLink_system_time_message(5, 7000).pack(talker, force_mavlink1=True))
+    assert old[0] == 0xFE
+    framing = Framing(3, 191)
+    assert stamps(framing, old) == [7]
+    sent = framing.encode(mavlink.MAVLink_system_time_message(5, 7000))
+    assert sent[0] == 0xFD
+    assert (sent[5], sent[6]) == (3, 191)
+
+
+def test_a_signed_message_is_understood() -> None:
+    talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    talker.signing.secret_key, talker.signing.sign_outgoing = b"k" * 32, True
+    signed = bytes(mavlink.MAVLink_system_time_message(5, 7000).pack(talker))
+    plain = spoken(1)[0]
+    assert len(signed) == len(bytes(mavlink.MAVLink_system_time_message(5, 7000).pack(mavlink.MAVLink(None)))) + 13
+    assert stamps(Framing(255, 191), signed + plain) == [7, 0]
+
+
+def test_an_unknown_message_is_counted_and_left_out() -> None:
+    head = bytes([0xFD, 9, 0, 0, 0, 1, 1]) + (54_321).to_bytes(3, "little")
+    framing = Framing(255, 191)
+    assert stamps(framing, spoken(1)[0] + head + bytes(9) + b"\x12\x34" + spoken(1, first=1)[0]) == [0, 0]
+    assert (framing.counts.unknown, framing.counts.damaged) == (1, 0)
+
+
+def test_sequence_numbers_wrap_and_what_was_overtaken_is_late() -> None:
+    framing = Framing(255, 191)
+    a, b, c = spoken(3, first=254)  # 254, 255, 0
+
+    def lateness(data: bytes, now_ns: int = 0) -> list[bool]:
+        return [h.late for h in framing.decode(data, now_ns)]
+
+    talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    talker.seq = 255
+    other = bytes(mavlink.MAVLink_extended_sys_state_message(0, 1).pack(talker))
+
+    assert lateness(a + c) == [False, False]
+    assert lateness(b) == [True]
+    assert lateness(c) == [True]  # a copy
+    (kept,) = framing.decode(other, 0)
+    assert (kept.late, kept.overtaken) == (False, True)  # there is no newer one of its kind
+    assert lateness(spoken(1, first=1)[0]) == [False]
+    assert lateness(spoken(1, first=100, system=9)[0]) == [False]  # each sender counts for itself
+    assert lateness(spoken(1, first=0)[0], 2 * SECOND) == [False]  # a new start
+
+
+def heartbeat(autopilot: int, kind: int, system: int = 1, component: int = 1, mode: int = 5) -> bytes:
+    talker = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    return bytes(mavlink.MAVLink_heartbeat_message(kind, autopilot, 1, mode, 4, 3).pack(talker))
+
+
+@pytest.mark.parametrize(
+    ("others", "why"),
+    [
+        (heartbeat(8, 6, 255, 190), "a ground station"),
+        (heartbeat(8, 26, 1, 154), "a gimbal of the vehicle"),
+        (heartbeat(3, 2, 1, 191), "a companion that calls itself autopilot"),
+    ],
+)
+def test_others_on_the_link_are_not_the_vehicle(others: bytes, why: str) -> None:
+    ours = Autopilot()
+    ours.receive(others, 0)
+    assert ours.vehicle is None, why
+    assert not ours.notices()
+    ours.receive(heartbeat(12, 2, 7), 0)
+    assert ours.vehicle is not None
+    assert ours.vehicle.system == 7
+    ours.receive(heartbeat(3, 2, 8), 0)  # a second vehicle
+    assert ours.vehicle.system == 7
+
+
+@pytest.mark.parametrize(("autopilot", "kind"), [(3, 1), (12, 20), (4, 2)])
+def test_what_is_not_supported_is_refused_in_words_once(autopilot: int, kind: int) -> None:
+    ours = Autopilot()
+    for _ in range(3):
+        ours.receive(heartbeat(autopilot, kind), 0)
+    assert ours.vehicle is None
+    assert [(n.kind, n.ok) for n in ours.notices()] == [(NoticeKind.FOUND, False)]
+
+
+def test_the_vehicle_that_was_named_is_taken() -> None:
+    ours = Autopilot(system=8)
+    ours.receive(heartbeat(3, 2, 7) + heartbeat(3, 4, 8), 0)
+    assert ours.vehicle is not None
+    assert ours.vehicle.system == 8
+
+
+def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
+    """Its acknowledgements, missions and answers to TIMESYNC pass by on the same link."""
+    rig = Rig()
+    assert rig.run(5, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
+    ticket = rig.vehicle.arm()
+    talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+
+    def foreign(message: Any) -> None:
+        rig.ours.receive(bytes(message.pack(talker)), rig.now_ns)
+
+    foreign(mavlink.MAVLink_command_ack_message(400, 4, 0, 0, 255, 190))
+    foreign(mavlink.MAVLink_mission_ack_message(255, 190, 4))
+    before = rig.vehicle.clock.ours_ns(0)
+    foreign(mavlink.MAVLink_timesync_message(123_456_789, rig.now_ns - 5_000_000))
+    assert rig.vehicle.clock.ours_ns(0) == before
+    assert not rig.of(NoticeKind.UPLOAD)
+    assert not [n for n in rig.ours.notices() if n.kind is NoticeKind.COMMAND and n.ticket == ticket and not n.ok]

@@ -1,0 +1,415 @@
+"""Orders over a bad link: uploads, commands, streams, reboots, a pilot who takes over."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from autopilot_rig import LOCAL, Rig
+
+from alight.autopilot import Alignment, MissionItem, Setpoint, mission_of
+from alight.autopilot.mission_item import MissionItem as Item
+from alight.records import FlightMode, NoticeKind, Place, Route, Telemetry, Waypoint
+from alight_sim.autopilot.dialects import Doing
+
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+BAD = {"loss": 0.3, "delay": 0.05, "jitter": 0.1, "double": 0.2}
+
+
+def long_mission(count: int = 24) -> tuple[MissionItem, ...]:
+    """Way-points in a row, 3 m apart and ever higher."""
+    points = [Waypoint(str(k), np.array([3.0 * k, 2.0 * k, 10.0 + k]), 0.3, 4.0, 0.0) for k in range(count)]
+    return mission_of(Route(tuple(points)), Alignment(LOCAL, np.zeros(3), Place(47.6, 13.4, 500.0, 0.0)))
+
+
+def stored(rig: Rig) -> list[tuple[int, int, int, float]]:
+    return [(m.command, m.x, m.y, m.z) for m in rig.sim.missions.items]
+
+
+def sent(items: tuple[Item, ...]) -> list[tuple[int, int, int, float]]:
+    messages = [i.message(0, 1, 1) for i in items]
+    return [(m.command, m.x, m.y, float(np.float32(m.z))) for m in messages]
+
+
+def met(rig: Rig) -> Rig:
+    """Heard, and with all streams."""
+    assert rig.run(30, lambda: rig.ours.telemetry is not None and rig.ours.telemetry.ready)
+    return rig
+
+
+def place(rig: Rig) -> Telemetry:
+    assert rig.ours.telemetry is not None
+    return rig.ours.telemetry
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(4))
+def test_an_upload_arrives_whole_over_a_bad_link(dialect: str, seed: int) -> None:
+    """30 % of the packets are lost, 20 % come twice, many out of order."""
+    rig = met(Rig(dialect, seed=10 * seed, link=BAD))
+    items = long_mission()
+    got = rig.answered(rig.vehicle.upload(items), 240, NoticeKind.UPLOAD)
+    assert got.ok, got.text
+    wanted = [i for i in items if dialect == "ardupilot" or i.command != 115]
+    assert stored(rig)[rig.sim.dialect.first_item :] == sent(tuple(wanted))
+    assert len(rig.of(NoticeKind.UPLOAD)) == 1
+
+
+@BOTH
+def test_an_upload_over_a_good_link_asks_for_each_item_once(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    start = rig.t
+    assert rig.answered(rig.vehicle.upload(long_mission()), 20, NoticeKind.UPLOAD).ok
+    assert rig.t - start < 4.0  # two steps of virtual time an item
+
+
+@BOTH
+def test_a_break_in_the_middle_is_resumed(dialect: str) -> None:
+    """The link is gone for 6 s, less than the autopilot waits: it goes on with the item it lacks."""
+    rig = met(Rig(dialect))
+    ticket = rig.vehicle.upload(long_mission())
+    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
+    rig.up.loss = rig.down.loss = 1.0
+    rig.run(6)
+    assert len(rig.sim.missions._coming) >= 9
+    rig.up.loss = rig.down.loss = 0.0
+    assert rig.answered(ticket, 30, NoticeKind.UPLOAD).ok
+
+
+@BOTH
+def test_a_transfer_that_the_autopilot_gave_up_is_begun_again(dialect: str) -> None:
+    """The link is gone for longer than the autopilot waits."""
+    rig = met(Rig(dialect))
+    ticket = rig.vehicle.upload(long_mission())
+    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
+    rig.up.loss = 1.0
+    rig.run(9.5)
+    assert rig.sim.missions._count == 0
+    rig.up.loss = 0.0
+    assert rig.answered(ticket, 60, NoticeKind.UPLOAD).ok
+    assert len(stored(rig)) >= 24
+
+
+@BOTH
+def test_a_lost_last_acknowledgement_does_not_fail_the_upload(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    ticket = rig.vehicle.upload(long_mission(6))
+    last = 5 if dialect == "px4" else 11
+    assert rig.run(10, lambda: len(rig.sim.missions._coming) == last)
+    rig.down.loss = 1.0
+    assert rig.run(1, lambda: bool(rig.sim.missions.items))
+    rig.down.loss = 0.0
+    assert not rig.of(NoticeKind.UPLOAD)
+    assert rig.answered(ticket, 60, NoticeKind.UPLOAD).ok
+
+
+@BOTH
+def test_a_reboot_in_the_middle_of_an_upload(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    rig.run(5)
+    ticket = rig.vehicle.upload(long_mission())
+    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
+    rig.sim.reboot()
+    assert rig.answered(ticket, 90, NoticeKind.UPLOAD).ok
+    assert len(rig.of(NoticeKind.REBOOT)) == 1
+    assert len(stored(rig)) >= 24
+
+
+@BOTH
+def test_a_refused_mission_says_why(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    bad = (*long_mission(4), Item(31_000))
+    got = rig.answered(rig.vehicle.upload(bad), 20, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert "command is not supported" in got.text
+    many = tuple(long_mission(4)) * 300
+    got = rig.answered(rig.vehicle.upload(many), 20, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert "space" in got.text
+    assert not stored(rig)
+
+
+def test_an_upload_into_the_void_ends_in_words() -> None:
+    rig = met(Rig())
+    rig.up.loss = 1.0
+    got = rig.answered(rig.vehicle.upload(long_mission(3)), 60, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert "no answer" in got.text
+
+
+@BOTH
+def test_a_mission_is_deleted(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    assert rig.answered(rig.vehicle.upload(long_mission(3)), 20, NoticeKind.UPLOAD).ok
+    assert stored(rig)
+    assert rig.answered(rig.vehicle.upload(()), 20, NoticeKind.UPLOAD).ok
+    assert not stored(rig)
+
+
+@BOTH
+def test_it_is_ready_when_the_autopilot_says_so(dialect: str) -> None:
+    rig = Rig(dialect)
+    rig.run(2.5)
+    assert rig.ours.telemetry is not None
+    assert not rig.ours.telemetry.ready
+    refused = rig.answered(rig.vehicle.arm())
+    assert not refused.ok
+    assert "not in a state" in refused.text
+    rig.run(2)
+    assert rig.ours.telemetry.ready
+    rig.sim.healthy = False
+    rig.run(2)
+    assert not rig.ours.telemetry.ready
+
+
+def test_nothing_is_streamed_unasked() -> None:
+    rig = Rig()
+    rig.up.loss = 1.0
+    rig.run(10)
+    assert set(place(rig).ages) == {"HEARTBEAT"}
+    rig.up.loss = 0.0
+    rig.run(70)
+    assert {"GLOBAL_POSITION_INT", "ATTITUDE_QUATERNION", "EKF_STATUS_REPORT"} <= set(place(rig).ages)
+
+
+@BOTH
+def test_streams_come_at_their_rates(dialect: str) -> None:
+    rig = met(Rig(dialect, rates={"HIGHRES_IMU": 25.0, "RC_CHANNELS": 0.0}))
+    counts: dict[str, int] = {}
+    receive = rig.ours.receive
+
+    def counting(data: bytes, now_ns: int) -> None:
+        before = {n: rig.vehicle._state.heard_ns(n) for n in place(rig).ages}
+        receive(data, now_ns)
+        for name in place(rig).ages:
+            if rig.vehicle._state.heard_ns(name) != before.get(name):
+                counts[name] = counts.get(name, 0) + 1
+
+    rig.ours.receive = counting  # type: ignore[method-assign]
+    rig.run(20)
+    rates = {name: n / 20 for name, n in counts.items()}
+    assert rates["ATTITUDE_QUATERNION"] == pytest.approx(20, rel=0.2)  # steps of 20 ms
+    assert rates["GLOBAL_POSITION_INT"] == pytest.approx(10, rel=0.1)
+    assert rates["HIGHRES_IMU"] == pytest.approx(25, rel=0.1)
+    assert "RC_CHANNELS" not in rates
+
+
+@BOTH
+def test_streams_are_asked_for_again_after_a_reboot(dialect: str) -> None:
+    rig = met(Rig(dialect, seed=5, link={"loss": 0.2, "delay": 0.05}))
+    rig.run(10)
+    rig.sim.reboot()
+    rig.run(1.5)
+    assert rig.run(25, lambda: bool(rig.of(NoticeKind.REBOOT)) and place(rig).ready)
+    rig.run(20)
+    ages = place(rig).ages
+    assert ages["GLOBAL_POSITION_INT"] < 1.0
+    assert ages["ATTITUDE_QUATERNION"] < 1.0
+    assert rig.vehicle.starts == 2
+    newest = rig.samples[-1]
+    assert abs(newest.t_ns - rig.now_ns) < 0.4e9  # on our clock again, although its own has begun anew
+
+
+def test_a_stream_that_dries_up_is_asked_for_again() -> None:
+    rig = met(Rig())
+    rig.run(5)
+    rig.sim.reports._interval.pop(33)
+    rig.run(1)
+    assert place(rig).ages["GLOBAL_POSITION_INT"] > 0.9
+    rig.run(8)
+    assert place(rig).ages["GLOBAL_POSITION_INT"] < 0.3
+    assert not rig.of(NoticeKind.REBOOT)
+
+
+def test_a_stream_that_never_comes_is_not_asked_for_all_the_time() -> None:
+    rig = met(Rig(rates={"RANGEFINDER": 5.0}))
+    asked: list[float] = []
+    command = rig.sim._command
+    rig.sim._command = lambda n, p: asked.append(p[0]) or command(n, p)  # type: ignore[method-assign,func-returns-value]
+    rig.run(120)
+    assert 2 <= asked.count(173.0) <= 8
+    assert not rig.of(NoticeKind.COMMAND)
+
+
+@BOTH
+def test_commands_get_through_and_are_answered_once(dialect: str) -> None:
+    rig = met(Rig(dialect, seed=3, link=BAD))
+    tickets = [rig.vehicle.set_mode(FlightMode.GUIDED), rig.vehicle.arm(), rig.vehicle.change_speed(3.0)]
+    rig.run(30)
+    notices = rig.of(NoticeKind.COMMAND)
+    assert sorted(n.ticket or 0 for n in notices) == sorted(tickets)
+    assert rig.sim.logic.armed
+
+
+def test_progress_is_waited_for() -> None:
+    rig = met(Rig())
+    seen: list[int] = []
+    command = rig.sim._command
+
+    def slow(number: int, p: tuple[float, ...]) -> int:
+        if number != 400:
+            return command(number, p)
+        seen.append(number)
+        return 5  # in progress
+
+    rig.sim._command = slow  # type: ignore[method-assign]
+    ticket = rig.vehicle.arm()
+    rig.run(20)
+    assert len(seen) == 1  # not sent again
+    assert not rig.of(NoticeKind.COMMAND)
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    rig.sim._send(mavlink.MAVLink_command_ack_message(400, 0, 0, 0, 1, 191))
+    assert rig.answered(ticket).ok
+
+
+def test_an_order_does_not_wait_behind_requests_for_streams() -> None:
+    rig = met(Rig(link={"delay": 0.4}, rates={"RANGEFINDER": 1.0, "VFR_HUD": 1.0, "RAW_IMU": 1.0}))
+    rig.vehicle._streams.rebooted()  # asks for everything, 0.8 s each
+    rig.step()
+    start = rig.t
+    assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok
+    assert rig.t - start < 1.2
+
+
+def test_the_newest_order_counts() -> None:
+    """The first order is lost again and again; after the second one it must not come through."""
+    rig = met(Rig())
+    rig.up.loss = 1.0
+    rig.vehicle.set_mode(FlightMode.LAND)
+    rig.run(1.5)
+    rig.vehicle.set_mode(FlightMode.HOLD)
+    rig.up.loss = 0.0
+    rig.run(8)
+    assert rig.sim.logic.doing is Doing.HOLD
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+@BOTH
+def test_a_pilot_takes_over_and_nothing_of_ours_moves_the_vehicle_any_more(dialect: str) -> None:
+    """Our order to land is being lost when the pilot switches: its next try must not undo that."""
+    rig = Rig(dialect)
+    rig.up_and_flying(15.0)
+    assert rig.vehicle.in_control
+    rig.up.loss = 1.0
+    rig.vehicle.set_mode(FlightMode.LAND)
+    rig.run(0.5)
+    rig.sim.pilot()
+    flown = rig.t
+    assert rig.run(3, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+    assert rig.t - flown < 1.2  # the next heartbeat
+    rig.up.loss = 0.0
+    rig.run(10)
+    assert rig.sim.logic.doing is Doing.PILOT
+    (notice,) = rig.of(NoticeKind.TAKEOVER)
+    assert notice.mode is FlightMode.PILOT
+    assert {"ardupilot": "LOITER", "px4": "POSCTL"}[dialect] in notice.text
+    assert not rig.vehicle.in_control
+    assert not rig.vehicle.land_on(rig.now_ns, np.array([0.0, 0.0, -5.0]), np.eye(3))
+    assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok  # an order of ours takes over again
+    assert rig.vehicle.in_control
+
+
+def test_sticks_that_move_are_a_takeover() -> None:
+    rig = Rig()
+    rig.up_and_flying(10.0)
+    rig.sim.reports.sticks = [1510, 1495, 1130, 1500]  # noise, and a throttle that rests
+    rig.run(3)
+    assert not rig.of(NoticeKind.TAKEOVER)
+    rig.sim.reports.sticks[1] = 1750
+    flown = rig.t
+    assert rig.run(3, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+    assert rig.t - flown < 0.5
+    assert "stick 2" in rig.of(NoticeKind.TAKEOVER)[0].text
+
+
+@BOTH
+def test_a_failsafe_is_a_takeover_too(dialect: str) -> None:
+    rig = Rig(dialect)
+    rig.up_and_flying(10.0)
+    rig.sim.pilot(Doing.RETURN)
+    assert rig.run(3, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+    assert rig.of(NoticeKind.TAKEOVER)[0].mode is FlightMode.RETURN
+
+
+@BOTH
+def test_our_own_changes_are_no_takeover_on_a_bad_link(dialect: str) -> None:
+    rig = Rig(dialect, seed=8, link={"loss": 0.15, "delay": 0.1, "jitter": 0.3, "double": 0.3})
+    rig.up_and_flying(10.0)
+    for mode in (FlightMode.HOLD, FlightMode.GUIDED, FlightMode.LAND, FlightMode.HOLD, FlightMode.RETURN):
+        rig.vehicle.set_mode(mode)
+        rig.run(4)
+    assert not rig.of(NoticeKind.TAKEOVER)
+    assert not rig.of(NoticeKind.REBOOT)
+
+
+def test_px4_that_loses_our_setpoints_is_reported() -> None:
+    rig = Rig("px4")
+    rig.up_and_flying(10.0)
+    rig.up.loss = 1.0
+    assert rig.run(5, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+    assert rig.of(NoticeKind.TAKEOVER)[0].mode is FlightMode.HOLD
+
+
+@BOTH
+def test_a_link_that_breaks_and_comes_back(dialect: str) -> None:
+    rig = met(Rig(dialect))
+    rig.down.loss = 1.0
+    assert rig.run(6, lambda: bool(rig.of(NoticeKind.LINK_LOST)))
+    assert not rig.vehicle.alive
+    rig.down.loss = 0.0
+    assert rig.run(3, lambda: bool(rig.of(NoticeKind.LINK_BACK)))
+    rig.run(5)
+    assert place(rig).ages["GLOBAL_POSITION_INT"] < 0.5
+
+
+def test_time_outs_wait_for_a_slow_autopilot() -> None:
+    """It runs at a tenth of our speed and answers after 0.4 s of its own: a command is sent once, not four times."""
+    rig = met(Rig(link={"delay": 0.0}))
+    rig.run(3)
+    seen: list[int] = []
+    command = rig.sim._command
+    rig.sim._command = lambda n, p: seen.append(n) or command(n, p)  # type: ignore[method-assign,func-returns-value]
+    step, slowly = rig.sim.step, 0.1
+    rig.sim.step = lambda dt: step(dt * slowly)  # type: ignore[method-assign]
+    rig.down.delay = 4.0
+    rig.run(8.0)
+    rig.answered(rig.vehicle.change_speed(3.0), 30)
+    assert seen.count(178) == 1
+
+
+def test_texts_of_the_autopilot_are_passed_on() -> None:
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    rig = met(Rig())
+    rig.sim._send(mavlink.MAVLink_statustext_message(2, b"PreArm: Compass not healthy"))
+    rig.run(0.2)
+    (text,) = rig.of(NoticeKind.TEXT)
+    assert (text.text, text.ok) == ("PreArm: Compass not healthy", False)
+
+
+def test_positions_of_an_instant() -> None:
+    """The autopilot's place at our instants, between and just after its reports."""
+    rig = met(Rig(step=0.01))
+    start = rig.t
+
+    def fly() -> None:
+        rig.sim.vehicle.position = np.array([4.0 * (rig.t - start), -3.0 * (rig.t - start), 30.0])
+        rig.sim.vehicle.velocity = np.array([4.0, -3.0, 0.0])
+
+    rig.each_step = fly
+    rig.run(6)
+    for back in (0.0, 0.25, 1.03, 4.0):
+        got = rig.vehicle.place_at(rig.now_ns - round(back * 1e9))
+        assert got is not None
+        expected = rig.sim.home.degrees(np.array([4.0, -3.0, 0.0]) * (rig.t - start - back) + [0, 0, 30.0])
+        assert math.hypot(got.latitude - expected[0], got.longitude - expected[1]) * 111_000 < 0.12
+    assert rig.vehicle.place_at(rig.now_ns - 60_000_000_000) is None
+    assert rig.vehicle.alignment(LOCAL, np.zeros(3), rig.now_ns) is not None
+
+
+def test_a_setpoint_without_an_alignment_is_refused() -> None:
+    rig = met(Rig())
+    with pytest.raises(ValueError, match="one instant"):
+        rig.vehicle.guide(Setpoint(np.zeros(3)))
