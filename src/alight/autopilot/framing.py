@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ from alight.autopilot.pymavlink_dialect import dialect
 
 _V1, _V2 = 0xFE, 0xFD
 _SIGNED, _SIGNATURE, _CHECKSUM = 1, 13, 2
+_COPIES = 100  # messages of a sender among which a copy is looked for: less than the sequence numbers take to wrap
 _REMEMBERED_NS = 1_000_000_000  # after this long without a newer one, an old sequence number is a new start
 
 
@@ -29,7 +31,7 @@ class Heard:
     name: str
     system: int
     component: int
-    late: bool  # a copy, or overtaken by a newer one of its own kind: of no use as a state
+    late: bool  # overtaken by a newer one of its own kind: of no use as a state
     overtaken: bool  # by a newer one of any kind
 
 
@@ -40,6 +42,14 @@ class _Order:
         self._newest: int | None = None
         self._newest_ns = 0
         self._of_kind: dict[str, int] = {}
+        self._recent: deque[tuple[int, str, int]] = deque(maxlen=_COPIES)
+
+    def is_copy(self, sequence: int, name: str, checksum: int) -> bool:
+        """Whether the same message has come a moment ago."""
+        entry = (sequence, name, checksum)
+        known = entry in self._recent
+        self._recent.append(entry)
+        return known
 
     def place(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
         """Whether a message is late, and whether it was overtaken."""
@@ -79,13 +89,15 @@ class Framing:
         return data
 
     def decode(self, data: bytes, now_ns: int) -> list[Heard]:
-        """Take bytes as they come, in pieces of any length; give the whole messages."""
+        """Take bytes as they come, in pieces of any length; give the whole messages, without copies."""
         self._buffer += data
         out = []
         while (message := self._next()) is not None:
             self.counts.messages += 1
             sender, name = (message.get_srcSystem(), message.get_srcComponent()), message.get_type()
             order = self._orders.setdefault(sender, _Order())
+            if order.is_copy(message.get_seq(), name, message.get_crc()):
+                continue
             out.append(Heard(message, name, *sender, *order.place(name, message.get_seq(), now_ns)))
         return out
 

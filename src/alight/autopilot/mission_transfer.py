@@ -9,9 +9,9 @@ from typing import Any
 from alight.autopilot.mission_item import MissionItem
 from alight.autopilot.pymavlink_dialect import message
 
-_AGAIN_NS = 1_500_000_000  # without a request, until the last message is sent again
+_AGAIN_NS = 1_000_000_000  # without a request, until the last message is sent again
 _TRIES = 8  # of one message
-_STARTS = 4  # of the whole transfer
+_STARTS = 6  # of the whole transfer: an acceptance that is lost costs one
 _ACCEPTED, _OUT_OF_TURN = 0, 13  # MAV_MISSION_RESULT
 _INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a copy of an item or a transfer that timed out brings
 REFUSALS = {

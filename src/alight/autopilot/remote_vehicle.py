@@ -138,8 +138,9 @@ class RemoteVehicle:
         return self._uploads
 
     def start_mission(self) -> int:
-        """Fly the mission from its start."""
-        self.set_mode(FlightMode.MISSION)
+        """Fly the mission; the command changes the mode by itself."""
+        self._control.ordered(FlightMode.MISSION, self._pace.t_ns)
+        self._target = None
         return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
 
     def guide(self, setpoint: Setpoint, alignment: Alignment | None = None) -> None:

@@ -95,9 +95,9 @@ class FlightLogic:
         return True
 
     def start_mission(self) -> bool:
-        """From its start."""
-        self.current = self.dialect.first_item
-        self._arrived_at = None
+        """From its start, unless it is under way."""
+        if self.doing is not Doing.MISSION:
+            self.current = self.dialect.first_item
         return self.enter(Doing.MISSION, 0.0)
 
     def guide(self, wanted: Wanted, t: float) -> None:

@@ -63,6 +63,7 @@ class PointMass:
         self._gust = np.zeros(3)
         self._acceleration = np.zeros(3)
         self._rates = np.zeros(3)
+        self._aloft = False
         self.position = np.array(self.position, dtype=np.float64)
         self.position[2] = max(self.position[2], self._floor)
 
@@ -133,9 +134,11 @@ class PointMass:
 
     def _meet_ground(self) -> None:
         floor = self._floor
+        if self.position[2] > floor + _STAND:
+            self._aloft = True
         if self.position[2] <= floor:
-            if self.velocity[2] < 0:
-                self.touchdown_speed = float(-self.velocity[2])
+            if self._aloft:
+                self.touchdown_speed, self._aloft = float(-self.velocity[2]), False
             self.position[2] = floor
             self.velocity = np.array([0.0, 0.0, max(self.velocity[2], 0.0)])
 
@@ -144,7 +147,9 @@ class PointMass:
         push = self._acceleration + self.limits.drag * (self.velocity - self.wind_world) + _LIFT
         if self.stands or push[2] < 1.0:
             push = np.array([0.0, 0.0, 1.0])
-        z = push / np.linalg.norm(push)
-        y = np.cross(z, [math.sin(self.heading), math.cos(self.heading), 0.0])
-        y /= np.linalg.norm(y)
-        return np.stack([np.cross(y, z), y, z], axis=1)
+        zx, zy, zz = (float(v) for v in push / math.sqrt(float(push @ push)))
+        east, north = math.sin(self.heading), math.cos(self.heading)
+        yx, yy, yz = -zz * north, zz * east, zx * north - zy * east  # z x heading
+        length = math.sqrt(yx * yx + yy * yy + yz * yz)
+        yx, yy, yz = yx / length, yy / length, yz / length
+        return np.array([[yy * zz - yz * zy, yx, zx], [yz * zx - yx * zz, yy, zy], [yx * zy - yy * zx, yz, zz]])

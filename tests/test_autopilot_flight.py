@@ -1,0 +1,222 @@
+"""Whole flights: guided, by mission, and down on a target, while the autopilot is wrong about its place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from autopilot_rig import LOCAL, Rig
+from numpy.testing import assert_allclose
+
+from alight.autopilot import Alignment, Setpoint, mission_of
+from alight.records import FlightMode, Landed, NoticeKind, Route, Waypoint
+from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
+from alight_sim.autopilot.dialects import Doing
+
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+WRONG = (3.0, -2.0, 1.5)  # metres
+TARGET = np.array([12.0, 9.0, 0.0])
+
+
+def over(up: float, east: float = 0.0, north: float = 0.0) -> np.ndarray:
+    """A point near the target."""
+    return TARGET + np.array([east, north, up])
+
+
+def aligned(rig: Rig) -> Alignment:
+    """We know our true position (from the cameras), the autopilot believes another."""
+    got = rig.vehicle.alignment(LOCAL, rig.truth(), rig.now_ns)
+    assert got is not None
+    return got
+
+
+def flying(dialect: str, height: float = 15.0, **more: object) -> Rig:
+    rig = Rig(dialect, step=0.04, estimate=EstimateError(WRONG), **more)  # type: ignore[arg-type]
+    rig.up_and_flying(height)
+    return rig
+
+
+@BOTH
+def test_a_guided_target_is_reached_in_our_world(dialect: str) -> None:
+    """The autopilot is off by 3.9 m; commands are relative to its own estimate, so the vehicle is not."""
+    rig = flying(dialect)
+    goal = np.array([20.0, -14.0, 22.0])
+    rig.vehicle.guide(Setpoint(goal, heading=math.radians(120)), aligned(rig))
+    rig.run(20)
+    assert_allclose(rig.truth(), goal, atol=0.1)
+    assert math.remainder(rig.sim.vehicle.heading - math.radians(120), 2 * math.pi) == pytest.approx(0, abs=0.01)
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+@BOTH
+def test_a_guided_velocity_is_flown(dialect: str) -> None:
+    rig = flying(dialect)
+    before = rig.truth()
+    for _ in range(4):  # ArduPilot forgets a velocity after three seconds
+        rig.vehicle.guide(Setpoint(velocity_world=np.array([1.0, 2.0, -0.5])))
+        rig.run(1.0)
+    moved = rig.truth() - before
+    assert_allclose(moved, [4.0, 8.0, -2.0], atol=0.9)
+    assert_allclose(rig.sim.vehicle.velocity, [1.0, 2.0, -0.5], atol=0.05)
+
+
+def test_speed_and_heading_by_command() -> None:
+    rig = flying("ardupilot")
+    assert rig.answered(rig.vehicle.change_speed(2.0)).ok
+    assert rig.answered(rig.vehicle.face(math.radians(-90))).ok
+    rig.vehicle.guide(Setpoint(np.array([60.0, 0.0, 15.0])), aligned(rig))
+    rig.run(5)
+    assert np.hypot(*rig.sim.vehicle.velocity[:2]) == pytest.approx(2.0, abs=0.05)
+    assert math.remainder(rig.sim.vehicle.heading + math.pi / 2, 2 * math.pi) == pytest.approx(0, abs=0.01)
+
+
+def descent_route(start: np.ndarray) -> Route:
+    """To over the target, a look, down, land."""
+    stops = [("start", start, 0.0, False), ("transit", over(15.0), 6.0, True),
+             ("approach", over(8.0), 2.0, True), ("touchdown", TARGET, 1.0, False)]  # fmt: skip
+    return Route(tuple(Waypoint(n, p, 0.8, v, 0.0, look) for n, p, v, look in stops))
+
+
+@BOTH
+def test_a_mission_is_flown_to_the_ground(dialect: str) -> None:
+    rig = flying(dialect, link={"loss": 0.1, "delay": 0.05, "jitter": 0.05})
+    items = mission_of(descent_route(rig.truth()), aligned(rig), look_time=4.0)
+    assert rig.answered(rig.vehicle.upload(items), 60, NoticeKind.UPLOAD).ok
+    started = rig.t
+    rig.vehicle.start_mission()
+    fastest: list[float] = []
+    rig.each_step = lambda: fastest.append(float(np.hypot(*rig.sim.vehicle.velocity[:2])))
+    assert rig.run(120, lambda: bool(rig.ours.telemetry and rig.ours.telemetry.is_down))
+    assert np.hypot(*(rig.truth() - TARGET)[:2]) < 0.5
+    assert rig.t - started > 2 * 4.0 + 7.0 / 2.0  # both looks and the slow descent
+    assert max(fastest) < 6.05
+    assert rig.sim.vehicle.heading == pytest.approx(0.8, abs=0.01)
+    reached = [n.item for n in rig.of(NoticeKind.REACHED)]
+    assert len(reached) == len(set(reached))
+    assert set(reached) <= set(range(len(items) - 1))
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(2))
+def test_it_lands_on_a_target_that_is_reported(dialect: str, seed: int) -> None:
+    """Wind, gusts, a tilted vehicle, an estimate that is off and wanders: within 0.1 m, as the target is true."""
+    body = PointMass(wind_world=np.array([4.0, 2.0, 0.0]), gusts=0.4, seed=seed)
+    rig = Rig(dialect, step=0.04, vehicle=body, estimate=EstimateError(WRONG, walk=0.05, seed=seed), seed=seed,
+              link={"loss": 0.1, "delay": 0.03})  # fmt: skip
+    rig.up_and_flying(12.0)
+    rig.vehicle.guide(Setpoint(over(8.0, 1.5, -1.0)), aligned(rig))
+    rig.run(12)
+    rig.vehicle.set_mode(FlightMode.LAND)
+
+    def report() -> None:
+        rig.vehicle.land_on(rig.now_ns, TARGET - rig.truth(), rig.sim.vehicle.world_from_body.rotation)
+
+    rig.each_step = report
+    assert rig.run(60, lambda: bool(rig.ours.telemetry and rig.ours.telemetry.is_down))
+    assert np.hypot(*(rig.truth() - TARGET)[:2]) < 0.1
+    assert 0.3 < rig.sim.vehicle.touchdown_speed < 0.9
+    assert rig.ours.telemetry is not None
+    assert rig.ours.telemetry.landed is Landed.GROUND
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+def test_a_wrong_sign_in_the_target_would_show() -> None:
+    """The test above can fail: with the target mirrored the vehicle lands elsewhere."""
+    rig = flying("ardupilot", 8.0)
+    rig.vehicle.guide(Setpoint(over(8.0, 1.5, -1.0)), aligned(rig))
+    rig.run(12)
+    rig.vehicle.set_mode(FlightMode.LAND)
+
+    def report() -> None:
+        wrong = (TARGET - rig.truth()) * [-1, 1, 1]
+        rig.vehicle.land_on(rig.now_ns, wrong, rig.sim.vehicle.world_from_body.rotation)
+
+    rig.each_step = report
+    rig.run(40)
+    assert np.hypot(*(rig.truth() - TARGET)[:2]) > 0.5
+
+
+@BOTH
+def test_it_lands_where_it_is_without_a_target(dialect: str) -> None:
+    rig = flying(dialect, 6.0)
+    before = rig.truth()
+    assert rig.answered(rig.vehicle.set_mode(FlightMode.LAND)).ok
+    assert rig.run(60, lambda: bool(rig.ours.telemetry and rig.ours.telemetry.is_down))
+    assert np.hypot(*(rig.truth() - before)[:2]) < 0.5
+
+
+def test_a_helicopter_of_ardupilot_is_a_vehicle_too() -> None:
+    rig = Rig(step=0.04, kind=4)
+    rig.up_and_flying(5.0)
+    assert rig.sim.estimated[2] > 4.4
+
+
+@BOTH
+def test_telemetry_follows_the_true_flight(dialect: str) -> None:
+    """Attitude, velocity and place as rows of GPS/INS, against the simulated vehicle in a turn with wind."""
+    body = PointMass(wind_world=np.array([-5.0, 3.0, 0.0]))
+    rig = Rig(dialect, step=0.02, vehicle=body)
+    rig.up_and_flying(10.0)
+    truth: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def note() -> None:
+        pose = rig.sim.vehicle.world_from_body
+        truth[rig.now_ns] = (rig.truth(), pose.rotation, rig.sim.vehicle.velocity.copy())
+
+    rig.each_step = note
+    rig.vehicle.guide(Setpoint(np.array([25.0, 10.0, 14.0]), heading=2.0), aligned(rig))
+    first = len(rig.samples)
+    rig.run(6)
+    rows = [s for s in rig.samples[first + 5 :] if s.world_from_body is not None]
+    assert len(rows) > 40
+    times = np.array(sorted(truth))
+    for s in rows:
+        position, rotation, velocity = truth[int(times[np.abs(times - s.t_ns).argmin()])]
+        speed = float(np.linalg.norm(velocity))
+        assert_allclose(s.position_world, position, atol=0.03 + 0.015 * speed)
+        assert_allclose(s.world_from_body, rotation, atol=0.06)
+        assert_allclose(s.velocity_world, velocity, atol=0.08)
+    leans = [math.acos(min(1.0, s.world_from_body[2, 2])) for s in rows]
+    assert max(leans) > 0.15  # it does lean: the comparison means something
+
+
+def test_the_simulated_vehicle_keeps_its_limits() -> None:
+    limits = FlightLimits(speed=6.0, climb=2.0, sink=1.0, acceleration=2.5)
+    body, dt = PointMass(limits, position=np.array([0.0, 0.0, 40.0])), 0.02
+    goals = [np.array([60.0, 20.0, 60.0]), np.array([-30.0, 0.0, 20.0])]
+    before = body.velocity.copy()
+    for goal in goals:
+        for _ in range(2600):
+            body.step(dt, Wanted(goal))
+            assert np.hypot(*body.velocity[:2]) < 6.01
+            assert -1.01 < body.velocity[2] < 2.01
+            assert np.linalg.norm(body.velocity - before) / dt < 2.51
+            before = body.velocity.copy()
+        assert_allclose(body.position, goal, atol=0.05)
+
+
+def test_the_simulated_vehicle_stands_on_the_ground() -> None:
+    body = PointMass(ground=lambda east, north: 0.1 * east, position=np.array([20.0, 0.0, 3.0]))
+    for _ in range(300):
+        body.step(0.02, Wanted(velocity=np.array([0.0, 0.0, -0.5])))
+    assert body.stands
+    assert body.position[2] == pytest.approx(2.0)
+    assert body.touchdown_speed == pytest.approx(0.5, abs=0.02)
+    body.step(0.02, None)
+    assert body.position[2] == pytest.approx(2.0)
+
+
+def test_ardupilot_forgets_a_velocity_and_px4_a_silent_companion() -> None:
+    rig = flying("ardupilot")
+    rig.vehicle.guide(Setpoint(velocity_world=np.array([2.0, 0.0, 0.0])))
+    rig.run(8)
+    assert np.linalg.norm(rig.sim.vehicle.velocity) < 0.1
+    px4 = flying("px4")
+    px4.vehicle.guide(Setpoint(velocity_world=np.array([2.0, 0.0, 0.0])))
+    px4.run(5)
+    assert np.linalg.norm(px4.sim.vehicle.velocity) > 1.9  # repeated by us
+    px4.up.loss = 1.0
+    px4.run(3)
+    assert px4.sim.logic.doing is Doing.HOLD

@@ -1,0 +1,205 @@
+"""Links by name: real sockets on this machine, a pseudo-terminal, and a real ArduPilot where there is one."""
+
+from __future__ import annotations
+
+import builtins
+import os
+import pty
+import socket
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from alight.autopilot import Autopilot, Link, TelemetryEvents, open_link
+from alight.autopilot import pymavlink_dialect as doorway
+from alight.records import FlightMode, InputError, MissingExtraError, NavSample, NoticeKind, OutputError
+from alight_sim.autopilot import LossyChannel, SimulatedAutopilot, SpokenPx4, UdpServer
+
+LOCAL = "127.0.0.1"
+
+
+def drive(link: Link, ours: Autopilot, seconds: float, until: Callable[[], bool]) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        for data in link.read(0.02):
+            ours.receive(data, time.monotonic_ns())
+        ours.tick(time.monotonic_ns())
+        for data in ours.pending():
+            link.write(data)
+        if until():
+            return True
+    return False
+
+
+@pytest.mark.parametrize("dialect", [None, SpokenPx4()])
+def test_a_flight_over_a_real_socket(dialect: Any) -> None:
+    """Ten times as fast as the clock, over UDP that loses a tenth: heard, armed, up, and the clock carried over."""
+    link, events = open_link(f"udp:{LOCAL}:0"), TelemetryEvents()
+    ours, bad = Autopilot(events=events), LossyChannel(loss=0.1, seed=1)
+    sim = SimulatedAutopilot(dialect)
+    with UdpServer(sim, (LOCAL, link.port), speed=10.0, step=0.05, outwards=bad):  # type: ignore[attr-defined]
+        assert drive(link, ours, 8, lambda: ours.telemetry is not None and ours.telemetry.ready)
+        assert ours.vehicle is not None
+        ours.vehicle.set_mode(FlightMode.GUIDED)
+        ours.vehicle.arm()
+        assert drive(link, ours, 8, lambda: bool(ours.telemetry and ours.telemetry.armed))
+        ours.vehicle.take_off(8.0)
+        assert drive(link, ours, 8, lambda: bool(ours.telemetry and ours.telemetry.place
+                                                 and ours.telemetry.place.above_home > 7.0))  # fmt: skip
+    link.close()
+    rows = [s for s in ours.samples() if isinstance(s, NavSample) and s.position_world is not None]
+    assert rows
+    assert not [n for n in ours.notices() if n.kind in (NoticeKind.TAKEOVER, NoticeKind.REBOOT)]
+
+
+def test_udp_out_speaks_to_one_address_and_listens_to_no_other() -> None:
+    server, other = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    server.bind((LOCAL, 0))
+    server.settimeout(2.0)
+    link = open_link(f"udpout:{LOCAL}:{server.getsockname()[1]}")
+    assert link.write(b"hello")
+    data, sender = server.recvfrom(100)
+    assert data == b"hello"
+    other.sendto(b"intruder", sender)
+    server.sendto(b"answer", sender)
+    got: list[bytes] = []
+    while not got:
+        got = link.read(1.0)
+    assert got == [b"answer"]
+    for s in (server, other):
+        s.close()
+    link.close()
+
+
+def test_tcp_comes_back_after_the_other_side_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    from alight.autopilot import links
+
+    monkeypatch.setattr(links, "_AGAIN", 0.05)
+    server = socket.create_server((LOCAL, 0))
+    port = server.getsockname()[1]
+    link = open_link(f"tcp:{LOCAL}:{port}")
+    peer, _ = server.accept()
+    peer.sendall(b"one")
+    assert link.read(2.0) == [b"one"]
+    peer.close()
+    assert link.read(2.0) == []
+    assert "closed" in link.broken
+    assert not link.write(b"lost")
+    end, back = time.monotonic() + 5, False
+    server.settimeout(5.0)
+    while not back and time.monotonic() < end:
+        link.read(0.02)
+        back = not link.broken
+    assert back
+    peer, _ = server.accept()
+    assert link.write(b"two")
+    assert peer.recv(10) == b"two"
+    for s in (peer, server):
+        s.close()
+    link.close()
+
+
+def test_a_serial_port_is_read_and_written() -> None:
+    ours, theirs = pty.openpty()
+    link = open_link(f"serial:{os.ttyname(theirs)}:57600")
+    os.write(ours, b"\xfd\x00\x11")
+    assert link.read(2.0) == [b"\xfd\x00\x11"]
+    assert link.read(0.0) == []
+    assert link.write(b"\xfd\x0a\x0d")
+    assert os.read(ours, 10) == b"\xfd\x0a\x0d"  # raw: nothing is translated
+    link.close()
+    os.close(ours)
+    os.close(theirs)
+
+
+@pytest.mark.parametrize(
+    "name", ["", "udp", "udp:14550", "tcp:host:port", "tcp:h:70000", "serial:/dev/x", "can:1:2", "x"]
+)
+def test_a_name_that_means_nothing_is_refused_with_those_that_do(name: str) -> None:
+    with pytest.raises(InputError, match="tcp:HOST:PORT"):
+        open_link(name)
+
+
+def test_what_a_user_can_mend_is_said() -> None:
+    taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    taken.bind((LOCAL, 0))
+    with pytest.raises(OutputError, match="taken"):
+        open_link(f"udp:{LOCAL}:{taken.getsockname()[1]}")
+    taken.close()
+    closed = socket.create_server((LOCAL, 0))
+    port = closed.getsockname()[1]
+    closed.close()
+    with pytest.raises(InputError, match="nobody answers"):
+        open_link(f"tcp:{LOCAL}:{port}")
+    with pytest.raises(InputError, match="no such host or device"):
+        open_link("serial:/dev/there-is-none:57600")
+
+
+@pytest.mark.parametrize(("package", "use"), [("serial", "serial:/dev/x:9600"), ("pymavlink", "")])
+def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, package: str, use: str) -> None:
+    real = builtins.__import__
+
+    def without(name: str, *more: Any, **named: Any) -> Any:
+        if name.split(".")[0] == package:
+            raise ImportError(name)
+        return real(name, *more, **named)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(doorway, "import_module", without)
+    doorway.dialect.cache_clear()
+    with pytest.raises(MissingExtraError, match=r"alight\[fly\]"):
+        open_link(use) if use else Autopilot()
+    doorway.dialect.cache_clear()
+
+
+def test_reading_waits_no_longer_than_told() -> None:
+    link = open_link(f"udp:{LOCAL}:0")
+    start = time.monotonic()
+    assert link.read(0.05) == []
+    assert time.monotonic() - start < 1.0
+    assert link.write(b"to nobody")
+    link.close()
+
+
+@pytest.fixture
+def sitl(tmp_path: Path) -> Any:
+    """A running ArduPilot Copter, in a folder of its own."""
+    binary = os.environ.get("ALIGHT_SITL")
+    if not binary:
+        pytest.skip("no ArduPilot SITL: set ALIGHT_SITL to its arducopter binary")
+    command = [binary, "--model", "quad", "--speedup", "1", "--home", "47.6,13.4,500,0", "--wipe", "-I0"]
+    with (
+        (tmp_path / "sitl.log").open("wb") as log,
+        subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log) as run,
+    ):
+        yield "tcp:127.0.0.1:5760"
+        run.terminate()
+
+
+def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
+    link, end = None, time.monotonic() + 30
+    while link is None:
+        try:
+            link = open_link(sitl)
+        except InputError:
+            assert time.monotonic() < end
+            time.sleep(0.5)
+    ours = Autopilot(events=TelemetryEvents())
+    assert drive(link, ours, 90, lambda: ours.telemetry is not None and ours.telemetry.ready), ours.notices()
+    vehicle = ours.vehicle
+    assert vehicle is not None
+    vehicle.set_mode(FlightMode.GUIDED)
+    assert drive(link, ours, 10, lambda: bool(ours.telemetry and ours.telemetry.mode is FlightMode.GUIDED))
+    vehicle.arm()
+    assert drive(link, ours, 20, lambda: bool(ours.telemetry and ours.telemetry.armed)), ours.notices()
+    vehicle.take_off(5.0)
+    assert drive(link, ours, 30, lambda: bool(ours.telemetry and ours.telemetry.place
+                                              and ours.telemetry.place.above_home > 4.5))  # fmt: skip
+    vehicle.set_mode(FlightMode.LAND)
+    assert drive(link, ours, 60, lambda: bool(ours.telemetry and ours.telemetry.is_down)), ours.notices()
+    assert any(isinstance(s, NavSample) and s.position_world is not None for s in ours.samples())
+    link.close()
