@@ -14,7 +14,7 @@ from pymavlink import mavextra, mavutil, mavwp
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.quaternion import Quaternion
 
-from alight.autopilot import Alignment, Setpoint, TelemetryEvents, mission_of
+from alight.autopilot import EstimateTie, Setpoint, TelemetryEvents, mission_of
 from alight.autopilot.border import enu, flu, frd, ned, world_from_body_of_angles, world_from_body_of_quaternion
 from alight.autopilot.clock import VehicleClock
 from alight.autopilot.firmware import ArduPilotFirmware, Firmware, Px4Firmware
@@ -156,7 +156,7 @@ def test_targets_keep_their_place_relative_to_the_vehicle(
     ours = np.array([20.0, -10.0, 30.0])
     at = local.to_geodetic(ours)
     theirs = Place(float(at[0]) + wrong_lat_m / 111_000, float(at[1]), 400.0 + wrong_alt, 30.0)
-    got = Alignment(local, ours, theirs).place_of(ours + np.array([east, north, up]))
+    got = EstimateTie(local, ours, theirs).place_of(ours + np.array([east, north, up]))
     distance = mavextra.distance_lat_lon(theirs.latitude, theirs.longitude, got.latitude, got.longitude)
     assert distance == pytest.approx(math.hypot(east, north), rel=0.006, abs=0.01)  # on a sphere
     bearing_north = (got.latitude - theirs.latitude) * 111_195
@@ -166,13 +166,13 @@ def test_targets_keep_their_place_relative_to_the_vehicle(
     assert got.above_home - theirs.above_home == pytest.approx(up + fall, abs=2e-3)
 
 
-def alignment() -> Alignment:
+def tie() -> EstimateTie:
     """We are 3 m east of where the autopilot thinks to be; its home is 40 m below."""
-    return Alignment(LOCAL, np.array([3.0, 0.0, 40.0]), Place(47.6, 13.4, 540.0, 40.0))
+    return EstimateTie(LOCAL, np.array([3.0, 0.0, 40.0]), Place(47.6, 13.4, 540.0, 40.0))
 
 
 def test_setpoints_by_hand() -> None:
-    target = target_of(Setpoint(np.array([3.0, 111.19, 30.0]), np.array([1.0, 2.0, 3.0]), -math.pi / 2), alignment())
+    target = target_of(Setpoint(np.array([3.0, 111.19, 30.0]), np.array([1.0, 2.0, 3.0]), -math.pi / 2), tie())
     m = target.message(5 * MS, 7, 1)
     assert (m.get_type(), m.target_system, m.coordinate_frame) == ("SET_POSITION_TARGET_GLOBAL_INT", 7, 5)
     assert m.type_mask == 448 | 2048  # acceleration and yaw rate are not used; all else is
@@ -192,7 +192,7 @@ def test_setpoints_by_hand() -> None:
 )
 def test_a_setpoint_without_sense_is_refused(setpoint: Setpoint) -> None:
     with pytest.raises(ValueError, match="set-point"):
-        target_of(setpoint, alignment())
+        target_of(setpoint, tie())
     with pytest.raises(ValueError, match="one instant"):
         target_of(Setpoint(np.zeros(3)), None)
 
@@ -209,7 +209,7 @@ def some_route() -> Route:
 
 def test_a_mission_by_hand() -> None:
     """Heights above the vehicle's own home: we are 40 m over it, whatever our own zero is."""
-    items = mission_of(some_route(), alignment(), look_time=2.0)
+    items = mission_of(some_route(), tie(), look_time=2.0)
     assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 115, 21]
     speeds = [i.parameters[:3] for i in items if i.command == 178]
     assert speeds == [(1.0, 5.0, -1.0), (1.0, 1.0, -1.0)]
@@ -225,7 +225,7 @@ def test_a_mission_by_hand() -> None:
 
 
 def test_item_0_is_the_home_for_ardupilot_only() -> None:
-    items = mission_of(some_route(), alignment())
+    items = mission_of(some_route(), tie())
     home = Place(47.0, 13.0, 480.0, 0.0)
     copter, px4 = ArduPilotFirmware().mission(items, home), Px4Firmware().mission(items, home)
     assert len(copter) == len(items) + 1
@@ -236,7 +236,7 @@ def test_item_0_is_the_home_for_ardupilot_only() -> None:
 
 def test_a_mission_needs_the_height_above_home() -> None:
     with pytest.raises(ValueError, match="home"):
-        mission_of(some_route(), Alignment(LOCAL, np.zeros(3), Place(47.6, 13.4, 540.0)))
+        mission_of(some_route(), EstimateTie(LOCAL, np.zeros(3), Place(47.6, 13.4, 540.0)))
 
 
 def test_items_are_what_pymavlinks_own_mission_file_holds(tmp_path: Path) -> None:

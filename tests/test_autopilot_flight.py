@@ -9,7 +9,7 @@ import pytest
 from autopilot_rig import LOCAL, Rig
 from numpy.testing import assert_allclose
 
-from alight.autopilot import Alignment, Setpoint, mission_of
+from alight.autopilot import EstimateTie, Setpoint, mission_of
 from alight.records import FlightMode, Landed, NoticeKind, Route, Waypoint
 from alight_sim.autopilot import EstimateError, FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.dialects import Doing
@@ -24,9 +24,9 @@ def over(up: float, east: float = 0.0, north: float = 0.0) -> np.ndarray:
     return TARGET + np.array([east, north, up])
 
 
-def aligned(rig: Rig) -> Alignment:
+def aligned(rig: Rig) -> EstimateTie:
     """We know our true position (from the cameras), the autopilot believes another."""
-    got = rig.vehicle.alignment(LOCAL, rig.truth(), rig.now_ns)
+    got = rig.vehicle.tie(LOCAL, rig.truth(), rig.now_ns)
     assert got is not None
     return got
 

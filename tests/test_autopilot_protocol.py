@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from autopilot_rig import LOCAL, Rig
 
-from alight.autopilot import Alignment, MissionItem, Setpoint, mission_of
+from alight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
 from alight.autopilot.mission_item import MissionItem as Item
 from alight.records import FlightMode, NoticeKind, Place, Route, Telemetry, Waypoint
 from alight_sim.autopilot.dialects import Doing
@@ -20,7 +20,7 @@ BAD = {"loss": 0.3, "delay": 0.05, "jitter": 0.1, "double": 0.2}
 def long_mission(count: int = 16) -> tuple[MissionItem, ...]:
     """Way-points in a row, 3 m apart and ever higher."""
     points = [Waypoint(str(k), np.array([3.0 * k, 2.0 * k, 10.0 + k]), 0.3, 4.0, 0.0) for k in range(count)]
-    return mission_of(Route(tuple(points)), Alignment(LOCAL, np.zeros(3), Place(47.6, 13.4, 500.0, 0.0)))
+    return mission_of(Route(tuple(points)), EstimateTie(LOCAL, np.zeros(3), Place(47.6, 13.4, 500.0, 0.0)))
 
 
 def stored(rig: Rig) -> list[tuple[int, int, int, float]]:
@@ -306,6 +306,7 @@ def test_a_pilot_takes_over_and_nothing_of_ours_moves_the_vehicle_any_more(diale
     assert notice.mode is FlightMode.PILOT
     assert {"ardupilot": "LOITER", "px4": "POSCTL"}[dialect] in notice.text
     assert not rig.vehicle.in_control
+    assert not rig.vehicle.guide(Setpoint(velocity_world=np.ones(3)))
     assert not rig.vehicle.land_on(rig.now_ns, np.array([0.0, 0.0, -5.0]), np.eye(3))
     assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok  # an order of ours takes over again
     assert rig.vehicle.in_control
@@ -406,7 +407,7 @@ def test_positions_of_an_instant() -> None:
         expected = rig.sim.home.degrees(np.array([4.0, -3.0, 0.0]) * (rig.t - start - back) + [0, 0, 30.0])
         assert math.hypot(got.latitude - expected[0], got.longitude - expected[1]) * 111_000 < 0.12
     assert rig.vehicle.place_at(rig.now_ns - 60_000_000_000) is None
-    assert rig.vehicle.alignment(LOCAL, np.zeros(3), rig.now_ns) is not None
+    assert rig.vehicle.tie(LOCAL, np.zeros(3), rig.now_ns) is not None
 
 
 def test_a_setpoint_without_an_alignment_is_refused() -> None:

@@ -1,7 +1,7 @@
 """The autopilot: MAVLink 2 as a protocol machine without I/O, and links. NED, FRD and sea level stay in here."""
 
 from alight.autopilot.autopilot import Autopilot
-from alight.autopilot.border import Alignment
+from alight.autopilot.border import EstimateTie
 from alight.autopilot.links import Link, open_link
 from alight.autopilot.mission_item import MissionItem, mission_of
 from alight.autopilot.remote_vehicle import RemoteVehicle
@@ -9,8 +9,8 @@ from alight.autopilot.setpoints import Setpoint
 from alight.autopilot.telemetry_events import TelemetryEvents
 
 __all__ = [
-    "Alignment",
     "Autopilot",
+    "EstimateTie",
     "Link",
     "MissionItem",
     "RemoteVehicle",

@@ -60,7 +60,7 @@ def signed_angle(angle: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Alignment:
+class EstimateTie:
     """Our own position and the autopilot's of the same instant: what ties our world to its.
 
     What both get wrong (GPS) cancels: a target keeps its place relative to the vehicle.

@@ -36,7 +36,7 @@ class _Command:
 
 
 @dataclass(frozen=True)
-class Answer:
+class CommandAnswer:
     """What became of a command."""
 
     ticket: int
@@ -83,7 +83,7 @@ class CommandQueue:
             left = deque(c for c in queue if not (everything or c.flies))
             self._queues[number] = left
 
-    def hear(self, number: int, result: int, t_ns: int) -> Answer | None:
+    def hear(self, number: int, result: int, t_ns: int) -> CommandAnswer | None:
         """Take a COMMAND_ACK; the answer, if it ends one of ours."""
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:
@@ -93,7 +93,7 @@ class CommandQueue:
             return None
         return self._finish(queue, result == 0, RESULTS.get(result, f"result {result}"), t_ns)
 
-    def tick(self, t_ns: int) -> list[Answer]:
+    def tick(self, t_ns: int) -> list[CommandAnswer]:
         """Send again what was not answered in time; the answers of those that never were."""
         out = []
         for queue in self._queues.values():
@@ -104,11 +104,11 @@ class CommandQueue:
                     out.append(self._finish(queue, False, f"no answer to {_TRIES} tries", t_ns))
         return out
 
-    def _finish(self, queue: deque[_Command], ok: bool, text: str, t_ns: int) -> Answer:
+    def _finish(self, queue: deque[_Command], ok: bool, text: str, t_ns: int) -> CommandAnswer:
         done = queue.popleft()
         if queue:
             self._transmit(queue[0], t_ns)
-        return Answer(done.ticket, done.name, ok, f"{done.name}: {text}")
+        return CommandAnswer(done.ticket, done.name, ok, f"{done.name}: {text}")
 
     def _transmit(self, command: _Command, t_ns: int) -> None:
         system, component = self.target

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from alight.autopilot.border import Alignment, scaled_degrees
+from alight.autopilot.border import EstimateTie, scaled_degrees
 from alight.autopilot.pymavlink_dialect import message
 from alight.records import Place, Route, Waypoint
 
@@ -58,18 +58,18 @@ def face(heading: float) -> MissionItem:
     return MissionItem(CONDITION_YAW, (math.degrees(heading) % 360.0, 0.0, 0.0, 0.0))
 
 
-def mission_of(route: Route, alignment: Alignment, look_time: float = 3.0) -> tuple[MissionItem, ...]:
+def mission_of(route: Route, tie: EstimateTie, look_time: float = 3.0) -> tuple[MissionItem, ...]:
     """Make the mission of a route: speed, heading and place of each way-point; holds where the ground is looked at.
 
     Args:
         route: way-points from the vehicle to the touchdown, in our world.
-        alignment: our position and the autopilot's of one instant; its place must have a height above home.
+        tie: our position and the autopilot's of one instant; its place must have a height above home.
         look_time: s, of a hold.
 
     Raises:
         ValueError: the autopilot's height above its home is not known.
     """
-    if not math.isfinite(alignment.place.above_home):
+    if not math.isfinite(tie.place.above_home):
         raise ValueError("the autopilot's height above its home is not known")
     items: list[MissionItem] = []
     speed = math.nan
@@ -77,13 +77,13 @@ def mission_of(route: Route, alignment: Alignment, look_time: float = 3.0) -> tu
     for w in way[1:]:
         if w.speed != speed:
             items.append(change_speed(speed := w.speed))
-        items += _leg(w, alignment, look_time)
-    return (*items, face(touchdown.heading), land(alignment.place_of(touchdown.position_world), touchdown.heading))
+        items += _leg(w, tie, look_time)
+    return (*items, face(touchdown.heading), land(tie.place_of(touchdown.position_world), touchdown.heading))
 
 
-def _leg(w: Waypoint, alignment: Alignment, look_time: float) -> Iterable[MissionItem]:
+def _leg(w: Waypoint, tie: EstimateTie, look_time: float) -> Iterable[MissionItem]:
     yield face(w.heading)  # what precedes a way-point is done on the way to it
-    yield waypoint(alignment.place_of(w.position_world), w.heading, look_time if w.look else 0.0)
+    yield waypoint(tie.place_of(w.position_world), w.heading, look_time if w.look else 0.0)
 
 
 def home_item(home: Place) -> MissionItem:

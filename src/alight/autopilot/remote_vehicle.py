@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from alight.arrays import F64
-from alight.autopilot.border import Alignment
+from alight.autopilot.border import EstimateTie
 from alight.autopilot.clock import Pace, VehicleClock
 from alight.autopilot.commands import CommandQueue
 from alight.autopilot.control import ControlWatch
@@ -35,7 +35,8 @@ class RemoteVehicle:
     """One vehicle that was heard; `Autopilot` makes it.
 
     Every order returns at once. What became of it comes as a notice with the ticket that the order has returned.
-    After a takeover nothing is sent that moves the vehicle, until the next order.
+    `set_mode`, `take_off` and `start_mission` take control. After a takeover nothing is sent that moves the vehicle,
+    until one of them is called again.
     """
 
     def __init__(
@@ -91,10 +92,10 @@ class RemoteVehicle:
         """Where the autopilot thought to be at an instant of our clock; None: no report near it."""
         return self._state.place_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
 
-    def alignment(self, local: LocalFrame, position_world: F64, t_ns: int) -> Alignment | None:
+    def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position (3,) of an instant to the autopilot's of the same; None: it has none near that instant."""
         place = self.place_at(t_ns)
-        return None if place is None else Alignment(local, position_world, place)
+        return None if place is None else EstimateTie(local, position_world, place)
 
     # orders
 
@@ -143,13 +144,19 @@ class RemoteVehicle:
         self._target = None
         return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
 
-    def guide(self, setpoint: Setpoint, alignment: Alignment | None = None) -> None:
+    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
         """Fly to a set-point (in guided mode). It is repeated where the autopilot wants that.
 
+        Returns:
+            False: not sent, somebody else flies.
+
         Raises:
-            ValueError: the set-point is empty, not finite, or has a position and no alignment.
+            ValueError: the set-point is empty, not finite, or has a position and no tie.
         """
-        self._aim(target_of(setpoint, alignment))
+        target = target_of(setpoint, tie)
+        if self._control.in_control:
+            self._aim(target)
+        return self._control.in_control
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
         """Report the target of a precision landing, twenty times a second while it lands.

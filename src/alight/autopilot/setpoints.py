@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.autopilot.border import Alignment, ned, scaled_degrees, signed_angle
+from alight.autopilot.border import EstimateTie, ned, scaled_degrees, signed_angle
 from alight.autopilot.pymavlink_dialect import message
 from alight.records import Place
 
@@ -56,11 +56,11 @@ class Target:
         )  # fmt: skip
 
 
-def target_of(setpoint: Setpoint, alignment: Alignment | None) -> Target:
+def target_of(setpoint: Setpoint, tie: EstimateTie | None) -> Target:
     """Tie a set-point to the autopilot's estimate.
 
     Raises:
-        ValueError: it has neither position nor velocity, or a number is not finite, or a position has no alignment.
+        ValueError: it has neither position nor velocity, or a number is not finite, or a position has no tie.
     """
     position, velocity, heading = setpoint.position_world, setpoint.velocity_world, setpoint.heading
     given = [v for v in (position, velocity) if v is not None]
@@ -68,9 +68,9 @@ def target_of(setpoint: Setpoint, alignment: Alignment | None) -> Target:
         raise ValueError("a set-point needs a position or a velocity, of finite numbers")
     if position is None:
         return Target(None, ned(given[0]), heading)
-    if alignment is None:
+    if tie is None:
         raise ValueError("a position needs our position and the autopilot's of one instant")
-    return Target(alignment.place_of(position), None if velocity is None else ned(velocity), heading)
+    return Target(tie.place_of(position), None if velocity is None else ned(velocity), heading)
 
 
 def hold_at(place: Place) -> Target:

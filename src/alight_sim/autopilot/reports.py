@@ -26,7 +26,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0])  # FLU from FRD
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class SimulatedState:
     """The autopilot at one instant."""
 
     logic: FlightLogic
@@ -58,7 +58,7 @@ class Reports:
         self._due: dict[int, float] = {}
         self._heartbeat = 0.0
         self.sticks = [1500, 1500, 1100, 1500]
-        self._make: dict[int, Callable[[Snapshot], Any]] = {
+        self._make: dict[int, Callable[[SimulatedState], Any]] = {
             1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 30: self._attitude,
             31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission, 65: self._sticks,
             105: self._highres_imu, 242: self._home, 245: self._extended,
@@ -73,7 +73,7 @@ class Reports:
         self._due.setdefault(message, 0.0)
         return True
 
-    def step(self, t: float, now: Snapshot) -> None:
+    def step(self, t: float, now: SimulatedState) -> None:
         """Send what is due."""
         if t >= self._heartbeat:
             self._heartbeat = t + 1.0
@@ -86,7 +86,7 @@ class Reports:
                 self._send(self._make[message](now))
         self._events(now)
 
-    def _events(self, now: Snapshot) -> None:
+    def _events(self, now: SimulatedState) -> None:
         for item in now.logic.reached:
             self._send(mavlink.MAVLink_mission_item_reached_message(item))
         for text in now.logic.spoken:
@@ -94,17 +94,17 @@ class Reports:
         now.logic.reached.clear()
         now.logic.spoken.clear()
 
-    def _sys_status(self, now: Snapshot) -> Any:
+    def _sys_status(self, now: SimulatedState) -> Any:
         bits = _PRE_ARM if now.ready else 0
         volts = round((10.5 + 2.1 * now.battery) * 1e3)
         return mavlink.MAVLink_sys_status_message(
             _PRE_ARM, _PRE_ARM, bits, 300, volts, 900, round(100 * now.battery), 0, 0, 0, 0, 0, 0
         )
 
-    def _system_time(self, now: Snapshot) -> Any:
+    def _system_time(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_system_time_message(0, now.boot_ms)
 
-    def _gps(self, now: Snapshot) -> Any:
+    def _gps(self, now: SimulatedState) -> Any:
         lat, lon, msl = now.degrees
         fix = 3 if now.ready else 1
         return mavlink.MAVLink_gps_raw_int_message(
@@ -112,35 +112,35 @@ class Reports:
             alt_ellipsoid=round((msl + now.home.separation) * 1e3), h_acc=800, v_acc=1200, vel_acc=150,
         )  # fmt: skip
 
-    def _imu_values(self, now: Snapshot) -> tuple[F64, F64]:
+    def _imu_values(self, now: SimulatedState) -> tuple[F64, F64]:
         return _FLIP @ now.vehicle.specific_force_body, _FLIP @ now.vehicle.angular_velocity_body
 
-    def _imu(self, now: Snapshot) -> Any:
+    def _imu(self, now: SimulatedState) -> Any:
         force, rates = self._imu_values(now)
         mg = [round(v / 9.80665 * 1e3) for v in force]
         return mavlink.MAVLink_scaled_imu_message(now.boot_ms, *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
 
-    def _highres_imu(self, now: Snapshot) -> Any:
+    def _highres_imu(self, now: SimulatedState) -> Any:
         force, rates = self._imu_values(now)
         return mavlink.MAVLink_highres_imu_message(round(now.boot * 1e6), *force, *rates, 0, 0, 0, 950, 0, 500, 20, 63)
 
-    def _attitude(self, now: Snapshot) -> Any:
+    def _attitude(self, now: SimulatedState) -> Any:
         yaw, pitch, roll = Rotation.from_matrix(now.ned_from_frd).as_euler("ZYX")
         rates = _FLIP @ now.vehicle.angular_velocity_body
         return mavlink.MAVLink_attitude_message(now.boot_ms, roll, pitch, yaw, *rates)
 
-    def _quaternion(self, now: Snapshot) -> Any:
+    def _quaternion(self, now: SimulatedState) -> Any:
         x, y, z, w = Rotation.from_matrix(now.ned_from_frd).as_quat()
         return mavlink.MAVLink_attitude_quaternion_message(
             now.boot_ms, w, x, y, z, *(_FLIP @ now.vehicle.angular_velocity_body)
         )
 
-    def _local(self, now: Snapshot) -> Any:
+    def _local(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_local_position_ned_message(
             now.boot_ms, *(_SWAP @ now.metres), *(_SWAP @ now.vehicle.velocity)
         )
 
-    def _position(self, now: Snapshot) -> Any:
+    def _position(self, now: SimulatedState) -> Any:
         lat, lon, msl = now.degrees
         north, east, down = (round(100 * v) for v in _SWAP @ now.vehicle.velocity)
         heading = round(math.degrees(now.vehicle.heading) % 360 * 100)
@@ -149,23 +149,23 @@ class Reports:
             down, heading,
         )  # fmt: skip
 
-    def _mission(self, now: Snapshot) -> Any:
+    def _mission(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_mission_current_message(now.logic.current)
 
-    def _sticks(self, now: Snapshot) -> Any:
+    def _sticks(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_rc_channels_message(now.boot_ms, 4, *self.sticks, *([0xFFFF] * 14), 200)
 
-    def _home(self, now: Snapshot) -> Any:
+    def _home(self, now: SimulatedState) -> Any:
         home = now.home
         return mavlink.MAVLink_home_position_message(
             round(home.latitude * 1e7), round(home.longitude * 1e7), round(home.altitude_msl * 1e3), 0, 0, 0,
             [1, 0, 0, 0], 0, 0, 0,
         )  # fmt: skip
 
-    def _extended(self, now: Snapshot) -> Any:
+    def _extended(self, now: SimulatedState) -> Any:
         return mavlink.MAVLink_extended_sys_state_message(0, now.logic.landed_state)
 
-    def _estimator(self, now: Snapshot) -> Any:
+    def _estimator(self, now: SimulatedState) -> Any:
         flags = _GOOD_ESTIMATE if now.ready else _NO_POSITION
         if self._dialect.estimator_message == 193:
             return mavlink.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.0)
@@ -173,7 +173,7 @@ class Reports:
             round(now.boot * 1e6), flags, 0.1, 0.1, 0.1, 0.1, 0, 0, 0.4, 0.6
         )
 
-    def _wind(self, now: Snapshot) -> Any:
+    def _wind(self, now: SimulatedState) -> Any:
         north, east, down = _SWAP @ now.vehicle.wind_world
         if self._dialect.wind_message == 168:
             comes_from = math.degrees(math.atan2(-east, -north))

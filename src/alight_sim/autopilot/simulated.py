@@ -15,7 +15,7 @@ from alight_sim.autopilot.estimate import EstimateError
 from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
 from alight_sim.autopilot.mission_store import MissionStore
 from alight_sim.autopilot.point_mass import PointMass, Wanted
-from alight_sim.autopilot.reports import Reports, Snapshot
+from alight_sim.autopilot.reports import Reports, SimulatedState
 
 _START_UP = 3.0  # s from a start until it may be armed
 _ENDURANCE = 1200.0  # s of flight with a full battery
@@ -140,9 +140,9 @@ class SimulatedAutopilot:
         position = None if wanted.position is None else wanted.position - self.estimate.error
         return Wanted(position, wanted.velocity, wanted.heading, wanted.speed)
 
-    def _snapshot(self) -> Snapshot:
+    def _snapshot(self) -> SimulatedState:
         here = self.home.degrees(self.estimated)
-        return Snapshot(
+        return SimulatedState(
             self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot,
             max(0.0, 1 - self._flown / _ENDURANCE),
         )  # fmt: skip
