@@ -212,7 +212,7 @@ def test_a_mission_by_hand() -> None:
     items = mission_of(some_route(), tie(), look_time=2.0)
     assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 115, 21]
     speeds = [i.parameters[:3] for i in items if i.command == 178]
-    assert speeds == [(1.0, 5.0, -1.0), (1.0, 1.0, -1.0)]
+    assert speeds == [(1.0, 5.0, -1.0), (3.0, 1.0, -1.0)]  # over the ground; then straight down
     turned = [i.parameters[0] for i in items if i.command == 115]
     assert turned == [pytest.approx(math.degrees(1.5))] * 3
     first, second, last = (i for i in items if i.place is not None)

@@ -50,6 +50,15 @@ def test_a_guided_target_is_reached_in_our_world(dialect: str) -> None:
 
 
 @BOTH
+def test_guided_flight_begins_where_the_vehicle_is(dialect: str) -> None:
+    """An order to fly guided on the ground must not bring it down again after take-off."""
+    rig = flying(dialect)
+    before = rig.sim.estimated
+    rig.run(8)
+    assert_allclose(rig.sim.estimated, before, atol=0.6)
+
+
+@BOTH
 def test_a_guided_velocity_is_flown(dialect: str) -> None:
     rig = flying(dialect)
     before = rig.truth()
@@ -74,7 +83,7 @@ def test_speed_and_heading_by_command() -> None:
 def descent_route(start: np.ndarray) -> Route:
     """To over the target, a look, down, land."""
     stops = [("start", start, 0.0, False), ("transit", over(15.0), 6.0, True),
-             ("approach", over(8.0), 2.0, True), ("touchdown", TARGET, 1.0, False)]  # fmt: skip
+             ("approach", over(8.0), 1.2, True), ("touchdown", TARGET, 1.0, False)]  # fmt: skip
     return Route(tuple(Waypoint(n, p, 0.8, v, 0.0, look) for n, p, v, look in stops))
 
 
@@ -86,11 +95,18 @@ def test_a_mission_is_flown_to_the_ground(dialect: str) -> None:
     started = rig.t
     rig.vehicle.start_mission()
     fastest: list[float] = []
-    rig.each_step = lambda: fastest.append(float(np.hypot(*rig.sim.vehicle.velocity[:2])))
+    sinking: list[float] = []
+
+    def note() -> None:
+        fastest.append(float(np.hypot(*rig.sim.vehicle.velocity[:2])))
+        sinking.append(-float(rig.sim.vehicle.velocity[2]))
+
+    rig.each_step = note
     assert rig.run(120, lambda: bool(rig.ours.telemetry and rig.ours.telemetry.is_down))
     assert np.hypot(*(rig.truth() - TARGET)[:2]) < 0.5
     assert rig.t - started > 2 * 4.0 + 7.0 / 2.0  # both looks and the slow descent
     assert max(fastest) < 6.05
+    assert max(sinking) < 1.25  # the vehicle's own limit is 1.5 m/s
     assert rig.sim.vehicle.heading == pytest.approx(0.8, abs=0.01)
     reached = [n.item for n in rig.of(NoticeKind.REACHED)]
     assert len(reached) == len(set(reached))

@@ -19,7 +19,7 @@ from some_run import CELL, GRID, LOCAL, ROWS, candidate, elevation, hazards, sit
 from alight import outputs
 from alight.outputs import FILES, prepare_folder, read_run, world_up, write_run
 from alight.outputs import atomic_write as whole
-from alight.records import Datum, Flag, Hazard, HazardMap, InputError, OutputError, Sites, Terrain
+from alight.records import Datum, Flag, Hazard, HazardMap, Home, InputError, OutputError, Sites, Terrain
 from alight.settings import Settings
 
 
@@ -262,12 +262,49 @@ def test_plan_is_what_qgroundcontrol_reads(out: Path) -> None:
     needed = {"version", "firmwareType", "vehicleType", "cruiseSpeed", "hoverSpeed", "items", "plannedHomePosition"}
     assert needed <= set(mission)
     items = mission["items"]
-    assert [i["command"] for i in items] == [16, 16, 21]
-    assert [i["doJumpId"] for i in items] == [1, 2, 3]
-    assert all(i["type"] == "SimpleItem" and i["frame"] == 3 and len(i["params"]) == 7 for i in items)
-    assert [i["params"][6] for i in items] == pytest.approx([29.88, 10.0, 0.0], abs=1e-3)  # above the site
+    assert [i["command"] for i in items] == [16, 178, 115, 16, 115, 21]  # speed and heading on the way to each place
+    assert [i["doJumpId"] for i in items] == [1, 2, 3, 4, 5, 6]
+    assert all(i["type"] == "SimpleItem" and len(i["params"]) == 7 for i in items)
+    places = [i for i in items if i["command"] in (16, 21)]
+    assert all(i["frame"] == 3 for i in places)
+    assert [i["params"][6] for i in places] == pytest.approx([29.88, 10.0, 0.0], abs=1e-3)  # above the site
+    assert [i["params"][:3] for i in items if i["command"] == 178] == [[1.0, 5.0, -1.0]]
+    assert {i["params"][0] for i in items if i["command"] == 115} == {330.0}
     lat, lon, ground = mission["plannedHomePosition"]
     np.testing.assert_allclose(LOCAL.to_enu(lat, lon, ground), [5.0, -2.0, 2.12], atol=1e-3)
+    assert "RELATIVE TO THE SITE" in plan["name"]
+
+
+def test_a_plan_with_a_home_is_relative_to_it(tmp_path: Path) -> None:
+    """The home lies 20 m below the site; GPS there shows 250.12 m above the sea and 33 m more above the ellipsoid."""
+    home = Home.parse("48.1, 15.44, 250.12, 33.0")
+    write_run(some_run(home=home), tmp_path)
+    plan = loaded(tmp_path / "route.plan")
+    assert "RELATIVE TO THE SITE" not in plan["name"]
+    assert plan["mission"]["plannedHomePosition"] == [48.1, 15.44, 250.12]
+    altitudes = [i["Altitude"] for i in plan["mission"]["items"] if "Altitude" in i]
+    assert altitudes == pytest.approx([49.88, 30.0, 20.0], abs=2e-3)
+
+
+def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -> None:
+    """pymavlink's own loader of missions, by way of QGroundControl's text format."""
+    mavwp = pytest.importorskip("pymavlink.mavwp")
+    items = loaded(out / "route.plan")["mission"]["items"]
+    rows = [[i["doJumpId"] - 1, 0, i["frame"], i["command"], *i["params"], 1] for i in items]
+    file = tmp_path / "plan.txt"
+    file.write_text("QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows))
+    loader = mavwp.MAVWPLoader()
+    assert loader.load(str(file)) == len(items)
+    places = [w for w in map(loader.wp, range(loader.count())) if w.command in (16, 21)]
+    ground = float(LOCAL.to_geodetic([5.0, -2.0, 2.12])[2])
+    got = [LOCAL.to_enu(w.x, w.y, w.z + ground) for w in places]
+    np.testing.assert_allclose(got, [w.position_world for w in some_run().route.waypoints], atol=2e-3)
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "47.6,13.4,500", "a,b,c,d", "95,13,500,46", "47,13,nan,46", "1,2,3,4,5"])
+def test_a_home_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="SEPARATION"):
+        Home.parse(text)
 
 
 def test_route_line_has_times_and_speeds(out: Path) -> None:

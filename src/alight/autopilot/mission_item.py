@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from alight.autopilot.border import EstimateTie, scaled_degrees
@@ -14,7 +14,9 @@ from alight.records import Place, Route, Waypoint
 NAV_WAYPOINT, NAV_LAND = 16, 21  # MAV_CMD
 CONDITION_YAW, DO_CHANGE_SPEED = 115, 178
 GLOBAL, MISSION, ABOVE_HOME = 0, 2, 3  # MAV_FRAME
-_GROUND_SPEED, _AS_IT_IS = 1.0, -1.0
+_GROUND_SPEED, _DESCENT_SPEED, _AS_IT_IS = 1.0, 3.0, -1.0  # SPEED_TYPE, and a throttle that stays
+_STEEP = 0.5  # m sideways, below which a leg goes straight down
+LOOK_TIME = 3.0  # s, of a hold where the ground is looked at
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,10 @@ def land(place: Place, heading: float = math.nan) -> MissionItem:
     return MissionItem(NAV_LAND, (0.0, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
 
 
-def change_speed(speed: float) -> MissionItem:
-    """Fly at so many m/s over the ground from here on."""
-    return MissionItem(DO_CHANGE_SPEED, (_GROUND_SPEED, speed, _AS_IT_IS, 0.0))
+def change_speed(speed: float, downwards: bool = False) -> MissionItem:
+    """Fly at so many m/s from here on: over the ground, or straight down."""
+    kind = _DESCENT_SPEED if downwards else _GROUND_SPEED
+    return MissionItem(DO_CHANGE_SPEED, (kind, speed, _AS_IT_IS, 0.0))
 
 
 def face(heading: float) -> MissionItem:
@@ -58,32 +61,43 @@ def face(heading: float) -> MissionItem:
     return MissionItem(CONDITION_YAW, (math.degrees(heading) % 360.0, 0.0, 0.0, 0.0))
 
 
-def mission_of(route: Route, tie: EstimateTie, look_time: float = 3.0) -> tuple[MissionItem, ...]:
+def mission_of(
+    route: Route, tie: EstimateTie, look_time: float = LOOK_TIME, with_start: bool = False
+) -> tuple[MissionItem, ...]:
     """Make the mission of a route: speed, heading and place of each way-point; holds where the ground is looked at.
 
     Args:
         route: way-points from the vehicle to the touchdown, in our world.
         tie: our position and the autopilot's of one instant; its place must have a height above home.
         look_time: s, of a hold.
+        with_start: fly to the start of the route first; a vehicle that is there need not.
 
     Raises:
         ValueError: the autopilot's height above its home is not known.
     """
     if not math.isfinite(tie.place.above_home):
         raise ValueError("the autopilot's height above its home is not known")
-    items: list[MissionItem] = []
-    speed = math.nan
     *way, touchdown = route.waypoints
-    for w in way[1:]:
-        if w.speed != speed:
-            items.append(change_speed(speed := w.speed))
-        items += _leg(w, tie, look_time)
+    items = [_stop(way[0], tie, look_time)] if with_start else []
+    set_before: MissionItem | None = None
+    for here, there in pairwise(way):
+        speed = _speed(here, there)
+        items += [] if speed == set_before else [speed]
+        items += [
+            face(there.heading),
+            _stop(there, tie, look_time),
+        ]  # what precedes a way-point is done on the way to it
+        set_before = speed
     return (*items, face(touchdown.heading), land(tie.place_of(touchdown.position_world), touchdown.heading))
 
 
-def _leg(w: Waypoint, tie: EstimateTie, look_time: float) -> Iterable[MissionItem]:
-    yield face(w.heading)  # what precedes a way-point is done on the way to it
-    yield waypoint(tie.place_of(w.position_world), w.heading, look_time if w.look else 0.0)
+def _stop(w: Waypoint, tie: EstimateTie, look_time: float) -> MissionItem:
+    return waypoint(tie.place_of(w.position_world), w.heading, look_time if w.look else 0.0)
+
+
+def _speed(here: Waypoint, there: Waypoint) -> MissionItem:
+    east, north, up = there.position_world - here.position_world
+    return change_speed(there.speed, downwards=up < 0 and math.hypot(east, north) < _STEEP)
 
 
 def home_item(home: Place) -> MissionItem:

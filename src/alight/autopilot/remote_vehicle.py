@@ -100,11 +100,12 @@ class RemoteVehicle:
     # orders
 
     def set_mode(self, mode: FlightMode) -> int:
-        """Fly in this mode from now on; the newest order counts."""
+        """Fly in this mode from now on; the newest order counts. Guided flight begins where the vehicle is."""
+        now = self.telemetry
         if mode is not FlightMode.GUIDED:
             self._target = None
-        elif self._target is None and self.firmware.repeats_setpoints and (place := self.telemetry.place) is not None:
-            self._aim(hold_at(place))  # the mode is refused without a set-point
+        elif self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED and now.place is not None:
+            self._aim(hold_at(now.place))  # the mode is refused without a set-point, and an old one must not be flown
         self._control.ordered(mode, self._pace.t_ns)
         parameters = self.firmware.mode_parameters(mode)
         return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns)
@@ -120,6 +121,7 @@ class RemoteVehicle:
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
         self._control.ordered(FlightMode.TAKE_OFF, self._pace.t_ns)
+        self._target = None
         parameters = self.firmware.take_off_parameters(height, self.telemetry)
         return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
 

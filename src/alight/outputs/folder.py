@@ -77,7 +77,7 @@ def _route(r: RunResult) -> Contents:
         why = NO_PLACE
     else:
         return {
-            "route.plan": lambda: vectors.json_bytes(vectors.route_plan(route, r.local, r.settings)),
+            "route.plan": lambda: vectors.json_bytes(vectors.route_plan(route, r.local, r.settings, r.home)),
             "route.geojson": lambda: vectors.json_bytes(vectors.route_geojson(route, r.local)),
         }
     return dict.fromkeys(("route.plan", "route.geojson"), why)

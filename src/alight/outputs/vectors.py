@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
+from alight.autopilot.border import EstimateTie
+from alight.autopilot.mission_item import MissionItem, mission_of
 from alight.geometry import LocalFrame
-from alight.records import PlaceSigma, Route, Site, Sites, Waypoint
+from alight.records import Home, Place, PlaceSigma, Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
-WAYPOINT, LAND = 16, 21  # MAV_CMD
-RELATIVE = 3  # MAV_FRAME_GLOBAL_RELATIVE_ALT
 ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
-HEIGHT_REFERENCE = (
+NAME_WITH_HOME = "to site 1"
+NAME_WITHOUT_HOME = "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
+HEIGHTS_ABOVE_HOME = "altitudes are metres above the home that was given, which is the planned home"
+HEIGHTS_ABOVE_SITE = (
     "altitudes are metres above the ground of the landing site, which is the planned home; "
     "where the vehicle's home is another place, add the site's height minus that home's height to every way-point"
 )
@@ -155,36 +158,48 @@ def route_geojson(route: Route, local: LocalFrame) -> dict[str, Any]:
     return {"type": "FeatureCollection", "features": [feature("LineString", positions, line), *points]}
 
 
-def _item(number_: int, command: int, w: Waypoint, local: LocalFrame, ground: float) -> dict[str, Any]:
-    longitude, latitude, height = lon_lat_height(local, *w.position_world)
-    altitude = 0.0 if command == LAND else round(height - ground, 3)
+def _item(number_: int, item: MissionItem) -> dict[str, Any]:
+    """An item as QGroundControl has it; what is not a number there is null."""
+    parameters = [number(p, 4) for p in item.parameters]
+    simple = {"type": "SimpleItem", "command": item.command, "frame": item.frame, "doJumpId": number_}
+    if item.place is None:
+        return {**simple, "autoContinue": True, "params": [*parameters, 0, 0, 0]}
+    altitude = round(item.place.above_home, 3) + 0.0
     return {
-        "type": "SimpleItem",
-        "command": command,
-        "frame": RELATIVE,
-        "doJumpId": number_,
+        **simple,
         "autoContinue": True,
         "AMSLAltAboveTerrain": None,
         "Altitude": altitude,
         "AltitudeMode": 1,  # relative to home
-        "params": [0, 0, 0, heading_degrees(w.heading), latitude, longitude, altitude],
+        "params": [*parameters, round(item.place.latitude, 9), round(item.place.longitude, 9), altitude],
     }
 
 
-def route_plan(route: Route, local: LocalFrame, settings: Settings) -> dict[str, Any]:
-    """The route as a QGroundControl plan; the last way-point is the touchdown and becomes LAND.
+def _home_and_zero(site: list[float], home: Home | None) -> tuple[list[float], float]:
+    """The planned home, and the height above the ellipsoid that altitudes are counted from."""
+    if home is None:
+        longitude, latitude, ground = site
+        return [latitude, longitude, ground], ground
+    return [home.latitude, home.longitude, home.altitude_msl], home.height
 
-    Heights above sea level would need a geoid that may not be there, so every altitude is relative to the landing
-    site's ground, which is given as the planned home (its own altitude is above the ellipsoid).
+
+def route_plan(route: Route, local: LocalFrame, settings: Settings, home: Home | None = None) -> dict[str, Any]:
+    """The route as a QGroundControl plan: speeds, headings, holds at looks; the last way-point becomes LAND.
+
+    Altitudes are relative to the vehicle's home. Without one they are relative to the ground of the landing site, which
+    is then given as the planned home (its own altitude is above the ellipsoid), and the plan's name says so.
     """
-    longitude, latitude, ground = lon_lat_height(local, *route.waypoints[-1].position_world)
-    commands = [WAYPOINT] * (len(route.waypoints) - 1) + [LAND]
-    items = [_item(i + 1, c, w, local, ground) for i, (c, w) in enumerate(zip(commands, route.waypoints, strict=True))]
+    planned, zero = _home_and_zero(lon_lat_height(local, *route.waypoints[-1].position_world), home)
+    start = route.waypoints[0].position_world
+    longitude, latitude, height = lon_lat_height(local, *start)
+    tie = EstimateTie(local, start, Place(latitude, longitude, math.nan, height - zero))
+    items = mission_of(route, tie, with_start=True)
     return {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
-        "heightReference": HEIGHT_REFERENCE,
+        "name": NAME_WITH_HOME if home is not None else NAME_WITHOUT_HOME,
+        "heightReference": HEIGHTS_ABOVE_HOME if home is not None else HEIGHTS_ABOVE_SITE,
         "geoFence": {"circles": [], "polygons": [], "version": 2},
         "rallyPoints": {"points": [], "version": 2},
         "mission": {
@@ -194,8 +209,8 @@ def route_plan(route: Route, local: LocalFrame, settings: Settings) -> dict[str,
             "globalPlanAltitudeMode": 1,
             "cruiseSpeed": settings.route.cruise_speed,
             "hoverSpeed": settings.route.cruise_speed,
-            "plannedHomePosition": [latitude, longitude, ground],
-            "items": items,
+            "plannedHomePosition": planned,
+            "items": [_item(i + 1, item) for i, item in enumerate(items)],
         },
     }
 

@@ -9,6 +9,7 @@ from alight.geometry import LocalFrame
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
 from alight.records.surface import ElevationMap, TerrainMap
+from alight.records.telemetry import Home
 from alight.settings import Settings
 
 
@@ -29,6 +30,7 @@ class RunResult:
     terrain: TerrainMap | None = None
     hazards: HazardMap | None = None
     route: Route | None = None
+    home: Home | None = None  # of the vehicle that is to fly the route
     motions: Sequence[Motion] = ()
     height_above_ground: float | None = None  # metres, median over the exposures
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1

@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from alight.arrays import F64
+from alight.records.errors import InputError
 
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
@@ -47,6 +48,40 @@ class Place:
     longitude: float  # degrees
     altitude_msl: float  # metres above mean sea level
     above_home: float = _NAN  # metres above the autopilot's own home
+
+
+@dataclass(frozen=True)
+class Home:
+    """Where the vehicle is armed: the zero of the heights that it flies by. Known above both zeros of height."""
+
+    latitude: float  # degrees
+    longitude: float  # degrees
+    altitude_msl: float  # metres above mean sea level
+    separation: float  # metres, ellipsoid minus sea level there (the geoid's height)
+
+    @property
+    def height(self) -> float:
+        """Metres above the WGS84 ellipsoid, which all our heights are."""
+        return self.altitude_msl + self.separation
+
+    @classmethod
+    def parse(cls, text: str) -> Home:
+        """Read `LAT,LON,ALT_MSL,SEPARATION`.
+
+        Raises:
+            InputError: a number is missing or is none; the message says which and where to find it.
+        """
+        want = "write LAT,LON,ALT_MSL,SEPARATION: degrees; metres above the sea; metres from there to the ellipsoid"
+        try:
+            numbers = [float(part) for part in text.split(",")]
+        except ValueError as e:
+            raise InputError(f"home {text!r}: {want}") from e
+        if len(numbers) == 3:
+            hint = "GPS gives both heights (GPS_RAW_INT: alt_ellipsoid minus alt); a geoid calculator gives it, too"
+            raise InputError(f"home {text!r}: heights here are above the ellipsoid; add the SEPARATION there. {hint}")
+        if len(numbers) != 4 or not np.isfinite(numbers).all() or abs(numbers[0]) > 90 or abs(numbers[1]) > 360:
+            raise InputError(f"home {text!r}: {want}")
+        return cls(*numbers)
 
 
 @dataclass(frozen=True)
@@ -105,6 +140,13 @@ class Telemetry:
     def has_position(self) -> bool:
         """Whether the estimator has an absolute position that it believes in."""
         return self.estimator_flags is not None and is_absolute(self.estimator_flags)
+
+    @property
+    def known_home(self) -> Home | None:
+        """The home with its height above the ellipsoid; None: not reported."""
+        if self.home is None or not np.isfinite(self.gps.separation):
+            return None
+        return Home(self.home.latitude, self.home.longitude, self.home.altitude_msl, self.gps.separation)
 
     @property
     def ready(self) -> bool:

@@ -42,7 +42,7 @@ class FlightLogic:
     def __post_init__(self) -> None:
         self._wanted = Wanted()
         self._set_at = -math.inf
-        self._speed = math.inf
+        self._speed = self._sink = math.inf
         self._heading: float | None = None
         self._target: tuple[float, F64] | None = None
         self._stood_since: float | None = None
@@ -110,9 +110,12 @@ class FlightLogic:
         """Turn to a heading."""
         self._heading = heading
 
-    def limit(self, speed: float) -> None:
-        """Fly no faster."""
-        self._speed = speed
+    def limit(self, kind: float, speed: float) -> None:
+        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3)."""
+        if kind in (0, 1):
+            self._speed = speed
+        elif kind == 3:
+            self._sink = speed
 
     def aim_landing(self, target: F64, t: float) -> None:
         """Take the place of a landing target, (3,) metres."""
@@ -126,7 +129,7 @@ class FlightLogic:
             return None
         wanted = self._by_mode(t)
         heading = self._heading if wanted.heading is None else wanted.heading
-        return Wanted(wanted.position, wanted.velocity, heading, min(self._speed, wanted.speed))
+        return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
 
     def _settle(self, doing: Doing) -> None:
         self.doing = doing
@@ -179,7 +182,7 @@ class FlightLogic:
     def _do(self, item: FlightItem) -> None:
         self._arrived_at = None
         if item.command == SPEED:
-            self._speed = item.parameters[1]
+            self.limit(*item.parameters[:2])
         elif item.command == YAW:
             self._heading = math.radians(item.parameters[0])
 

@@ -39,6 +39,7 @@ class Wanted:
     velocity: F64 | None = None  # (3,) m/s; with a position: on top of what leads there
     heading: float | None = None  # rad, clockwise from north
     speed: float = math.inf  # m/s, a limit below the vehicle's own
+    sink: float = math.inf  # m/s, the same downwards
 
 
 @dataclass
@@ -129,7 +130,7 @@ class PointMass:
             out = out + left * min(_APPROACH, brakes / away)
         over = float(np.hypot(out[0], out[1]))
         out[:2] *= min(1.0, min(self.limits.speed, wanted.speed) / max(over, 1e-9))
-        out[2] = min(max(out[2], -self.limits.sink), self.limits.climb)
+        out[2] = min(max(out[2], -self.limits.sink, -wanted.sink), self.limits.climb)
         return out
 
     def _meet_ground(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -138,7 +138,7 @@ class SimulatedAutopilot:
     def _in_truth(self, wanted: Wanted) -> Wanted:
         """It steers by its estimate: the vehicle is off by the error."""
         position = None if wanted.position is None else wanted.position - self.estimate.error
-        return Wanted(position, wanted.velocity, wanted.heading, wanted.speed)
+        return replace(wanted, position=position)
 
     def _snapshot(self) -> SimulatedState:
         here = self.home.degrees(self.estimated)
@@ -227,7 +227,7 @@ class SimulatedAutopilot:
         if command == 300:
             return self._said(self.logic.start_mission())
         if command == 178:
-            self.logic.limit(p[1])
+            self.logic.limit(p[0], p[1])
             return _ACCEPTED
         if command == 115 and not self.dialect.needs_setpoints:
             self.logic.face(math.radians(p[0]))
