@@ -345,6 +345,13 @@ def test_no_position_is_made_up() -> None:
     assert_allclose(row.position_world, [0, 0, 50.0], atol=1e-6)
 
 
+def test_a_place_off_the_earth_is_none() -> None:
+    wild = mavlink.MAVLink_global_position_int_message(1000, 2_000_000_000, 134000000, 550000, 0, 0, 0, 0, 0)
+    (row,) = fed(TelemetryEvents(), gps(), wild, attitude(1000, 0.0))
+    assert isinstance(row, NavSample)
+    assert row.position_world is None
+
+
 def test_the_first_good_position_is_the_origin_where_none_is_given() -> None:
     events = TelemetryEvents()
     (row,) = fed(events, gps(), position(1000), attitude(1000, 0.0))

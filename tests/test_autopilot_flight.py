@@ -150,7 +150,7 @@ def test_a_wrong_sign_in_the_target_would_show() -> None:
         rig.vehicle.land_on(rig.now_ns, wrong, rig.sim.vehicle.world_from_body.rotation)
 
     rig.each_step = report
-    rig.run(40)
+    rig.run(25)
     assert np.hypot(*(rig.truth() - TARGET)[:2]) > 0.5
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from alight.autopilot import Autopilot
+from alight.autopilot import Autopilot, TelemetryEvents
 from alight.autopilot.framing import Framing
 from alight.records import NoticeKind
 
@@ -191,3 +191,44 @@ def test_a_foreign_ground_station_changes_nothing_of_ours() -> None:
     assert rig.vehicle.clock.ours_ns(0) == before
     assert not rig.of(NoticeKind.UPLOAD)
     assert not [n for n in rig.ours.notices() if n.kind is NoticeKind.COMMAND and n.ticket == ticket and not n.ok]
+
+
+HANDLED = (  # messages that are used
+    "HEARTBEAT SYS_STATUS SYSTEM_TIME GPS_RAW_INT SCALED_IMU RAW_IMU ATTITUDE ATTITUDE_QUATERNION LOCAL_POSITION_NED "
+    "GLOBAL_POSITION_INT MISSION_REQUEST MISSION_REQUEST_INT MISSION_ACK MISSION_CURRENT MISSION_ITEM_REACHED "
+    "RC_CHANNELS HIGHRES_IMU TIMESYNC WIND WIND_COV EKF_STATUS_REPORT ESTIMATOR_STATUS HOME_POSITION "
+    "EXTENDED_SYS_STATE STATUSTEXT COMMAND_ACK"
+)
+
+
+def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
+    """A frame with this payload and a true checksum."""
+    head = bytes([0xFD, len(payload), 0, 0, talker.seq, talker.srcSystem, talker.srcComponent])
+    frame = head + kind.id.to_bytes(3, "little") + payload
+    checksum = mavlink.x25crc(frame[1:] + bytes([kind.crc_extra])).crc
+    return frame + checksum.to_bytes(2, "little")
+
+
+@settings(max_examples=120, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(HANDLED.split()), st.binary(min_size=255, max_size=255)), min_size=1, max_size=8
+    ),
+    st.sampled_from([3, 12]),
+)
+def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[str, bytes]], autopilot: int) -> None:
+    """Every field of every message that is used takes any value that its bits can have, NaN included."""
+    ours = Autopilot(events=TelemetryEvents())
+    ours.receive(heartbeat(autopilot, 2), 0)
+    assert ours.vehicle is not None
+    asked = ours.vehicle.clock.question(1000)
+    ours.vehicle.clock.answer(asked, 500, 2000)
+    ours.vehicle.upload(())
+    talker = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    for k, (name, data) in enumerate(messages):
+        ours.tick(k * SECOND // 10)
+        kind = getattr(mavlink, f"MAVLink_{name.lower()}_message")
+        talker.seq = (k + 1) % 256
+        ours.receive(packed(kind, talker, data[: kind.unpacker.size]), k * SECOND // 10)
+        assert ours.telemetry is not None
+    assert ours.counts.messages >= 2

@@ -22,7 +22,7 @@ class Rig:
     """Both ends, stepped together; `link` is the keywords of both directions' `LossyChannel`."""
 
     def __init__(
-        self, dialect: str = "ardupilot", seed: int = 0, link: dict[str, float] | None = None, step: float = 0.02,
+        self, dialect: str = "ardupilot", seed: int = 0, link: dict[str, float] | None = None, step: float = 0.04,
         rates: dict[str, float] | None = None, **simulated: Any,
     ) -> None:  # fmt: skip
         self.sim = SimulatedAutopilot(DIALECTS[dialect](), **simulated)

@@ -156,7 +156,8 @@ class TelemetryEvents:
 
     def _position(self, m: Any) -> F64 | None:
         separation = self._separation
-        if self.missing or separation is None:
+        off_earth = abs(m.lat) > 90e7 or abs(m.lon) > 180e7
+        if self.missing or separation is None or off_earth:
             return None
         at = (m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3 + separation)
         if self.local is None:
