@@ -171,7 +171,8 @@ class RemoteVehicle:
         Returns:
             False: not sent; somebody else flies, or PX4's local position is not known.
         """
-        sent = self.firmware.landing_target(t_ns, target_world, world_from_body, self._state.local_ned)
+        own_ned = self._state.local_ned_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
+        sent = self.firmware.landing_target(t_ns, target_world, world_from_body, own_ned)
         if sent is None or not self._control.in_control:
             return False
         self._send(sent)
