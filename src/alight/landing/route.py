@@ -62,6 +62,26 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings) ->
     return level, level
 
 
+def lowest_clear(start: F64, to: F64, elevation: ElevationMap, clearance: float) -> float:
+    """Height (metres, world up) at which a level way is clear of everything mapped below it, two sigma included.
+
+    Args:
+        start, to: (3,) metres; the way leads from above the one to above the other.
+        clearance: metres, above and beside the way.
+
+    Returns:
+        The height; minus infinity where nothing is mapped below the way.
+    """
+    east, north = elevation.grid.xy()
+    x, y = np.meshgrid(east - start[0], north - start[1])
+    ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
+    share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
+    near = np.hypot(x - share * ex, y - share * ey) <= clearance + elevation.grid.cell / 2
+    here = near & elevation.trusted
+    top = elevation.height[here].astype(np.float64) + 2 * elevation.sigma[here].astype(np.float64)
+    return float(top.max(initial=-np.inf)) + clearance
+
+
 def _bearing(a: F64, b: F64, otherwise: float) -> float:
     d = b - a
     return otherwise if math.hypot(d[0], d[1]) < 0.5 else math.atan2(d[0], d[1]) % (2 * math.pi)

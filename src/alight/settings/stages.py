@@ -10,6 +10,7 @@ from alight.settings.base import Positive
 from alight.settings.tuning import (
     BundleTuning,
     ElevationTuning,
+    ExecutiveTuning,
     FilterTuning,
     HazardsTuning,
     MappingTuning,
@@ -22,6 +23,7 @@ from alight.settings.tuning import (
 from alight.settings.user import (
     BundleKeys,
     ElevationKeys,
+    ExecutiveKeys,
     FilterKeys,
     HazardsKeys,
     Lander,
@@ -81,6 +83,10 @@ class RouteSettings(RouteTuning, RouteKeys):
     """The route."""
 
 
+class ExecutiveSettings(ExecutiveTuning, ExecutiveKeys):
+    """The executive."""
+
+
 @dataclass(frozen=True)
 class StageSettings:
     """The settings of every stage. `Settings.stages` makes it."""
@@ -95,3 +101,4 @@ class StageSettings:
     hazards: HazardsSettings
     sites: SitesSettings
     route: RouteSettings
+    executive: ExecutiveSettings

@@ -214,3 +214,20 @@ class RouteKeys(FrozenModel):
     clearance: Positive = Field(3.0, description="Least distance to everything above and beside the way, m")
     cruise_speed: Positive = Field(5.0, description="Speed on the way to the site, m/s")
     descent_speed: Positive = Field(1.0, description="Speed of the descent, m/s")
+
+
+class ExecutiveKeys(FrozenModel):
+    """How a landing is flown: search, look, look closer, land or go around."""
+
+    search_height: Positive = Field(30.0, description="Height above the ground at which a place is searched, m")
+    search_side: Positive = Field(80.0, description="Side of the square about the start that is searched, m")
+    commit_height: Positive = Field(
+        6.0,
+        description="Height above the site of the last look; below it the vehicle lands or goes up, nothing else, m",
+    )
+    look_again: bool = Field(
+        True, description="Look again from lower heights before landing; false: land on the first site that is found"
+    )
+    time_budget: Positive = Field(300.0, description="Time after which a landing that is not begun is given up, s")
+    least_battery: Fraction = Field(0.2, description="Share of the battery below which the vehicle returns")
+    most_wind: Positive = Field(8.0, description="Wind above which it does not land, m/s")

@@ -12,6 +12,7 @@ from alight.settings.imu import ImuNoise
 from alight.settings.stages import (
     BundleSettings,
     ElevationSettings,
+    ExecutiveSettings,
     FilterSettings,
     HazardsSettings,
     MotionSettings,
@@ -25,6 +26,7 @@ from alight.settings.stages import (
 from alight.settings.tuning import FilterTuning, Tuning
 from alight.settings.user import (
     ElevationKeys,
+    ExecutiveKeys,
     FilterKeys,
     HazardsKeys,
     Lander,
@@ -51,6 +53,7 @@ class Settings(FrozenModel):
     hazards: HazardsKeys = HazardsKeys()
     sites: SitesKeys = SitesKeys()
     route: RouteKeys = RouteKeys()
+    executive: ExecutiveKeys = ExecutiveKeys()
     tuning: Tuning = Field(Tuning(), description="Tuned constants by stage; not meant to be changed")
 
     def stages(self, imu: ImuNoise | None = None) -> StageSettings:
@@ -75,6 +78,7 @@ class Settings(FrozenModel):
             hazards=_joined(HazardsSettings, self.hazards, t.hazards),
             sites=_joined(SitesSettings, self.sites, t.sites),
             route=_joined(RouteSettings, self.route, t.route),
+            executive=_joined(ExecutiveSettings, self.executive, t.executive),
         )
 
     def to_yaml(self, tuning: bool = False) -> str:

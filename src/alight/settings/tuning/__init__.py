@@ -8,6 +8,7 @@ from __future__ import annotations
 from alight.settings.base import FrozenModel
 from alight.settings.tuning.bundle import BundleTuning
 from alight.settings.tuning.elevation import ElevationTuning
+from alight.settings.tuning.executive import ExecutiveTuning
 from alight.settings.tuning.filter import FilterTuning
 from alight.settings.tuning.hazards import HazardsTuning
 from alight.settings.tuning.mapping import MappingTuning
@@ -18,8 +19,8 @@ from alight.settings.tuning.terrain import TerrainTuning
 from alight.settings.tuning.tracks import TracksTuning
 
 __all__ = [
-    "BundleTuning", "ElevationTuning", "FilterTuning", "HazardsTuning", "MappingTuning", "ParallaxTuning",
-    "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
+    "BundleTuning", "ElevationTuning", "ExecutiveTuning", "FilterTuning", "HazardsTuning", "MappingTuning",
+    "ParallaxTuning", "RouteTuning", "SitesTuning", "TerrainTuning", "TracksTuning", "Tuning",
 ]  # fmt: skip
 
 
@@ -36,3 +37,4 @@ class Tuning(FrozenModel):
     hazards: HazardsTuning = HazardsTuning()
     sites: SitesTuning = SitesTuning()
     route: RouteTuning = RouteTuning()
+    executive: ExecutiveTuning = ExecutiveTuning()

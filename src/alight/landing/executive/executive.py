@@ -1,0 +1,337 @@
+"""The executive: raises P(safe) by looking, from lower and lower, until a place is a site or falls.
+
+No I/O and no clock: `tick` is told the situation and returns what the vehicle is to do. Far away there are candidates,
+near by there are sites: a place is flown to, looked at from beside it (one camera straight above sees no parallax), and
+looked at again from half the height, until the lowest look confirms it. Only then the landing begins.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.landing.executive.opinion import Opinion, Standing, opinion
+from alight.landing.executive.search import square_spiral
+from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
+from alight.landing.route import lowest_clear
+from alight.records import MotionState, Site
+from alight.records.executive import FlightDiary, FlightEvent, FlightState, Look, Order, Seen, Situation, Transition
+from alight.settings import StageSettings
+
+S, E = FlightState, FlightEvent
+
+
+class Executive:
+    """One landing. Call `tick` several times a second.
+
+    Args:
+        settings: of all stages; `executive`, `hazards.p_safe`, `route` and the lander are used.
+    """
+
+    def __init__(self, settings: StageSettings) -> None:
+        self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
+        self._aspect = 0.75  # of what a picture sees: its height over its width
+        self.state, self.diary = S.SEARCH, FlightDiary()
+        self.target: Site | None = None
+        self._begun: float | None = None  # s
+        self._since = 0.0  # s, in this state
+        self._home: F64 | None = None
+        self._frame = 0
+        self._ground: float | None = None
+        self._lanes: Iterator[tuple[float, float]] | None = None
+        self._way: F64 | None = None  # where to fly in this state
+        self._height = 0.0  # of this look above the place
+        self._leg: list[F64] = []  # what is left of a look leg
+        self._leg_done: float | None = None  # s
+        self._refusals = self._doubts = self._judged = 0
+        self._banned: list[tuple[float, float]] = []
+
+    # -- the step
+
+    def tick(self, now: Situation) -> Order:
+        """What to do now; transitions and looks go into the diary."""
+        if self._begun is None:
+            self._begun = self._since = now.t
+        self._learn(now)
+        event, why = self._event(now)
+        if event is not None and (after := TABLE.get((self.state, event))) is not None:
+            self._enter(after, event, why, now)
+        return self._order(now)
+
+    def _learn(self, now: Situation) -> None:
+        """Take over the frame and the height of the ground."""
+        if now.position is not None and self._home is None:
+            self._home, self._frame = now.position.copy(), now.frame_id
+        if now.seen is not None and now.seen.frame_id == self._frame:
+            self._ground = now.seen.ground
+
+    # -- what happened
+
+    def _event(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        """The most urgent event."""
+        if self.state in (S.LANDED, S.HANDED_OVER):
+            return None, ""
+        if now.pilot:
+            return E.PILOT, "the mode was changed, or the sticks were moved"
+        if not now.link:
+            return E.LINK_LOST, "no heartbeat"
+        if now.standing and self.state in (S.COMMIT, S.RETURN):
+            return E.TOUCHED_DOWN, "the autopilot says so"
+        if self.state is S.RETURN:
+            return None, ""
+        if (trouble := self._trouble(now)) is not None:
+            return trouble
+        return self._progress(now)
+
+    def _trouble(self, now: Situation) -> tuple[FlightEvent, str] | None:
+        k, waited = self._keys, now.t - self._since
+        blind = now.picture_age > k.stale
+        astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
+        weak = now.state is MotionState.DEGRADED and self.state in (S.LOOK, S.DESCEND, S.COMMIT)
+        if self.state is S.HOLD and waited > k.wait:
+            return E.WAITED, f"for {waited:.0f} s"
+        if self.state is not S.ABORT:
+            if astray or weak:
+                return E.NAVIGATION_LOST, f"the motion is {now.state.name.lower()}"
+            if blind:
+                return E.CAMERA_LOST, f"the newest picture is {now.picture_age:.1f} s old"
+        if now.frame_id != self._frame and now.position is not None:
+            self._follow(now)
+            return E.NEW_FRAME, f"frame {now.frame_id}"
+        if now.wind > k.most_wind:
+            return E.WIND, f"{now.wind:.1f} m/s, limit {k.most_wind:.1f}"
+        if now.battery < k.least_battery:
+            return E.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
+        if now.t - (self._begun or now.t) > k.time_budget:
+            return E.TIME, f"{k.time_budget:.0f} s"
+        return None
+
+    def _progress(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        assert now.position is not None or self.state is S.ABORT
+        if self.state is S.HOLD:
+            return E.RECOVERED, ""
+        if self.state is S.SEARCH:
+            return self._searching(now)
+        if self.state is S.ABORT:
+            return self._aborting(now)
+        if self.state in AT_A_PLACE or self.state is S.COMMIT:
+            return self._at_place(now)
+        return None, ""
+
+    def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        found = self._best(now.seen)
+        if found is not None:
+            self.target = found
+            return E.FOUND, f"{found.kind}, P(safe) {found.p_safe:.2f}"
+        if self._way is not None and self._reached(now, self._way):
+            self._way = None
+        if self._way is None and not self._next_lane():
+            return E.SEARCHED, f"within {self._keys.search_side:.0f} m"
+        return None, ""
+
+    def _aborting(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        if now.position is None:
+            return (E.WAITED, "the motion is not known") if now.t - self._since > self._keys.wait else (None, "")
+        up = self._way is None or now.position[2] > self._way[2] - self._keys.arrived
+        return (E.CLEAR, "") if up else (None, "")
+
+    def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        assert self.target is not None
+        said = self._opinion(now)
+        if said is not None and said.standing is Standing.REFUSED:
+            low = self.state is S.COMMIT and self._above(now) < self._keys.abort_height
+            if self._refusals >= self._keys.sure and not low:
+                return E.REFUSED, said.why
+        elif said is not None and said.standing is not Standing.NOT_SEEN:
+            self.target = said.place
+        if self.state is S.COMMIT:
+            return None, ""
+        if self.state is S.LOOK:
+            return self._looking(now, said)
+        return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
+
+    def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
+        """A look is over when a verdict holds what the whole leg saw."""
+        if self._leg:
+            if self._reached(now, self._leg[0]):
+                self._leg.pop(0)
+                self._leg_done = None if self._leg else now.t
+            return None, ""
+        assert self.target is not None
+        assert now.seen is not None or said is None
+        if said is None or self._leg_done is None or (now.seen is not None and now.seen.t < self._leg_done):
+            waited = now.t - (self._leg_done or self._since)
+            return (E.WAITED, "no verdict on it comes") if waited > self._keys.wait else (None, "")
+        self._note_look(now, said)
+        lowest = self._height <= self._keys.commit_height * 1.05
+        if said.standing is Standing.SITE and lowest:
+            return E.CONFIRMED, f"P(safe) {said.p_safe:.3f} from {self._height:.1f} m"
+        if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
+            return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
+        self._doubts += 1
+        if said.standing is Standing.CANDIDATE and self._doubts < self._keys.patience:
+            self._leg, self._leg_done = self._look_leg(now), None  # once more, from the other side
+            return None, ""
+        if said.standing is Standing.REFUSED and self._refusals < self._keys.sure:
+            return None, ""
+        return E.REFUSED, f"{said.standing.value} from {self._height:.1f} m: {said.why}"
+
+    def _opinion(self, now: Situation) -> Opinion | None:
+        """What a new verdict says of the target; None where there is no new one."""
+        seen = now.seen
+        if seen is None or seen.number <= self._judged or seen.frame_id != self._frame or self.target is None:
+            return None
+        self._judged = seen.number
+        said = opinion(self.target, seen, self._limit, self._keys.same_place)
+        self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
+        return said
+
+    def _best(self, seen: Seen | None) -> Site | None:
+        """The best listed place that was not refused before: sites first, then candidates by their P(safe)."""
+        if seen is None or seen.frame_id != self._frame:
+            return None
+        places = seen.sites.sites if not self._keys.look_again else seen.sites.listed
+        free = [p for p in places if not self._is_banned(p)]
+        return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
+
+    def _is_banned(self, place: Site) -> bool:
+        return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._banned)
+
+    # -- changes of state
+
+    def _enter(self, after: FlightState, event: FlightEvent, why: str, now: Situation) -> None:
+        t = self.target
+        place = None if t is None else (t.east, t.north, t.up)
+        self.diary.transitions.append(
+            Transition(now.t, self.state, event, after, why or event.value, place, None if t is None else t.p_safe)
+        )
+        if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
+            self._ban()
+        before, self.state, self._since = self.state, after, now.t
+        self._way, self._leg, self._leg_done = None, [], None
+        if after is S.APPROACH:
+            self._begin_place(now)
+        elif after is S.DESCEND:
+            self._height = max(self._keys.commit_height, self._height * self._keys.lower)
+            self._way = self._beside(now, 1.0)
+        elif after is S.LOOK:
+            self._leg = self._look_leg(now)
+        elif after is S.ABORT:
+            self._climb(now)
+        elif after in (S.SEARCH, S.HOLD, *ENDS) and before is not S.COMMIT:
+            self.target = None if after is not S.LANDED else self.target
+
+    def _begin_place(self, now: Situation) -> None:
+        assert self.target is not None
+        self._refusals = self._doubts = 0
+        up = self._above(now)
+        look = self.target.look
+        wanted = look.height if look is not None else up * self._keys.lower
+        self._height = float(np.clip(wanted, self._keys.commit_height, max(up, self._keys.commit_height)))
+        if self._keys.look_again:
+            self._way = self._beside(now, 1.0)
+            return
+        self._height = self._keys.commit_height
+        self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
+
+    def _ban(self) -> None:
+        if self.target is not None:
+            self._banned.append((self.target.east, self.target.north))
+
+    def _climb(self, now: Situation) -> None:
+        if now.position is None:
+            self._way = None
+            return
+        ground = self.target.up if self.target is not None else (self._ground or 0.0)
+        self._way = np.array([*now.position[:2], max(now.position[2], ground + 2 * self._keys.commit_height)])
+
+    def _follow(self, now: Situation) -> None:
+        """The motion began anew: places of the old frame are forgotten, the search begins about here."""
+        assert now.position is not None
+        self._frame, self._lanes, self._ground = now.frame_id, None, None
+        self._home = now.position.copy()
+        self._banned.clear()
+        self._judged = 0 if now.seen is None else now.seen.number
+
+    # -- where to fly
+
+    def _order(self, now: Situation) -> Order:
+        k, r = self._keys, self._route
+        if self.state in (S.HANDED_OVER, S.LANDED):
+            return Order("nothing")
+        if self.state is S.RETURN:
+            return Order("return")
+        if self.state is S.HOLD or now.position is None:
+            return Order("hold")
+        if self.state is S.COMMIT:
+            assert self.target is not None
+            place = np.array([self.target.east, self.target.north, self.target.up])
+            return Order("land", place, r.cruise_speed, k.landing_speed)
+        to = self._leg[0] if self.state is S.LOOK and self._leg else self._way
+        if to is None:
+            return Order("hold")
+        slow = self.state is S.LOOK
+        return Order("fly", self._clear(now, to), r.cruise_speed * (0.4 if slow else 1.0), 2.0 * r.descent_speed)
+
+    def _clear(self, now: Situation, to: F64) -> F64:
+        """Where to fly next on the way to a point: first up, where something on the map stands in the way."""
+        assert now.position is not None
+        if now.seen is None or now.seen.frame_id != self._frame:
+            return to
+        away = float(np.hypot(*(to[:2] - now.position[:2])))
+        if away < 2 * self._keys.arrived:
+            return to
+        least = lowest_clear(now.position, to, now.seen.elevation, self._route.clearance)
+        level = max(float(to[2]), least)
+        if now.position[2] < level - self._keys.arrived:
+            return np.array([*now.position[:2], level])
+        return np.array([to[0], to[1], level])
+
+    def _next_lane(self) -> bool:
+        if self._home is None:
+            return True
+        ground = self._ground if self._ground is not None else float(self._home[2]) - self._keys.search_height
+        if self._lanes is None:
+            lane = self._keys.lane * self._keys.search_height * self._aspect
+            self._lanes = square_spiral(self._home, self._keys.search_side, lane)
+        corner = next(self._lanes, None)
+        if corner is None:
+            return False
+        self._way = np.array([*corner, ground + self._keys.search_height])
+        return True
+
+    def _base(self) -> float:
+        return max(self._keys.look_base * self._height, self._keys.least_base)
+
+    def _beside(self, now: Situation, sign: float) -> F64:
+        """The end of a look leg, on the vehicle's side of the place or on the other one."""
+        assert self.target is not None
+        assert now.position is not None
+        place = np.array([self.target.east, self.target.north])
+        away = now.position[:2] - place
+        distance = float(np.hypot(*away))
+        towards = away / distance if distance > 0.3 else np.array([0.0, 1.0])
+        return np.array([*(place + sign * self._base() * towards), self.target.up + self._height])
+
+    def _look_leg(self, now: Situation) -> list[F64]:
+        """Across the place, to the other side; without looking again the way is straight down."""
+        if not self._keys.look_again:
+            return []
+        return [self._beside(now, -1.0)]
+
+    def _reached(self, now: Situation, point: F64) -> bool:
+        return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived
+
+    def _above(self, now: Situation) -> float:
+        """Metres above the target."""
+        assert self.target is not None
+        return float("inf") if now.position is None else float(now.position[2]) - self.target.up
+
+    def _note_look(self, now: Situation, said: Opinion) -> None:
+        p = said.place
+        self.diary.looks.append(
+            Look(now.t, (p.east, p.north, p.up), self._height, said.standing.value, said.p_safe, said.why)
+        )

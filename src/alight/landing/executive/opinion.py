@@ -1,0 +1,64 @@
+"""What a verdict says of one place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from alight.landing.reasons import REASON_WORDS
+from alight.records import Hazard, Site
+from alight.records.executive import Seen
+
+
+class Standing(Enum):
+    """How a place stands."""
+
+    SITE = "site"
+    CANDIDATE = "candidate"
+    REFUSED = "refused"
+    NOT_SEEN = "not seen"
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """A place as one verdict sees it."""
+
+    standing: Standing
+    place: Site  # moved to the listed place that it is taken for
+    p_safe: float
+    why: str = ""  # it is no site
+
+
+def opinion(place: Site, seen: Seen, limit: float, same: float) -> Opinion:
+    """What a verdict says of a place.
+
+    A listed place near by is taken for it. Of a place that is not listed, the cell tells.
+
+    Args:
+        limit: least P(safe) of a site.
+        same: metres within which a listed place is the same.
+    """
+    near = [s for s in seen.sites.listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
+    if near:
+        best = max(near, key=lambda s: s.p_safe)
+        standing = Standing.SITE if best.kind == "site" else Standing.CANDIDATE
+        return Opinion(standing, best, best.p_safe, best.doubt or "")
+    grid = seen.hazards.grid
+    row, col = (int(np.rint(v)) for v in grid.index(np.array(place.east), np.array(place.north)))
+    if not (0 <= row < grid.rows and 0 <= col < grid.cols):
+        return Opinion(Standing.NOT_SEEN, place, 0.0, "outside the map")
+    reasons, p = Hazard(int(seen.hazards.reasons[row, col])), float(seen.hazards.p_safe[row, col])
+    if reasons & (Hazard.UNKNOWN | Hazard.EDGE) and not reasons & ~(Hazard.UNKNOWN | Hazard.EDGE):
+        return Opinion(Standing.NOT_SEEN, place, 0.0, "not seen whole")
+    if reasons & ~Hazard.DOUBT:
+        words = ", ".join(REASON_WORDS[bit] for bit in reasons if bit in REASON_WORDS)
+        return Opinion(Standing.REFUSED, place, 0.0 if math.isnan(p) else p, words)
+    if math.isnan(p):
+        return Opinion(Standing.NOT_SEEN, place, 0.0, "not judged")
+    found = replace(place, p_safe=p)
+    if reasons & Hazard.DOUBT:
+        return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
+    return Opinion(Standing.SITE if p >= limit else Standing.CANDIDATE, found, p, "" if p >= limit else "doubt")

@@ -1,0 +1,48 @@
+"""The executive's table: which event takes a landing from which state to which. Everything else changes nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from alight.records.executive import FlightEvent, FlightState
+
+S, E = FlightState, FlightEvent
+
+FLYING = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND, S.COMMIT, S.ABORT, S.HOLD)
+ABOVE = (S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND)  # before the landing is begun
+AT_A_PLACE = (S.APPROACH, S.LOOK, S.DESCEND)
+ENDS = (S.LANDED, S.RETURN, S.HANDED_OVER)
+
+
+def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
+    out = {(s, E.PILOT): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
+    out |= {(s, E.LINK_LOST): S.HANDED_OVER for s in (*FLYING, S.RETURN)}
+    out |= {(s, E.NAVIGATION_LOST): S.HOLD for s in ABOVE} | {(s, E.CAMERA_LOST): S.HOLD for s in ABOVE}
+    out |= {(S.COMMIT, E.NAVIGATION_LOST): S.ABORT, (S.COMMIT, E.CAMERA_LOST): S.ABORT}
+    out |= {(s, e): S.RETURN for s in (*ABOVE, S.HOLD) for e in (E.WIND, E.BATTERY, E.TIME)}
+    out |= {(S.COMMIT, E.WIND): S.ABORT}
+    out |= {(S.HOLD, E.RECOVERED): S.SEARCH, (S.HOLD, E.WAITED): S.HANDED_OVER}
+    out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH}
+    out |= {(S.APPROACH, E.ARRIVED): S.LOOK, (S.DESCEND, E.ARRIVED): S.LOOK}
+    out |= {(S.LOOK, E.LOWER): S.DESCEND, (S.LOOK, E.CONFIRMED): S.COMMIT}
+    out |= {(s, E.REFUSED): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.REFUSED): S.ABORT}
+    out |= {(S.LOOK, E.WAITED): S.SEARCH}
+    out |= {(s, E.NEW_FRAME): S.SEARCH for s in AT_A_PLACE} | {(S.COMMIT, E.NEW_FRAME): S.ABORT}
+    out |= {(S.COMMIT, E.TOUCHED_DOWN): S.LANDED, (S.RETURN, E.TOUCHED_DOWN): S.LANDED}
+    out |= {(S.ABORT, E.CLEAR): S.SEARCH, (S.ABORT, E.WAITED): S.HANDED_OVER}
+    return out
+
+
+TABLE = _rows()
+
+
+def as_markdown() -> str:
+    """The table as docs/method/executive.md has it: a row an event, with where it leads from each state."""
+    lines = ["| event | from | to |", "| --- | --- | --- |"]
+    for event in E:
+        leads: dict[FlightState, list[str]] = {}
+        for (before, e), after in TABLE.items():
+            if e is event:
+                leads.setdefault(after, []).append(before.value)
+        lines += [f"| {event.value} | {', '.join(froms)} | {to.value} |" for to, froms in leads.items()]
+    return "\n".join(lines) + "\n"

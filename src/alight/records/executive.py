@@ -1,0 +1,124 @@
+"""What the executive is told, and what it wants. Places are in the map's frame, metres east, north, up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from alight.arrays import F64
+from alight.records.landing import HazardMap, Sites
+from alight.records.motion import MotionState
+from alight.records.surface import ElevationMap
+
+
+class FlightState(Enum):
+    """Where a landing stands."""
+
+    SEARCH = "search"
+    APPROACH = "approach"
+    LOOK = "look"
+    DESCEND = "descend"
+    COMMIT = "commit"
+    LANDED = "landed"
+    ABORT = "abort"
+    HOLD = "hold"
+    RETURN = "return"
+    HANDED_OVER = "handed over"
+
+
+class FlightEvent(Enum):
+    """What moves a landing from one state to the next."""
+
+    PILOT = "the pilot has taken over"
+    LINK_LOST = "the autopilot is silent"
+    NAVIGATION_LOST = "the motion is not known"
+    CAMERA_LOST = "no pictures come"
+    RECOVERED = "motion and pictures are there again"
+    WAITED = "waited too long"
+    WIND = "the wind is beyond the limit"
+    BATTERY = "the battery is low"
+    TIME = "the time is over"
+    SEARCHED = "all was searched, and no place was found"
+    FOUND = "a place was found"
+    ARRIVED = "the way-point is reached"
+    LOWER = "a look from lower down will tell more"
+    CONFIRMED = "the place is a site from the lowest look"
+    REFUSED = "the place is refused, or remains in doubt"
+    NEW_FRAME = "the motion began anew, and the place is not known in the new frame"
+    TOUCHED_DOWN = "the vehicle stands"
+    CLEAR = "the climb is done"
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One verdict on the ground, in the frame of its map."""
+
+    number: int  # of the verdict, rising
+    t: float  # s, of the newest exposure that the map holds
+    frame_id: int
+    sites: Sites
+    hazards: HazardMap
+    elevation: ElevationMap
+    ground: float  # metres up, median of the map
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """All that the executive knows at one moment."""
+
+    t: float  # s
+    position: F64 | None  # (3,) metres, of the vehicle; None: not known
+    state: MotionState
+    frame_id: int = 0  # of the position
+    seen: Seen | None = None  # the newest verdict
+    picture_age: float = 0.0  # s
+    height: float | None = None  # metres above the ground below; None: not known
+    link: bool = True  # the autopilot is heard
+    pilot: bool = False  # somebody else flies
+    standing: bool = False  # on the ground, motors off
+    battery: float = 1.0  # share that is left
+    wind: float = 0.0  # m/s
+    offset: F64 | None = None  # (3,) metres from the map's frame to the world
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """What the vehicle is to do now."""
+
+    what: str  # fly | hold | land | return | nothing
+    position: F64 | None = None  # (3,) metres, to fly to or to land on
+    speed: float = 5.0  # m/s
+    sink: float = 1.0  # m/s, downwards at most
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One change of state, with its reason."""
+
+    t: float  # s
+    before: FlightState
+    event: FlightEvent
+    after: FlightState
+    reason: str
+    place: tuple[float, float, float] | None = None  # the place that it is about
+    p_safe: float | None = None  # of it, as seen last
+
+
+@dataclass(frozen=True)
+class Look:
+    """One look at a place: from where, and what it said."""
+
+    t: float  # s
+    place: tuple[float, float, float]
+    height: float  # metres above it
+    verdict: str  # site | candidate | refused | not seen
+    p_safe: float
+    doubt: str = ""
+
+
+@dataclass
+class FlightDiary:
+    """What happened in a landing, in order."""
+
+    transitions: list[Transition] = field(default_factory=list)
+    looks: list[Look] = field(default_factory=list)

@@ -1,0 +1,208 @@
+"""One landing in closed loop: a vehicle that can be steered, the three lanes in turn, and the executive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from alight import terrain
+from alight.arrays import F64
+from alight.geometry import LocalFrame
+from alight.landing.executive import Executive
+from alight.pipeline import Pipeline, Verdict
+from alight.pipeline.map_frame import MapFrame
+from alight.records import Event, Frame, Motion, MotionState, Rig
+from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
+from alight.settings import ImuNoise, Settings
+
+TICK = 0.1  # s between two orders
+JUDGE_EVERY = {  # s between two judgements
+    FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
+    FlightState.COMMIT: 0.8,
+}  # fmt: skip
+LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
+ENDS = (FlightState.LANDED, FlightState.RETURN, FlightState.HANDED_OVER)
+LONGEST = 1.5  # times the budget of time, after which the loop gives up
+BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
+
+
+class SteeredVehicle(Protocol):
+    """A vehicle in the loop: the simulator's, or another one that renders what it flies over."""
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras, as calibrated."""
+
+    @property
+    def local(self) -> LocalFrame:
+        """Where the world lies."""
+
+    @property
+    def imu_noise(self) -> ImuNoise:
+        """Noise that is stated for its IMU."""
+
+    @property
+    def landed(self) -> bool:
+        """Whether it stands on the ground."""
+
+    @property
+    def battery(self) -> float:
+        """Share that is left."""
+
+    @property
+    def time_ns(self) -> int:
+        """Its clock."""
+
+    def fly_by(self, displacement: F64 | None, speed: float, sink: float, heading: float | None) -> None:
+        """Fly to a point so far from where it is now, (3,) metres; None: stay here."""
+
+    def advance(self, seconds: float) -> list[Event]:
+        """Let time pass; what came in."""
+
+
+@dataclass
+class Landing:
+    """How one landing went."""
+
+    state: FlightState = FlightState.SEARCH
+    diary: FlightDiary = field(default_factory=FlightDiary)
+    seconds: float = 0.0
+    p_at_commit: float | None = None
+    verdicts: int = 0
+    last: Verdict | None = None
+    film: list[tuple[float, str, Verdict]] = field(default_factory=list)  # looks: time, words, the verdict
+
+
+def land(
+    vehicle: SteeredVehicle,
+    settings: Settings,
+    appearance: terrain.Model | None = None,
+    happening: Callable[[float, FlightState], None] = lambda t, state: None,
+    keep_film: bool = False,
+) -> Landing:
+    """Search, look, look again, and land or give up.
+
+    Args:
+        vehicle: is steered.
+        settings: all of them; the map is built recursively, whatever they say.
+        appearance: what ground looks like.
+        happening: is told of the time and the state before every order; it may let things happen.
+        keep_film: keep the verdict of every look.
+    """
+    loop = _Loop(vehicle, settings, appearance, keep_film)
+    while not loop.over:
+        happening(loop.t, loop.executive.state)
+        loop.step()
+    return loop.result()
+
+
+class _Loop:
+    def __init__(
+        self, vehicle: SteeredVehicle, settings: Settings, appearance: terrain.Model | None, keep_film: bool
+    ) -> None:
+        self._vehicle, self._keep = vehicle, keep_film
+        self._settings = settings.model_copy(
+            update={"sites": settings.sites.model_copy(update={"every": 0})}
+        )  # judged when the executive needs it
+        self._pipeline = Pipeline(
+            vehicle.rig, "flight", self._settings, history=False, appearance=appearance, imu=vehicle.imu_noise
+        )
+        self.executive = Executive(settings.stages())
+        self._begin = vehicle.time_ns
+        self._motion: Motion | None = None
+        self._newest_ns = self._mapped_ns = vehicle.time_ns
+        self._seen: Seen | None = None
+        self._pending: tuple[float, Seen, Verdict] | None = None
+        self._judged_at = -math.inf
+        self._number, self._most = 0, LONGEST * settings.executive.time_budget
+        self._landing = Landing()
+
+    @property
+    def t(self) -> float:
+        """Seconds of the flight."""
+        return (self._vehicle.time_ns - self._begin) * 1e-9
+
+    @property
+    def over(self) -> bool:
+        """Landed, given up, or too long."""
+        return self.executive.state in ENDS or self.t > self._most
+
+    def step(self) -> None:
+        """One order, and what comes of it."""
+        for event in self._vehicle.advance(TICK):
+            motion = self._pipeline.feed(event)
+            if isinstance(event, Frame):
+                self._newest_ns = max(self._newest_ns, event.t_ns)
+            if motion is not None:
+                self._motion = motion
+        if self._motion is None:  # nothing is known before the first exposure
+            self._vehicle.fly_by(None, 1.0, 1.0, None)
+            return
+        self._judge()
+        before = len(self.executive.diary.looks)
+        order = self.executive.tick(self._situation())
+        if self._keep and len(self.executive.diary.looks) > before and self._landing.last is not None:
+            look = self.executive.diary.looks[-1]
+            self._landing.film.append((look.t, f"{look.verdict} from {look.height:.0f} m", self._landing.last))
+        self._obey(order)
+
+    def _situation(self) -> Situation:
+        m = self._motion
+        assert m is not None
+        lost = m.state in (MotionState.LOST, MotionState.INITIALISING)
+        return Situation(
+            self.t, None if lost else m.world_from_body.translation, m.state, m.frame_id, self._seen,
+            (self._vehicle.time_ns - self._newest_ns) * 1e-9, standing=self._vehicle.landed,
+            battery=self._vehicle.battery,
+        )  # fmt: skip
+
+    def _judge(self) -> None:
+        """Judge the map as often as the state asks for; the verdict is known a little later."""
+        if self._pending is not None and self.t >= self._pending[0]:
+            _, self._seen, self._landing.last = self._pending
+            self._pending = None
+        every = JUDGE_EVERY.get(self.executive.state)
+        if every is None or self._pending is not None or self.t - self._judged_at < every:
+            return
+        self._judged_at = self.t
+        verdict = self._pipeline.judge_now()
+        if verdict is not None:
+            self._number += 1
+            self._landing.verdicts += 1
+            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t), verdict)
+
+    def _obey(self, order: Order) -> None:
+        assert self._motion is not None
+        at = self._motion.world_from_body.translation
+        if order.what == "fly" and order.position is not None:
+            self._vehicle.fly_by(order.position - at, order.speed, order.sink, None)
+        elif order.what == "land" and order.position is not None:
+            self._vehicle.fly_by(order.position - at - np.array([0, 0, BELOW]), order.speed, order.sink, None)
+        else:
+            self._vehicle.fly_by(None, order.speed, order.sink, None)
+
+    def result(self) -> Landing:
+        """How it went."""
+        d = self.executive.diary
+        commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
+        p = commits[-1].p_safe if commits else None
+        return replace(self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p)
+
+
+def as_seen(verdict: Verdict, number: int, t: float) -> Seen:
+    """A verdict in the frame of its map, as the executive wants it.
+
+    Args:
+        number: of the verdict, rising.
+        t: s, of the newest exposure that its map holds.
+    """
+    frame = verdict.frame
+    back = MapFrame(frame.frame_id, -frame.offset_world, frame.covariance)
+    elevation = back.elevation(verdict.elevation)
+    heights = elevation.height[elevation.trusted]
+    ground = float(np.median(heights)) if heights.size else 0.0
+    return Seen(number, t, frame.frame_id, back.sites(verdict.sites), back.on_grid(verdict.danger), elevation, ground)

@@ -1,0 +1,25 @@
+"""Tuning of the executive (docs/lab/tuning-constants.md)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from alight.settings.base import Fraction, FrozenModel, Positive
+
+
+class ExecutiveTuning(FrozenModel):
+    """Searching, looking, landing."""
+
+    lane: Positive = Field(0.7, description="Distance of two lanes of the search, over the height")
+    look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
+    least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
+    lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
+    same_place: Positive = Field(2.0, description="Distance within which a listed place is the one looked at, m")
+    banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
+    sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before it is dropped")
+    patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
+    wait: Positive = Field(12.0, description="Time without a verdict, navigation or pictures before giving up, s")
+    stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
+    landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
+    abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
+    arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")
