@@ -105,7 +105,7 @@ class Transition:
 
 
 @dataclass(frozen=True)
-class Look:
+class LookRecord:
     """One look at a place: from where, and what it said."""
 
     t: float  # s
@@ -121,4 +121,4 @@ class FlightDiary:
     """What happened in a landing, in order."""
 
     transitions: list[Transition] = field(default_factory=list)
-    looks: list[Look] = field(default_factory=list)
+    looks: list[LookRecord] = field(default_factory=list)

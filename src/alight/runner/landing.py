@@ -77,7 +77,7 @@ class Landing:
     film: list[tuple[float, str, Verdict]] = field(default_factory=list)  # looks: time, words, the verdict
 
 
-def land(
+def fly_landing(
     vehicle: SteeredVehicle,
     settings: Settings,
     appearance: terrain.Model | None = None,

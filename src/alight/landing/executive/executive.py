@@ -18,7 +18,16 @@ from alight.landing.executive.search import square_spiral
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
 from alight.landing.route import lowest_clear
 from alight.records import MotionState, Site
-from alight.records.executive import FlightDiary, FlightEvent, FlightState, Look, Order, Seen, Situation, Transition
+from alight.records.executive import (
+    FlightDiary,
+    FlightEvent,
+    FlightState,
+    LookRecord,
+    Order,
+    Seen,
+    Situation,
+    Transition,
+)
 from alight.settings import StageSettings
 
 S, E = FlightState, FlightEvent
@@ -90,7 +99,7 @@ class Executive:
         k, waited = self._keys, now.t - self._since
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
-        weak = now.state is MotionState.DEGRADED and self.state in (S.LOOK, S.DESCEND, S.COMMIT)
+        weak = now.state is MotionState.DEGRADED and self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD)
         if self.state is S.HOLD and waited > k.wait:
             return E.WAITED, f"for {waited:.0f} s"
         if self.state is not S.ABORT:
@@ -105,7 +114,7 @@ class Executive:
             return E.WIND, f"{now.wind:.1f} m/s, limit {k.most_wind:.1f}"
         if now.battery < k.least_battery:
             return E.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
-        if now.t - (self._begun or now.t) > k.time_budget:
+        if self._begun is not None and now.t - self._begun > k.time_budget:
             return E.TIME, f"{k.time_budget:.0f} s"
         return None
 
@@ -155,6 +164,8 @@ class Executive:
 
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """A look is over when a verdict holds what the whole leg saw."""
+        if not self._keys.look_again and self.target is not None:
+            return E.CONFIRMED, f"P(safe) {self.target.p_safe:.3f}, not looked at again"
         if self._leg:
             if self._reached(now, self._leg[0]):
                 self._leg.pop(0)
@@ -317,9 +328,7 @@ class Executive:
         return np.array([*(place + sign * self._base() * towards), self.target.up + self._height])
 
     def _look_leg(self, now: Situation) -> list[F64]:
-        """Across the place, to the other side; without looking again the way is straight down."""
-        if not self._keys.look_again:
-            return []
+        """Across the place, to the other side."""
         return [self._beside(now, -1.0)]
 
     def _reached(self, now: Situation, point: F64) -> bool:
@@ -333,5 +342,5 @@ class Executive:
     def _note_look(self, now: Situation, said: Opinion) -> None:
         p = said.place
         self.diary.looks.append(
-            Look(now.t, (p.east, p.north, p.up), self._height, said.standing.value, said.p_safe, said.why)
+            LookRecord(now.t, (p.east, p.north, p.up), self._height, said.standing.value, said.p_safe, said.why)
         )

@@ -1,0 +1,435 @@
+"""The executive over made-up ground: it looks until a place is a site or falls; faults lead where the table says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
+from some_run import elevation as some_elevation
+from some_run import site as some_site
+
+from alight.geometry import Grid
+from alight.landing.executive import TABLE, Executive, as_markdown
+from alight.landing.executive.search import square_spiral
+from alight.landing.route import lowest_clear
+from alight.records import ElevationMap, Hazard, HazardMap, MotionState, NextView, Sites
+from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
+from alight.settings import load_settings
+
+S, E = FlightState, FlightEvent
+STEP = 0.2  # s
+AWAY = np.array([0.0, 0.0, 30.0])  # where flights begin
+
+
+def settings(*more: str):  # type: ignore[no-untyped-def]
+    return load_settings("", ["executive.search_side=60", *more]).stages()
+
+
+@dataclass
+class Ground:
+    """Places with what a look from a height says of each: P(safe) by the height, 0 is refused."""
+
+    places: dict[tuple[float, float], Callable[[float], float]]
+    frame_id: int = 0
+    sees: float = 20.0  # m about the vehicle
+    tall: float = 0.0  # m, of a wall across east = 15
+
+    def map(self) -> ElevationMap:
+        grid = Grid(-60.0, 60.0, 1.0, 121, 121)
+        m = some_elevation()
+        flat = np.zeros(grid.shape, np.float32)
+        east, _ = grid.xy()
+        flat[:, np.abs(east - 15.0) < 1.0] = self.tall
+        blank = {
+            name: np.zeros((*grid.shape, *v.shape[2:]), v.dtype)
+            for name, v in vars(m).items()
+            if isinstance(v, np.ndarray) and v.ndim >= 2 and v.shape[:2] == m.grid.shape
+        }
+        return replace(m, grid=grid, **blank | {"height": flat, "sigma": np.full(grid.shape, 0.02, np.float32)})
+
+    def seen(self, number: int, t: float, at: np.ndarray) -> Seen:
+        grid = Grid(-60.0, 60.0, 1.0, 121, 121)
+        p_map = np.full(grid.shape, np.nan, np.float32)
+        reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint8)
+        listed = []
+        for (e, n), p_of in self.places.items():
+            if np.hypot(e - at[0], n - at[1]) > self.sees:
+                continue
+            p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
+            p_map[row, col], reasons[row, col] = p, 0 if p > 0 else int(Hazard.ROUGHNESS)
+            if p > 0:
+                look = NextView(e, n, 8.0, 8.0, True)
+                kind = "site" if p >= 0.95 else "candidate"
+                listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, kind=kind, look=look, doubt=None))
+        listed.sort(key=lambda s: -s.p_safe)
+        sites = tuple(s for s in listed if s.kind == "site")
+        found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
+        blank = np.zeros(grid.shape, np.float32)
+        danger = HazardMap(grid, blank, blank, blank, blank, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
+        return Seen(number, t, self.frame_id, found, danger, self.map(), 0.0)
+
+
+@dataclass
+class Flight:
+    """A vehicle that does what it is told, over made-up ground; `change` may change the situation."""
+
+    ground: Ground
+    executive: Executive
+    change: Callable[[Situation, Executive], Situation] = lambda now, executive: now
+    position: np.ndarray = field(default_factory=lambda: AWAY.copy())
+    t: float = 0.0
+    orders: list[tuple[FlightState, Order, np.ndarray]] = field(default_factory=list)
+
+    def fly(self, seconds: float = 400.0, verdict_every: float = 1.0) -> FlightState:
+        number, last, seen = 0, -9.0, None
+        while self.t < seconds and self.executive.state not in (S.LANDED, S.RETURN, S.HANDED_OVER):
+            if self.t - last >= verdict_every:
+                number, last = number + 1, self.t
+                seen = self.ground.seen(number, self.t, self.position)
+            now = Situation(
+                self.t, self.position.copy(), MotionState.GOOD, self.ground.frame_id, seen,
+                standing=bool(self.position[2] <= 0.0),
+            )  # fmt: skip
+            order = self.executive.tick(self.change(now, self.executive))
+            self.orders.append((self.executive.state, order, self.position.copy()))
+            self._obey(order)
+            self.t += STEP
+        return self.executive.state
+
+    def _obey(self, order: Order) -> None:
+        if order.position is None or order.what not in ("fly", "land"):
+            return
+        left = order.position - self.position
+        if order.what == "land":
+            left[2] = -self.position[2] - 0.1
+        flat = np.linalg.norm(left[:2])
+        self.position[:2] += left[:2] * min(1.0, order.speed * STEP / max(flat, 1e-9))
+        self.position[2] += np.clip(left[2], -order.sink * STEP, 3.0 * STEP)
+
+    @property
+    def states(self) -> list[FlightState]:
+        return [S.SEARCH, *(x.after for x in self.executive.diary.transitions)]
+
+    @property
+    def events(self) -> list[FlightEvent]:
+        return [x.event for x in self.executive.diary.transitions]
+
+
+def clearer_from_below(height: float) -> float:
+    """A good place: in doubt from high up, a site from near by."""
+    return 0.97 if height < 9.0 else 0.8 if height < 17.0 else 0.6
+
+
+def bad_from_below(height: float) -> float:
+    """Stones that only a near look shows."""
+    return 0.0 if height < 9.0 else 0.7
+
+
+# -- the loop
+
+
+def test_it_looks_again_from_lower_down_and_lands() -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    assert f.fly() is S.LANDED
+    looks = f.executive.diary.looks
+    assert [round(x.height) for x in looks] == sorted((round(x.height) for x in looks), reverse=True)
+    assert looks[-1].height == pytest.approx(6.0)
+    assert looks[-1].verdict == "site"
+    assert len(looks) >= 2
+    commit = next(x for x in f.executive.diary.transitions if x.after is S.COMMIT)
+    assert commit.event is E.CONFIRMED
+    assert commit.p_safe == pytest.approx(0.97)
+    np.testing.assert_allclose(f.position[:2], [10.0, 5.0], atol=0.3)
+    assert all(x.reason for x in f.executive.diary.transitions)
+
+
+def test_a_look_passes_beside_the_place() -> None:
+    """One camera straight above sees no parallax: each leg is at least 0.24 of the height long."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    f.fly()
+    for look in f.executive.diary.looks:
+        near = [p for s, _, p in f.orders if s is S.LOOK and abs(p[2] - look.height) < 1.2]
+        across = max(np.linalg.norm(a[:2] - b[:2]) for a in near for b in near[:: max(1, len(near) // 20)])
+        assert across >= 0.24 * look.height - 1.0  # a way-point counts as reached within a metre
+
+
+def test_a_place_that_falls_gives_way_to_the_next() -> None:
+    ground = Ground({(10.0, 5.0): bad_from_below, (-12.0, 0.0): clearer_from_below})
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], [-12.0, 0.0], atol=0.3)
+    assert E.REFUSED in f.events
+    refused = next(x for x in f.executive.diary.transitions if x.event is E.REFUSED)
+    assert refused.place is not None
+    assert refused.place[:2] == (10.0, 5.0)
+
+
+def test_ground_without_a_place_is_searched_and_left() -> None:
+    f = Flight(Ground({}), Executive(settings()))
+    assert f.fly() is S.RETURN
+    assert f.events == [E.SEARCHED]
+    spots = np.array([p[:2] for s, _, p in f.orders if s is S.SEARCH])
+    assert spots.min() < -20.0
+    assert spots.max() > 20.0
+
+
+def test_a_candidate_that_stays_one_is_not_landed_on() -> None:
+    f = Flight(Ground({(10.0, 5.0): lambda h: 0.8}), Executive(settings()))
+    assert f.fly() is S.RETURN
+    assert S.COMMIT not in f.states
+    assert sum(x.height == pytest.approx(6.0) for x in f.executive.diary.looks) == 2
+
+
+def test_without_looking_again_the_first_site_is_taken() -> None:
+    """And stones that only a near look shows are landed on: what the loop is for."""
+    ground = Ground({(10.0, 5.0): lambda h: 0.0 if h < 5.0 else 0.96})
+    plain = Flight(ground, Executive(settings("executive.look_again=false")))
+    plain.fly()
+    assert S.COMMIT in plain.states
+    careful = Flight(Ground({(10.0, 5.0): lambda h: 0.0 if h < 9.0 else 0.96}), Executive(settings()))
+    careful.fly()
+    assert S.COMMIT not in careful.states
+
+
+def test_it_climbs_over_what_stands_in_the_way() -> None:
+    ground = Ground({(28.0, 0.0): clearer_from_below}, sees=40.0, tall=26.0)
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    over = [p for _, _, p in f.orders if abs(p[0] - 15.0) < 1.0]
+    assert over
+    assert min(p[2] for p in over) >= 26.0 + 3.0 - 1.0
+
+
+# -- below the commit height
+
+
+def in_state(wanted: FlightState, change: Callable[[Situation], Situation]) -> Callable[..., Situation]:
+    """Change the situation from the moment that a state is reached, for good."""
+    hit = []
+
+    def changed(now: Situation, executive: Executive) -> Situation:
+        if executive.state is wanted or hit:
+            hit.append(1)
+            return change(now)
+        return now
+
+    return changed
+
+
+def test_a_car_on_the_site_breaks_the_landing_off() -> None:
+    """Two verdicts refuse it: up, and to another place."""
+    there = {(10.0, 5.0): clearer_from_below, (-12.0, 0.0): clearer_from_below}
+    ground = Ground(there)
+
+    def park(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.position is not None and now.position[0] > 0:
+            there[10.0, 5.0] = lambda h: 0.0
+        return now
+
+    f = Flight(ground, Executive(settings()), park)
+    assert f.fly() is S.LANDED
+    assert f.position[0] < 0
+    k = f.states.index(S.ABORT)
+    assert f.states[k - 1 : k + 2] == [S.COMMIT, S.ABORT, S.SEARCH]
+
+
+def test_too_low_to_go_up_it_lands() -> None:
+    ground = Ground({(10.0, 5.0): lambda h: 0.97 if h > 1.4 else 0.0})
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+
+
+def test_after_the_commit_it_never_climbs_but_to_break_off() -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    f.fly()
+    low = [(o, p) for s, o, p in f.orders if s is S.COMMIT]
+    assert low
+    assert all(o.what == "land" and o.position is not None and o.position[2] <= p[2] for o, p in low)
+
+
+@pytest.mark.parametrize(
+    ("change", "event"),
+    [
+        (lambda now: replace(now, state=MotionState.LOST, position=None), E.NAVIGATION_LOST),
+        (lambda now: replace(now, picture_age=3.0), E.CAMERA_LOST),
+        (lambda now: replace(now, wind=12.0), E.WIND),
+        (lambda now: replace(now, frame_id=1), E.NEW_FRAME),
+    ],
+)
+def test_what_breaks_a_landing_off(change: Callable[[Situation], Situation], event: FlightEvent) -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), in_state(S.COMMIT, change))
+    f.fly(200.0)
+    k = f.events.index(event)
+    assert f.states[k + 1] is S.ABORT
+
+
+# -- faults on the way
+
+
+@pytest.mark.parametrize("state", [S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND, S.COMMIT])
+@pytest.mark.parametrize(
+    ("change", "event", "end"),
+    [
+        (lambda now: replace(now, pilot=True), E.PILOT, S.HANDED_OVER),
+        (lambda now: replace(now, link=False), E.LINK_LOST, S.HANDED_OVER),
+    ],
+)
+def test_who_else_flies_is_obeyed_at_once(
+    state: FlightState, change: Callable[[Situation], Situation], event: FlightEvent, end: FlightState
+) -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), in_state(state, change))
+    assert f.fly() is end
+    assert f.events[-1] is event
+    last = f.executive.diary.transitions[-1]
+    assert last.before is state
+    assert f.orders[-1][1].what == "nothing"
+    assert sum(s is end for s, _, _ in f.orders) == 1
+
+
+@pytest.mark.parametrize("state", [S.SEARCH, S.APPROACH, S.LOOK, S.DESCEND])
+@pytest.mark.parametrize(
+    ("change", "event"),
+    [
+        (lambda now: replace(now, wind=12.0), E.WIND),
+        (lambda now: replace(now, battery=0.1), E.BATTERY),
+        (lambda now: replace(now, t=now.t + (1000.0 if now.t > 1.0 else 0.0)), E.TIME),
+    ],
+)
+def test_what_ends_the_attempt(
+    state: FlightState, change: Callable[[Situation], Situation], event: FlightEvent
+) -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), in_state(state, change))
+    assert f.fly() is S.RETURN
+    assert f.events[-1] is event
+    assert f.orders[-1][1].what == "return"
+
+
+@pytest.mark.parametrize(
+    ("change", "event"),
+    [
+        (lambda now: replace(now, state=MotionState.LOST, position=None), E.NAVIGATION_LOST),
+        (lambda now: replace(now, picture_age=3.0), E.CAMERA_LOST),
+    ],
+)
+def test_it_waits_for_motion_and_pictures_and_then_hands_over(
+    change: Callable[[Situation], Situation], event: FlightEvent
+) -> None:
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), in_state(S.APPROACH, change))
+    assert f.fly() is S.HANDED_OVER
+    assert f.events[-2:] == [event, E.WAITED]
+    assert {o.what for s, o, _ in f.orders if s is S.HOLD} == {"hold"}
+
+
+def test_a_short_loss_costs_time_only() -> None:
+    def lost(now: Situation, executive: Executive) -> Situation:
+        return replace(now, state=MotionState.LOST, position=None) if 12.0 < now.t < 16.0 else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), lost)
+    assert f.fly() is S.LANDED
+    assert E.NAVIGATION_LOST in f.events
+    assert E.RECOVERED in f.events
+
+
+def test_degraded_motion_is_good_enough_to_search_and_not_to_look() -> None:
+    weak = in_state(S.SEARCH, lambda now: replace(now, state=MotionState.DEGRADED))
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), weak)
+    f.fly(200.0)
+    assert S.APPROACH in f.states
+    assert S.COMMIT not in f.states
+    assert f.executive.state is S.HANDED_OVER
+
+
+def test_a_new_frame_drops_the_place_and_searches_again() -> None:
+    ground = Ground({(10.0, 5.0): clearer_from_below})
+
+    def anew(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.DESCEND:
+            ground.frame_id = 1
+        return now
+
+    f = Flight(ground, Executive(settings()), anew)
+    assert f.fly() is S.LANDED
+    k = f.events.index(E.NEW_FRAME)
+    assert f.states[k + 1] is S.SEARCH
+
+
+def test_no_verdict_no_landing() -> None:
+    """Verdicts stop when the first look begins."""
+    frozen: list[Seen | None] = []
+
+    def stop(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.LOOK or frozen:
+            frozen.append(now.seen)
+            return replace(now, seen=frozen[0])
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), stop)
+    assert f.fly() is S.RETURN
+    assert E.WAITED in f.events
+    assert S.COMMIT not in f.states
+
+
+# -- the table
+
+
+@given(st.lists(st.tuples(st.sampled_from(list(MotionState)), st.booleans(), st.booleans(), st.booleans(),
+                          st.floats(0, 20), st.floats(0, 1), st.floats(0, 4), st.integers(0, 2),
+                          st.floats(-1, 40), st.floats(0, 1)), min_size=20, max_size=60))  # fmt: skip
+@budget(max_examples=40, deadline=None)
+def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  # type: ignore[type-arg]
+    """Situations at random: no exception, no transition that the table has not, and no order after the end."""
+    executive, ground, t = Executive(settings()), Ground({(1.0, 1.0): clearer_from_below}), 0.0
+    for state, link, pilot, standing, wind, battery, age, frame, up, p in moments:
+        t += 1.0
+        ground.frame_id, ground.places[1.0, 1.0] = frame, lambda h, p=p: p
+        at = np.array([1.0, 0.0, up])
+        lost = state in (MotionState.LOST, MotionState.INITIALISING)
+        ended = executive.state in (S.LANDED, S.HANDED_OVER)
+        order = executive.tick(
+            Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, None, link or wind > 3,
+                      pilot and wind > 18, standing and up < 1, battery, wind)
+        )  # fmt: skip
+        assert not ended or order.what == "nothing"
+        assert order.position is None or np.isfinite(order.position).all()
+    for x in executive.diary.transitions:
+        assert TABLE[x.before, x.event] is x.after
+
+
+def test_every_state_can_be_left_and_every_event_leads_somewhere() -> None:
+    assert {before for before, _ in TABLE} == set(S) - {S.LANDED, S.HANDED_OVER}
+    assert {event for _, event in TABLE} == set(E)
+    assert all(TABLE[s, E.PILOT] is S.HANDED_OVER for s in set(S) - {S.LANDED, S.HANDED_OVER})
+    assert {after for (before, _), after in TABLE.items() if before is S.COMMIT} <= {S.LANDED, S.ABORT, S.HANDED_OVER}
+
+
+def test_the_page_prints_the_table() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "method" / "executive.md").read_text(encoding="utf-8")
+    assert as_markdown() in page
+
+
+# -- parts
+
+
+def test_the_spiral_covers_the_square() -> None:
+    corners = np.array(list(square_spiral(np.array([3.0, 4.0]), 40.0, 10.0)))
+    assert tuple(corners[0]) == (3.0, 4.0)
+    assert (np.abs(np.diff(corners, axis=0)).min(axis=1) == 0).all()  # along the axes
+    way = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
+    for e in np.arange(-15.0, 22.0, 2.0):
+        for n in np.arange(-14.0, 23.0, 2.0):
+            assert np.abs(way - [e, n]).max(axis=1).min() <= 5.0 + 0.5
+
+
+def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:
+    m = Ground({}, tall=12.0).map()
+    over = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([30.0, 0.0, 5.0]), m, 3.0)
+    beside = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0]), m, 3.0)
+    assert over == pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4)
+    assert beside == pytest.approx(3.04, abs=1e-4)
