@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -17,13 +18,15 @@ import pytest
 import alight_sim
 from alight.geometry import Camera
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
+from alight.runner.live.telemetry import with_telemetry
 from alight.settings import Settings
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
 from alight.sources.growing import GrowingLog, GrowingTable
-from alight.sources.live import open_live
+from alight.sources.live import LiveSource, open_live
 from alight.sources.opening import open_source
 from alight.sources.paced import paced, read_ahead
 from alight_sim import default_rig, fly
+from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
 LENS = Camera(160, 120, 120.0, 120.0, 79.3, 59.8)
 
@@ -206,7 +209,7 @@ def test_opencv_gives_the_frames_of_a_film(log: Path, tmp_path_factory: pytest.T
     opened = open_live(f"video:{film},video:{film}", Settings(), rig=log)
     frames = [e for e in opened.events if isinstance(e, Frame)]
     assert opened.real_time
-    assert len(frames) >= 8
+    assert len(frames) == 12
     means = [float(f.images[0].mean()) for f in frames if f.images[0] is not None]
     assert all(a < b for a, b in pairwise(means))
 
@@ -223,3 +226,53 @@ def test_cameras_that_cannot_be_used_say_so(log: Path, name: str, rig: bool, say
     names = f"{name},{name}" if says == "cannot be opened" else name
     with pytest.raises(InputError, match=says):
         list(open_live(names, Settings(), rig=log if rig else None).events)
+
+
+# -- with an autopilot's telemetry
+
+
+def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -> None:
+    """Pictures and GPS/INS in the order of arrival, on one clock; the world begins where the autopilot is."""
+    film = film_of(str(tmp_path))
+    feed_port = free_port()
+    with UdpServer(SimulatedAutopilot(), ("127.0.0.1", feed_port), speed=1.0, step=0.02):
+        opened = with_telemetry(slow(open_live(f"video:{film},video:{film}", Settings(), rig=log)),
+                                f"udp:127.0.0.1:{feed_port}")  # fmt: skip
+        found = list(opened.events)
+    rows = [e for e in found if isinstance(e, NavSample)]
+    assert opened.source.georeferenced
+    assert len(rows) > 5
+    assert sum(isinstance(e, Frame) for e in found) == 12
+    assert rows[-1].sigma_position is not None
+    assert (rows[-1].sigma_position > 0).all()
+    first = rows[0].position_world
+    assert first is not None
+    assert np.linalg.norm(first) < 5.0
+    now = time.monotonic_ns()
+    assert all(0 <= now - r.t_ns < 60_000_000_000 for r in rows)
+
+
+def slow(opened: LiveSource) -> LiveSource:
+    """Its events as if it filmed for two seconds."""
+
+    def events() -> Iterator[Event]:
+        for e in opened.events:
+            time.sleep(0.2)
+            yield e
+
+    return LiveSource(opened.source, events(), True)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as s:
+        s.bind(("127.0.0.1", 0))
+        return int(s.getsockname()[1])
+
+
+def test_an_autopilot_that_is_not_there_says_so(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("alight.runner.live.telemetry.PATIENCE", 0.1)
+    film = film_of(str(tmp_path))
+    with pytest.raises(InputError, match="no heartbeat"):
+        with_telemetry(open_live(f"video:{film},video:{film}", Settings(), rig=log), f"udp:127.0.0.1:{free_port()}")
+    with pytest.raises(InputError, match="a clock of its own"):
+        with_telemetry(open_live(str(log), Settings()), "udp:127.0.0.1:0")

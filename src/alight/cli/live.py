@@ -40,6 +40,12 @@ def live(
     rig: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
     ] = None,
+    telemetry: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
+    ] = None,
+    separation: Annotated[
+        float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
+    ] = None,
     record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
@@ -54,6 +60,10 @@ def live(
     from alight.sources.live import open_live
 
     opened = open_live(source, chosen, speed, follow, rig)
+    if telemetry is not None:
+        from alight.runner.live.telemetry import with_telemetry
+
+        opened = with_telemetry(opened, telemetry, separation)
     with Display(console=stderr, transient=True, auto_refresh=False) as display:
 
         def tell(health: FlightHealth) -> None:

@@ -63,21 +63,26 @@ class CameraThread:
     """
 
     def __init__(self, name: str, size: tuple[int, int], put: Callable[[StampedImage | None], None]) -> None:
-        self._name, self._size, self._put = name, size, put
+        self._size, self._put = size, put
+        self._film = name.startswith("video:")  # has a time of its own, and would come as fast as it can be read
         self._clock, self.ended = SensorClock(), threading.Event()
         self._capture = open_capture(name, size)
         threading.Thread(target=self._read, daemon=True).start()
 
     def _read(self) -> None:
+        begin = time.monotonic()
         while not self.ended.is_set():
             good, image = self._capture.read()
             if not good:
                 break
-            arrival, own = time.time(), self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
+            arrival, own = time.monotonic(), self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3
             if image.ndim == 3:
                 image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            if self._film:
+                time.sleep(max(0.0, begin + own - arrival))
             if (image.shape[1], image.shape[0]) == self._size:
-                self._put(StampedImage(self._clock.stamp(own, arrival), image))
+                t_ns = round(own * 1e9) if self._film else self._clock.stamp(own, arrival)
+                self._put(StampedImage(t_ns, image))
         self._capture.release()
         self._put(None)
 
@@ -150,7 +155,7 @@ class Cameras(CalibratedFolder):
             CameraThread(name, (c.camera.width, c.camera.height), into(k))
             for k, (name, c) in enumerate(zip(self._names, self.rig.cameras, strict=True))
         ]
-        matcher = ExposureMatcher(len(threads))
+        matcher, over = ExposureMatcher(len(threads)), 0
         try:
             while not stopped():
                 try:
@@ -159,7 +164,10 @@ class Cameras(CalibratedFolder):
                     self._findings.say(f"no image for {SILENT:.0f} s: the cameras are taken to be off")
                     return
                 if image is None:
-                    return
+                    over += 1
+                    if over == len(threads):
+                        return
+                    continue
                 for frame in matcher.take(k, image):
                     self.length += 1
                     yield frame

@@ -43,6 +43,11 @@ class CalibratedFolder(RecordedSource):
         self._body_from_imu = self._read_imu_pose()
         self.rig = self._read_rig(settings, self._body_from_imu)
 
+    def locate(self, local: LocalFrame) -> None:
+        """Take over where the world lies, from GPS/INS that comes from elsewhere."""
+        self.local, self.georeferenced = local, True
+        self.notes["nav"] = True
+
     def _note(self, nav: bool, imu: bool) -> None:
         lens = self.rig.cameras[0].camera
         self.notes.setdefault("focal_from", "sensor.yaml of cam0")

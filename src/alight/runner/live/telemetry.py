@@ -1,0 +1,138 @@
+"""The autopilot's telemetry as GPS/INS of a live run: a thread that listens, and events in the order of arrival."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+
+from alight.autopilot import Autopilot, TelemetryEvents, open_link
+from alight.geometry import LocalFrame
+from alight.records import Event, InputError
+from alight.sources.flight_log import CalibratedFolder
+from alight.sources.live import LiveSource
+
+READ = 0.02  # s that a read may wait
+PATIENCE = 30.0  # s until the autopilot must give a position
+
+
+class TelemetryFeed:
+    """Listens to an autopilot, and asks it for what a flight needs. Stamps are of this machine's steady clock.
+
+    Args:
+        link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
+        local: the world; None: it begins at the first good position.
+        separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+
+    Raises:
+        InputError: the link cannot be opened.
+    """
+
+    def __init__(self, link: str, local: LocalFrame | None = None, separation: float | None = None) -> None:
+        self.name = link
+        self._link = open_link(link)
+        self.events_of = TelemetryEvents(local, separation)
+        self.autopilot = Autopilot(events=self.events_of)
+        self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
+        self._samples: queue.Queue[Event] = queue.Queue()
+        self._ended = threading.Event()
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def wait_for_position(self) -> LocalFrame:
+        """Wait until the autopilot knows where it is; the world.
+
+        Raises:
+            InputError: it does not, with the reason.
+        """
+        end = time.monotonic() + PATIENCE
+        while self._samples.empty() or self.events_of.local is None:
+            if time.monotonic() > end:
+                with self.lock:
+                    heard = self.autopilot.telemetry is not None
+                why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
+                raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
+            time.sleep(READ)
+        return self.events_of.local
+
+    def events(self) -> Iterator[Event]:
+        """Rows of GPS/INS and IMU samples as they come, until `close`."""
+        while not self._ended.is_set():
+            try:
+                yield self._samples.get(timeout=READ)
+            except queue.Empty:
+                continue
+
+    def close(self) -> None:
+        """Listen no more."""
+        self._ended.set()
+        self._link.close()
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            heard = self._link.read(READ)
+            with self.lock:
+                for data in heard:
+                    self.autopilot.receive(data, time.monotonic_ns())
+                self.autopilot.tick(time.monotonic_ns())
+                out, samples = self.autopilot.pending(), self.autopilot.samples()
+            for datagram in out:
+                self._link.write(datagram)
+            for sample in samples:
+                self._samples.put(sample)
+
+
+def together(cameras: Iterator[Event], telemetry: Iterator[Event]) -> Iterator[Event]:
+    """Events of both in the order of their arrival; the end of the cameras ends it.
+
+    Raises:
+        Exception: what the cameras have failed with.
+    """
+    arrived: queue.Queue[Event | BaseException | None] = queue.Queue()
+    over = threading.Event()
+
+    def pass_on(events: Iterator[Event], last: bool) -> None:
+        try:
+            for event in events:
+                if over.is_set():
+                    return
+                arrived.put(event)
+            if last:
+                arrived.put(None)
+        except BaseException as e:
+            arrived.put(e)
+
+    threading.Thread(target=pass_on, args=(telemetry, False), daemon=True).start()
+    threading.Thread(target=pass_on, args=(cameras, True), daemon=True).start()
+    try:
+        while (event := arrived.get()) is not None:
+            if isinstance(event, BaseException):
+                raise event
+            yield event
+    finally:
+        over.set()
+
+
+def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
+    """Pictures with an autopilot's GPS/INS; the world begins where the autopilot is, if it lies nowhere yet.
+
+    Raises:
+        InputError: the source is a recording, or the autopilot gives no position.
+    """
+    source = opened.source
+    if not isinstance(source, CalibratedFolder) or not opened.real_time:
+        raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
+    feed = TelemetryFeed(link, source.local if source.georeferenced else None, separation)
+    try:
+        source.locate(feed.wait_for_position())
+    except InputError:
+        feed.close()
+        raise
+
+    def events() -> Iterator[Event]:
+        try:
+            yield from together(opened.events, feed.events())
+        finally:
+            feed.close()
+
+    return LiveSource(source, events(), True)
