@@ -245,7 +245,7 @@ def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -
     assert sum(isinstance(e, Frame) for e in found) == 12
     assert rows[-1].sigma_position is not None
     assert (rows[-1].sigma_position > 0).all()
-    first = rows[0].position_world
+    first = rows[-1].position_world
     assert first is not None
     assert np.linalg.norm(first) < 5.0
     now = time.monotonic_ns()
