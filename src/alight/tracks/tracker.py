@@ -34,10 +34,12 @@ from alight.tracks.patches import (
     FeaturePatches,
     GroundPlane,
     follow_patches,
+    median_of,
     patch_warps,
     smooth_image,
 )
 from alight.tracks.search_region import inside_search_region, pixel_covariance
+from alight.tracks.transfer_kernels import carry_points
 
 Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
@@ -128,7 +130,7 @@ class Tracker:
         found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
         pose = poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None
         ids, pixels, depth = found.ids, self._refine_in_time(soft, found, pose), found.depth
-        ids, pixels, depth = self._add_corners(image, ids, pixels, depth)
+        ids, pixels, depth = self._add_corners(soft, ids, pixels, depth)
         if pose is not None:
             self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
         observed, depth = self._match_across_rig(frame, image, soft, pixels, depth, pose)
@@ -203,7 +205,7 @@ class Tracker:
         """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
         depth = m.depth if has_depth else self._common_depth(m, image, now_from_then)
-        predicted = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], relative_covariance)
+        predicted = self._transfer(m.pixels, depth, now_from_then, 0, relative_covariance)
         if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
             s = self._settings
             shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
@@ -232,7 +234,7 @@ class Tracker:
                 small,
                 now,
                 m.pixels,
-                self._transfer(m.pixels, depth, now_from_then, camera).pixels,
+                self._transfer(m.pixels, depth, now_from_then, 0).pixels,
                 downsampling_factor(image),
                 self._settings.least_overlap,
             )
@@ -258,25 +260,26 @@ class Tracker:
         return np.asarray(found), np.asarray(ok[:, 0] > 0)
 
     def _transfer(
-        self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera, relative_covariance: F64 | None = None
+        self, pixels: F32, depth: F64, other_from_first: Pose, other: int, relative_covariance: F64 | None = None
     ) -> PredictedPixels:
         """Project pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
-        has_depth = np.isfinite(depth)
-        z = np.where(has_depth, depth, np.median(depth[has_depth]) if has_depth.any() else 1e6)
+        has_depth, s, n = np.isfinite(depth), self._settings, len(pixels)
+        common = median_of(depth[has_depth], 1e6)
+        z = np.where(has_depth, depth, common)
+        moved, out = np.empty((n, 3)), np.empty((n, 2))
         flat = self._lenses[0].normalise(pixels.astype(np.float64))
-        points = np.column_stack([flat, np.ones(len(flat))]) * z[:, None]
-        moved = other_from_first.apply(points)
-        out = other.project(moved).astype(np.float32)
-        relative_sigma = np.where(
-            has_depth,
-            self._settings.depth_sigma_px
-            / np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), self._settings.depth_parallax_px),
-            self._settings.unknown_depth_share,
-        )
-        by_depth = (points * relative_sigma[:, None]) @ other_from_first.rotation.T
-        covariance = pixel_covariance(moved, by_depth, other.fu, relative_covariance) if has_depth.any() else None
+        R, t, lens = other_from_first.rotation, other_from_first.translation, self._lenses[other]
+        carry_points(flat, z, R, t, lens.pinhole, lens.model, lens.coefficients, moved, out)
         there = np.where(has_depth, moved[:, 2], np.nan)
-        return PredictedPixels(np.where(np.isfinite(out), out, pixels), there, covariance)
+        predicted = np.where(np.isfinite(out), out, pixels).astype(np.float32)
+        if not has_depth.any():
+            return PredictedPixels(predicted, there)
+        parallax = np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), s.depth_parallax_px)
+        relative_sigma = np.where(has_depth, s.depth_sigma_px / parallax, s.unknown_depth_share)
+        by_depth = (moved - t) * relative_sigma[:, None]
+        return PredictedPixels(
+            predicted, there, pixel_covariance(moved, by_depth, self._cameras[other].fu, relative_covariance)
+        )
 
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
@@ -324,9 +327,9 @@ class Tracker:
         camera = self._cameras[0]
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
-    def _add_corners(self, image: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
+    def _add_corners(self, soft: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
         border = self._settings.window_px // 2 + BORDER // 2  # patches need their whole window
-        new = detect_corners(image, pixels, self._cell, self._settings.texture, border)
+        new = detect_corners(soft, pixels, self._cell, self._settings.texture, border)
         fresh = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
         return (
@@ -356,7 +359,7 @@ class Tracker:
     ) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
-        predicted, soft_right = self._transfer(pixels, depth, pose, camera), smooth_image(right)
+        predicted, soft_right = self._transfer(pixels, depth, pose, i), smooth_image(right)
         expected = bool(np.isfinite(depth).any())
         matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
         if expected and self._is_close(i):
@@ -394,7 +397,8 @@ class Tracker:
         patched = patches.select(good[patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
         ground, which = GroundPlane.under(pose @ to_first if pose is not None else None, depth), np.zeros_like(at)
-        warps = patch_warps(found[at], self._lenses[i], [to_first], which, ground, patched.pixels, self._lenses[0])
+        views = to_first.rotation[None], to_first.translation[None]
+        warps = patch_warps(found[at], self._lenses[i], views, which, ground, patched.pixels, self._lenses[0])
         out = found.copy()
         limit = None if reach is None else reach[at]
         out[at], good[at] = patched.locate(right, found[at], warps, self._settings, limit)
