@@ -51,6 +51,7 @@ from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral
+from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
     ImuSample,
@@ -350,13 +351,16 @@ class MotionFilter:
                 "motion: found again, in map %d: the way from the poses before is known by GPS/INS only", m.map_number
             )
         m.lost = judged is MotionState.LOST
-        rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
+        rig, rows = Pose(state.rig, state.core[POS]), POSITION_FIRST[:, None]
         return Motion(
             stamp_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
             moment_in_world(
-                state.P[np.ix_(order, order)], state.P[order, OFFSET], state.core[OFFSET], state.P[OFFSET, OFFSET]
+                state.P[rows, POSITION_FIRST],
+                state.P[POSITION_FIRST, OFFSET],
+                state.core[OFFSET],
+                state.P[OFFSET, OFFSET],
             ),
             state.core[VEL].copy(),
             judged,
