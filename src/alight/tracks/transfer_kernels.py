@@ -75,3 +75,33 @@ def pixel_covariances(points: F64, by_depth: F64, focal: float, root: F64, out: 
             u, v = w * (dx - x / z * dz), w * (dy - y / z * dz)
             xx, xy, yy = xx + u * u, xy + u * v, yy + v * v
         out[n, 0, 0], out[n, 0, 1], out[n, 1, 0], out[n, 1, 1] = xx, xy, xy, yy
+
+
+@kernel
+def triangulate_matches(first: F64, other: F64, R: F64, t: F64, inverse_depth: F64, arm: F64) -> None:
+    """Write the inverse depth of (N, 2) normalised matches, and the length of its derivative's inverse (M2).
+
+    Args:
+        first, other: (N, 2).
+        R, t: (3, 3), (3,) other_from_first.
+        inverse_depth, arm: (N,) out.
+    """
+    for n in range(len(first)):
+        x, y, u, v = first[n, 0], first[n, 1], other[n, 0], other[n, 1]
+        a = R[0, 0] * x + R[0, 1] * y + R[0, 2]
+        b = R[1, 0] * x + R[1, 1] * y + R[1, 2]
+        c = R[2, 0] * x + R[2, 1] * y + R[2, 2]
+        p, q, r = t[1] - t[2] * v, t[2] * u - t[0], t[0] * v - t[1] * u  # t x (u, v, 1)
+        square = max(p * p + q * q + r * r, 1e-18) if p == p and q == q else np.nan
+        inverse_depth[n] = -((b - c * v) * p + (c * u - a) * q + (a * v - b * u) * r) / square
+        arm[n] = math.sqrt(square)
+
+
+@kernel
+def line_distances(first: F64, other: F64, E: F64, out: F64) -> None:
+    """Write the (N,) distance of `other` from the epipolar line of `first` by the essential matrix (M3)."""
+    for n in range(len(first)):
+        x, y = first[n, 0], first[n, 1]
+        a, b = E[0, 0] * x + E[0, 1] * y + E[0, 2], E[1, 0] * x + E[1, 1] * y + E[1, 2]
+        c = E[2, 0] * x + E[2, 1] * y + E[2, 2]
+        out[n] = abs(a * other[n, 0] + b * other[n, 1] + c) / max(math.hypot(a, b), 1e-12)

@@ -223,17 +223,6 @@ class FilterState:
         mirror_lower(self.P)
         self._apply(half @ dtrsm(1.0, U, residual[:, None], trans_a=1)[:, 0])
 
-    def update(self, residual: F64, H: F64, noise: F64) -> None:
-        """EKF update by a measurement `residual = H error + noise` of the core's errors.
-
-        Args:
-            residual: (m,)
-            H: (m, CORE).
-            noise: (m,) variances.
-        """
-        unit = 1.0 / np.sqrt(noise)
-        self.correct(residual * unit, H * unit[:, None], slice(0, CORE))
-
     def _apply(self, error: F64) -> None:
         """Add (n,) errors to the nominal values."""
         R = np.empty((1, 3, 3))
