@@ -26,10 +26,11 @@ def smooth_image(image: U8) -> U8:
     return np.asarray(cv2.GaussianBlur(image, (3, 3), _BLUR))
 
 
-def median_of(values: F64, otherwise: float) -> float:
-    """Return the (upper) median of (N,) values, in a tenth of the time of `np.median`; another number of none."""
-    middle = len(values) // 2
-    return float(np.partition(values, middle)[middle]) if len(values) else otherwise
+def median_depth(depth: F64, otherwise: float) -> float:
+    """Return the (upper) median of the known of (N,) depths, in a tenth of the time of `np.median`; or another one."""
+    known = depth[np.isfinite(depth)]
+    middle = len(known) // 2
+    return float(np.partition(known, middle)[middle]) if len(known) else otherwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class GroundPlane:
     def under(cls, pose: Pose | None, depth: F64) -> GroundPlane:
         """Return the ground under a camera at `pose` (world_from_cam; None: across the view); NaN depth = unknown."""
         up = pose.rotation[2] if pose is not None else np.array([0.0, 0.0, -1.0])
-        return cls(up, median_of(depth[np.isfinite(depth)], _NO_DEPTH))
+        return cls(up, median_depth(depth, _NO_DEPTH))
 
 
 def patch_warps(

@@ -21,9 +21,6 @@ from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import (
     TURNS,
     common_shift,
-    downsampled,
-    downsampling_factor,
-    image_correlation,
     match_brightness,
     relocate,
     warp_affine,
@@ -34,12 +31,11 @@ from alight.tracks.patches import (
     FeaturePatches,
     GroundPlane,
     follow_patches,
-    median_of,
     patch_warps,
     smooth_image,
 )
-from alight.tracks.search_region import inside_search_region, pixel_covariance
-from alight.tracks.transfer_kernels import carry_points
+from alight.tracks.search_region import inside_search_region
+from alight.tracks.view_transfer import PredictedPixels, ViewTransfer
 
 Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
@@ -67,20 +63,6 @@ class _LastExposure:
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedPixels:
-    """Predicted pixels of features, where the search starts."""
-
-    pixels: F32  # (N, 2)
-    depth: F64  # (N,) m in that view, NaN = unknown
-    covariance: F64 | None = None  # (N, 2, 2) px^2 of the prediction; None: unknown
-
-    def select(self, which: I64) -> PredictedPixels:
-        """Return the predictions of some features."""
-        covariance = None if self.covariance is None else self.covariance[which]
-        return PredictedPixels(self.pixels[which], self.depth[which], covariance)
-
-
-@dataclass(frozen=True, eq=False)
 class _Found:
     """Features found again in the present exposure."""
 
@@ -99,10 +81,7 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
-        baselines = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
-        self._rig_baseline_px = max(
-            [b for b in baselines if b > 0], default=np.inf
-        )  # m px: over the depth, the disparity
+        self._views = ViewTransfer(self._cameras, self._lenses, self._cam_from_first, settings)
         self._anchors = AnchorPatches(self._lenses[0], settings.patch_span * self._cameras[0].width, settings)
         # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
         self._prediction_error = [np.inf] * len(rig.cameras)
@@ -160,7 +139,11 @@ class Tracker:
             other = self._match_in_time(m, image, anywhere)
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= oldest_per_cell(m.ids, pixels, good, self._cell, self._settings.most_in_cell)
-        depth = self._updated_depths(m, pixels, now_from_then) if now_from_then is not None else m.depth
+        depth = (
+            self._views.updated_depths(m.pixels, pixels, m.depth, now_from_then)
+            if now_from_then is not None
+            else m.depth
+        )
         return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
 
     def _is_close(self, cam: int) -> bool:
@@ -204,8 +187,8 @@ class Tracker:
     ) -> PredictedPixels:
         """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
-        depth = m.depth if has_depth else self._common_depth(m, image, now_from_then)
-        predicted = self._transfer(m.pixels, depth, now_from_then, 0, relative_covariance)
+        depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
+        predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
         if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
             s = self._settings
             shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
@@ -218,39 +201,6 @@ class Tracker:
         then, start = warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
 
-    def _common_depth(self, m: _LastExposure, image: U8, now_from_then: Pose) -> F64:
-        """Return one depth for all features when none is known: that of the best correlation of the images (M1c).
-
-        A single camera needs it between photos, where features move by more than a search covers.
-        """
-        baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
-        least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
-        shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
-        if baseline * camera.fu < least:
-            return m.depth
-        small, now = downsampled(m.image), downsampled(image)
-        scores = [
-            image_correlation(
-                small,
-                now,
-                m.pixels,
-                self._transfer(m.pixels, depth, now_from_then, 0).pixels,
-                downsampling_factor(image),
-                self._settings.least_overlap,
-            )
-            for depth in (np.full(len(m.ids), baseline / s) for s in shifts)
-        ]
-        return np.full(len(m.ids), baseline / shifts[int(np.argmax(scores))])
-
-    def _updated_depths(self, m: _LastExposure, pixels: F32, now_from_then: Pose) -> F64:
-        """Return depths in the present view: by parallax where it suffices, else the old depths moved on."""
-        camera = self._cameras[0]
-        then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (m.pixels, pixels))
-        w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), m.depth)
-        points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
-        return np.asarray(now_from_then.apply(points)[:, 2])
-
     def _lucas_kanade(self, a: U8, b: U8, pixels: F32, predicted: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
         options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": stop}
@@ -258,28 +208,6 @@ class Tracker:
             a, b, pixels, predicted.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
         return np.asarray(found), np.asarray(ok[:, 0] > 0)
-
-    def _transfer(
-        self, pixels: F32, depth: F64, other_from_first: Pose, other: int, relative_covariance: F64 | None = None
-    ) -> PredictedPixels:
-        """Project pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
-        has_depth, s, n = np.isfinite(depth), self._settings, len(pixels)
-        common = median_of(depth[has_depth], 1e6)
-        z = np.where(has_depth, depth, common)
-        moved, out = np.empty((n, 3)), np.empty((n, 2))
-        flat = self._lenses[0].normalise(pixels.astype(np.float64))
-        R, t, lens = other_from_first.rotation, other_from_first.translation, self._lenses[other]
-        carry_points(flat, z, R, t, lens.pinhole, lens.model, lens.coefficients, moved, out)
-        there = np.where(has_depth, moved[:, 2], np.nan)
-        predicted = np.where(np.isfinite(out), out, pixels).astype(np.float32)
-        if not has_depth.any():
-            return PredictedPixels(predicted, there)
-        parallax = np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), s.depth_parallax_px)
-        relative_sigma = np.where(has_depth, s.depth_sigma_px / parallax, s.unknown_depth_share)
-        by_depth = (moved - t) * relative_sigma[:, None]
-        return PredictedPixels(
-            predicted, there, pixel_covariance(moved, by_depth, self._cameras[other].fu, relative_covariance)
-        )
 
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
@@ -359,7 +287,7 @@ class Tracker:
     ) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
-        predicted, soft_right = self._transfer(pixels, depth, pose, i), smooth_image(right)
+        predicted, soft_right = self._views.predicted(pixels, depth, pose, i), smooth_image(right)
         expected = bool(np.isfinite(depth).any())
         matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
         if expected and self._is_close(i):
