@@ -1,10 +1,10 @@
-"""How fast tracker and filter are on two threads, as `alight.runner.live` runs them."""
+"""What navigation costs: in turn on one core by its CPU time, and how fast it is on two threads by the clock."""
 
 from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from threading import Thread
@@ -16,11 +16,13 @@ from motion_common import DATA, Row, recording, say
 
 from alight.arrays import U8
 from alight.motion.ekf.prediction import MotionPredictor
-from alight.pipeline.navigation import FilterLane, FrameBatch, TrackedFrame
+from alight.pipeline.navigation import FilterLane, FrameBatch, Navigation
+from alight.records import Event, Rig
 from alight.runner.live.mailbox import Closed, Mailbox
-from alight.settings import load_settings
+from alight.settings import StageSettings, load_settings
 
 T = TypeVar("T")
+_SKIPPED = 5  # exposures at the start, when nothing is tracked yet
 
 
 class Meter:
@@ -42,42 +44,75 @@ class Meter:
 
 
 def part_speed(_: argparse.Namespace) -> None:
-    """Tracker and filter on two threads over the sample flight, 640x480 stereo, by the CPU time of each thread.
-
-    CPU time does not mind neighbours much; the yardstick tells how much. GPS/INS and IMU rows come 20 and 200 times a
-    second whatever the frame rate: they are taken off the filter's second first.
-    """
+    """Tracker and filter over the sample flight, 640x480 stereo, and OpenCV's optical flow on the same images."""
     settings = load_settings("", ["tuning.tracks.count=140", "tuning.filter.smooth=false"])
     source = recording(DATA / "sample", settings)
     if source is None:
         return
-    events = list(source.events())
+    events, stages = list(source.events()), settings.stages(source.imu_noise)
     cv2.setNumThreads(1)
-    predictions = Mailbox[MotionPredictor | None](4)
-    lane = FilterLane(source.rig, settings.stages(source.imu_noise), False, predictions)
-    track, see, hear = Meter(), Meter(), Meter()
-    counts, flow, before = list[int](), Meter(), list[U8]()
-    boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)
+    _in_turn(source.rig, stages, events)  # warm
+    _say_in_turn(source.rig, stages, events)
+    say(Row("frames a second, two threads by the clock, on this machine now", _threaded(source.rig, stages, events)))
 
-    def yardstick(tracked: TrackedFrame) -> None:
-        """What OpenCV takes on the same thread at the same time."""
+
+def _in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> tuple[dict[str, Meter], list[int]]:
+    """One pass in turn: every exposure is followed by the yardstick, so that both see the machine alike."""
+    lane, before, counts = FilterLane(rig, stages, history=False), list[U8](), list[int]()
+    parts = {name: Meter() for name in ("rows", "tracking", "filter", "posterior", "yardstick")}
+    posterior: Callable[[Navigation], object] = lambda n: n.posterior  # noqa: E731
+    for e in events:
+        batch = lane.batch(e)
+        if batch is None or batch.frame is None or batch.frame.images[0] is None:
+            continue
+        parts["rows"].on(lane.hear)(batch)
+        tracked = parts["tracking"].on(lane.track)(batch)
+        assert tracked is not None
+        navigation = parts["filter"].on(lane.update)(tracked)
+        if navigation is not None:
+            parts["posterior"].on(posterior)(navigation)
         counts.append(len(tracked.tracks.ids))
-        if tracked.frame.images[0] is not None:
-            before.append(cv2.cvtColor(tracked.frame.images[0], cv2.COLOR_RGB2GRAY))
-            corners = cv2.goodFeaturesToTrack(before[0], 200, 1e-3, 25)
-            flow.on(cv2.calcOpticalFlowPyrLK)(before[0], before[-1], corners, None)
-            del before[:-1]
+        before.append(cv2.cvtColor(batch.frame.images[0], cv2.COLOR_RGB2GRAY))
+        corners = cv2.goodFeaturesToTrack(before[0], 200, 1e-3, 25)
+        parts["yardstick"].on(cv2.calcOpticalFlowPyrLK)(before[0], before[-1], corners, None)
+        del before[:-1]
+    return parts, counts
+
+
+def _say_in_turn(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> None:
+    parts, counts = _in_turn(rig, stages, events)
+    ms = {name: np.array(m.ms[_SKIPPED:]) for name, m in parts.items()}
+    yard, both = float(ms["yardstick"].mean()), ms["tracking"] + ms["filter"]
+    every = both + ms["rows"]
+    say(
+        Row(f"tracking and filter over the yardstick, {np.mean(counts):.0f} tracks", both.mean() / yard, 4.0, 2.5),
+        Row("... tracking", ms["tracking"].mean() / yard),
+        Row("... filter", ms["filter"].mean() / yard),
+        Row("... GPS/INS and IMU rows that came since the exposure before", ms["rows"].mean() / yard),
+        Row("... posterior of a keyframe, in the mapping lane", ms["posterior"].mean() / yard),
+        Row("all of navigation, median", float(np.median(every)), unit="ms"),
+        Row("... 95th percentile", float(np.percentile(every, 95)), unit="ms"),
+        Row("... yardstick: cv2.calcOpticalFlowPyrLK of 200 points, 4 levels", yard, unit="ms"),
+        Row("frames a second, in turn on one core, by CPU time", 1e3 / float(every.mean()), 30, 50, least=True),
+    )
+
+
+def _threaded(rig: Rig, stages: StageSettings, events: Sequence[Event]) -> float:
+    """Frames a second by the clock, as `alight.runner.live` runs the two halves."""
+    predictions = Mailbox[MotionPredictor | None](4)
+    lane = FilterLane(rig, stages, False, predictions)
+    boxes = Mailbox[FrameBatch](2), Mailbox[Callable[[], object]](4)
+    frames = list[int]()
 
     def tracking() -> None:
-        run = track.on(lane.track)
         with suppress(Closed):
             while True:
                 batch = boxes[0].get()
-                boxes[1].put(partial(hear.on(lane.hear), batch))
-                tracked = run(batch)
+                boxes[1].put(partial(lane.hear, batch))
+                tracked = lane.track(batch)
                 if tracked is not None:
-                    yardstick(tracked)
-                    boxes[1].put(partial(see.on(lane.update), tracked))
+                    frames.append(tracked.frame.t_ns)
+                    boxes[1].put(partial(lane.update, tracked))
         boxes[1].close()
         predictions.close()
 
@@ -97,18 +132,4 @@ def part_speed(_: argparse.Namespace) -> None:
     boxes[0].close()
     for t in threads:
         t.join()
-    frames = len(counts)
-    wall, yard = frames / (time.perf_counter() - begin), float(np.median(flow.ms))
-    a, b, left = float(np.median(track.ms)), float(np.mean(see.ms)), 1.0 - sum(hear.ms) / (100.0 * frames)
-    name = f"frames a second, {np.mean(counts):.0f} tracks:"
-    say(
-        Row(f"{name} two threads, the slower one by its CPU time", min(1e3 / a, 1e3 * left / b), 50, 100, least=True),
-        Row(f"{name} in turn on one core", 1e3 * left / (a + b)),
-        Row(f"{name} two threads by the clock, on this machine now", wall),
-        Row("... tracking a frame", a, unit="ms"),
-        Row("... filter a frame", b, unit="ms"),
-        Row("... GPS/INS and IMU rows a second", 1e3 * (1.0 - left), unit="ms"),
-        Row("... yardstick: cv2.calcOpticalFlowPyrLK of 200 points, 4 levels", yard, unit="ms"),
-        Row("... tracking a frame over the yardstick", a / yard),
-        Row("... filter a frame over the yardstick", b / yard),
-    )
+    return len(frames) / (time.perf_counter() - begin)

@@ -120,7 +120,13 @@ def test_turns_are_those_of_the_ground(tilt: float) -> None:
         return camera.project(then_from_here.apply(rays * depth[:, None]))
 
     found = patch_warps(
-        pixels, Lens(camera), [then_from_here], np.zeros(3, np.int64), below, there(pixels), Lens(camera)
+        pixels,
+        Lens(camera),
+        (then_from_here.rotation[None], then_from_here.translation[None]),
+        np.zeros(3, np.int64),
+        below,
+        there(pixels),
+        Lens(camera),
     )
     for k, step in enumerate(np.eye(2)):
         wanted = (there(pixels + step) - there(pixels - step)) / 2

@@ -110,6 +110,25 @@ def pose_distances(own: F64, V: F64, b: F64, misfit: F64, P: F64, out: F64) -> N
 
 
 @kernel
+def solve_pivoted(L: F64, pivots: I64, b: F64, residual: F64, rows: F64) -> None:
+    """Write residual and rows of unit noise out of the factor of a Cholesky decomposition with pivots.
+
+    Args:
+        L: (n, n) lower factor of the matrix with its rows and columns in the order of the pivots.
+        pivots: (n,) from 1, as LAPACK counts.
+        b: (n,) right side.
+        residual: (m,) out, L' residual = b. rows: (m, n) zero, out: L' in the order of the unknowns.
+    """
+    for r in range(len(residual)):
+        value = b[pivots[r] - 1]
+        for i in range(r):
+            value -= L[r, i] * residual[i]
+        residual[r] = value / L[r, r]
+        for c in range(r, len(b)):
+            rows[r, pivots[c] - 1] = L[c, r]
+
+
+@kernel
 def largest_eigenvalues(A: F64, out: F64) -> None:
     """Write the largest eigenvalue of each of (N, 3, 3) symmetric matrices (trigonometric formula)."""
     for n in range(len(A)):

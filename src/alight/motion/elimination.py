@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.linalg.lapack import dpstrf, dtrtrs
+from scipy.linalg.lapack import dpstrf
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
@@ -18,6 +18,7 @@ from alight.motion.constraint_kernels import (
     largest_eigenvalues,
     misfits_at,
     pose_distances,
+    solve_pivoted,
     sum_information,
 )
 from alight.motion.observations import WindowObservations, WindowPoses, cameras_at
@@ -103,10 +104,9 @@ def unit_noise_rows(A: F64, b: F64) -> tuple[F64, F64]:
     Cholesky with pivots: information below 1e-10 of the largest is rounding (a tenth of the time of eigenvectors).
     """
     R, pivots, rank, _ = dpstrf(A, tol=1e-10 * max(float(A.diagonal().max()), 1e-300))
-    order = pivots - 1
-    rows = np.zeros((rank, len(b)))
-    rows[:, order] = np.triu(R)[:rank]
-    return dtrtrs(R[:rank, :rank], b[order[:rank]], trans=1)[0], rows
+    residual, rows = np.empty(rank), np.zeros((rank, len(b)))
+    solve_pivoted(R.T, pivots.astype(np.int64), b, residual, rows)
+    return residual, rows
 
 
 def largest_sigma(covariance: F64) -> F64:

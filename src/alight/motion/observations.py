@@ -12,7 +12,7 @@ import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
-from alight.motion.rotation_kernels import move_poses
+from alight.motion.rotation_kernels import move_poses, place_cameras
 
 
 def positions(ascending: I64, ids: I64) -> I64:
@@ -96,6 +96,7 @@ def cameras_at(R: F64, p: F64, cams: Sequence[Pose]) -> tuple[F64, F64]:
         R, p: (K, 3, 3), (K, 3) world_from_rig.
         cams: rig_from_cam.
     """
-    rotations = np.array([c.rotation for c in cams])
-    translations = np.array([c.translation for c in cams])
-    return R[:, None] @ rotations, (R[:, None] @ translations[..., None])[..., 0] + p[:, None]
+    rotations, centres = np.empty((len(R), len(cams), 3, 3)), np.empty((len(R), len(cams), 3))
+    for i, cam in enumerate(cams):
+        place_cameras(R, p, cam.rotation, cam.translation, rotations[:, i], centres[:, i])
+    return rotations, centres

@@ -47,3 +47,20 @@ def move_poses(R: F64, p: F64, error: F64, moved_R: F64, moved_p: F64) -> None:
         multiply(turn, R[k], moved_R[k])
         for i in range(3):
             moved_p[k, i] = p[k, i] + e[3 + i]
+
+
+@kernel
+def place_cameras(R: F64, p: F64, rotation: F64, translation: F64, out_R: F64, out_p: F64) -> None:
+    """Write the poses of one camera at K poses of its rig.
+
+    Args:
+        R, p: (K, 3, 3), (K, 3) world_from_rig.
+        rotation, translation: (3, 3), (3,) rig_from_cam.
+        out_R, out_p: out, world_from_cam.
+    """
+    for k in range(R.shape[0]):
+        multiply(R[k], rotation, out_R[k])
+        for i in range(3):
+            out_p[k, i] = p[k, i]
+            for j in range(3):
+                out_p[k, i] += R[k, i, j] * translation[j]

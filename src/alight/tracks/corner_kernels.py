@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from alight.arrays import F32, F64, I16, I32, I64
-from alight.compiled import inline, kernel
+from alight.arrays import F32, F64, I64, U8
+from alight.compiled import inline, kernel, sum_kernel
 
 _GREY = 4.0 * 255.0  # of a Sobel gradient: what cv2.cornerMinEigenVal divides by
 
@@ -22,84 +22,147 @@ def _mirror(i: int, n: int) -> int:
 
 
 @kernel
-def corner_responses(gx: I16, gy: I16, pixels: F32, window: int, out: F64) -> None:
+def _copy_box(image: U8, top: int, left: int, rows: int, cols: int, grey: F32) -> None:
+    """Copy a rectangle row by row.
+
+    Single precision: products of gradients are whole numbers that it holds, and the compiler makes integers twice as
+    wide. The loops that follow run over all rows at once, because loops over one row are too short for vectors.
+    """
+    for r in range(rows):
+        line, out = image[top + r, left : left + cols], grey[r * cols : (r + 1) * cols]
+        for c in range(cols):
+            out[c] = line[c]
+
+
+@kernel
+def _mirrored_products(image: U8, top: int, left: int, window: int, xx: F32, xy: F32, yy: F32) -> None:
+    """As `_gradient_products` for a window that leaves the image: gradients are mirrored at the edge."""
+    h, w = image.shape
+    for r in range(window):
+        y = _mirror(top + r, h)
+        above, here, below = image[_mirror(y - 1, h)], image[y], image[_mirror(y + 1, h)]
+        for c in range(window):
+            x, k = _mirror(left + c, w), r * (window + 2) + c
+            i, j = _mirror(x - 1, w), _mirror(x + 1, w)
+            gx = int(above[j]) - int(above[i]) + 2 * (int(here[j]) - int(here[i])) + int(below[j]) - int(below[i])
+            gy = int(below[i]) - int(above[i]) + 2 * (int(below[x]) - int(above[x])) + int(below[j]) - int(above[j])
+            xx[k], xy[k], yy[k] = gx * gx, gx * gy, gy * gy
+
+
+@kernel
+def _gradient_products(grey: F32, count: int, cols: int, xx: F32, xy: F32, yy: F32) -> None:
+    """Write the products of the Sobel gradients at the pixels one row and one column on, `count` of them.
+
+    The last two columns of each row mix two rows: they hold nothing.
+    """
+    above, here, below = grey, grey[cols:], grey[2 * cols :]
+    for i in range(count):
+        rise, fall = below[i + 2] - above[i], below[i] - above[i + 2]
+        across, down = here[i + 2] - here[i], below[i + 1] - above[i + 1]
+        gx, gy = rise - fall + across + across, rise + fall + down + down
+        xx[i], xy[i], yy[i] = gx * gx, gx * gy, gy * gy
+
+
+@sum_kernel
+def _weighted_sum(values: F32, weights: F32, count: int) -> float:
+    """The sum of weighted values."""
+    total = np.float32(0.0)
+    for i in range(count):
+        total += values[i] * weights[i]
+    return float(total)
+
+
+@kernel
+def corner_responses(image: U8, pixels: F32, window: int, out: F64) -> None:
     """Write the Shi-Tomasi response a pixel over the window about each of (N, 2) pixels, mirrored at the edge.
 
     Args:
-        gx, gy: (H, W) Sobel gradients.
+        image: (H, W) grey.
+        pixels: (N, 2) column and row; outside, the edge is taken.
+        window: px, side.
         out: (N,), grey range 1.
     """
-    h, w = gx.shape
-    low = window // 2
+    h, w = image.shape
+    side, low, unit = window + 2, window // 2, 1.0 / (window * window * _GREY * _GREY)
+    count = side * window - 2
+    grey, weights = np.empty(side * side, np.float32), np.zeros(side * window, np.float32)
+    p = np.zeros((3, side * side), np.float32)
+    for r in range(window):
+        weights[r * side : r * side + window] = 1.0
     for k in range(pixels.shape[0]):
         x = min(max(int(np.rint(pixels[k, 0])), 0), w - 1)
         y = min(max(int(np.rint(pixels[k, 1])), 0), h - 1)
-        xx, xy, yy = 0, 0, 0
-        inside = x >= low and x + window - low <= w
-        for dy in range(-low, window - low):
-            row = _mirror(y + dy, h)
-            for dx in range(-low, window - low):
-                col = x + dx if inside else _mirror(x + dx, w)
-                a, b = int(gx[row, col]), int(gy[row, col])
-                xx += a * a
-                xy += a * b
-                yy += b * b
-        unit = 1.0 / (window * window * _GREY * _GREY)
-        out[k] = _min_eigenvalue(xx * unit, xy * unit, yy * unit)
+        top, left = y - low, x - low
+        if top >= 1 and left >= 1 and top + window < h and left + window < w:
+            _copy_box(image, top - 1, left - 1, side, side, grey)
+            _gradient_products(grey, count, side, p[0], p[1], p[2])
+        else:
+            _mirrored_products(image, top, left, window, p[0], p[1], p[2])
+        xx, xy = _weighted_sum(p[0], weights, count), _weighted_sum(p[1], weights, count)
+        out[k] = _min_eigenvalue(xx * unit, xy * unit, _weighted_sum(p[2], weights, count) * unit)
 
 
 @kernel
-def _column_sums(gx: I16, gy: I16, row: int, left: int, right: int, half: int, sums: I32) -> None:
-    """Sum the products of the gradients over a column of the window."""
-    n = right - left
-    xx, xy, yy = sums[0, :n], sums[1, :n], sums[2, :n]
-    xx[:], xy[:], yy[:] = 0, 0, 0
-    for v in range(row - half, row + half + 1):
-        a, b = gx[v, left:right], gy[v, left:right]
-        for u in range(n):
-            p, q = np.int32(a[u]), np.int32(b[u])
-            xx[u] += p * p
-            xy[u] += p * q
-            yy[u] += q * q
+def _box_sums(values: F32, count: int, cols: int, window: int, sums: F32) -> None:
+    """Sum values over the window that begins at each of the first `count` pixels, in place."""
+    for i in range(count):
+        sums[i] = values[i]
+    for v in range(1, window):
+        row = values[v * cols :]
+        for i in range(count):
+            sums[i] += row[i]
+    inner = count - window + 1
+    for i in range(inner):
+        values[i] = sums[i]
+    for u in range(1, window):
+        column = sums[u:]
+        for i in range(inner):
+            values[i] += column[i]
 
 
 @kernel
-def _row_responses(sums: I32, n: int, half: int, unit: float, out: F32) -> None:
-    """Sum the column sums over the window and write the response."""
-    scale = np.float32(unit)
-    for x in range(n):
-        xx, xy, yy = np.int32(0), np.int32(0), np.int32(0)
-        for u in range(x, x + 2 * half + 1):
-            xx += sums[0, u]
-            xy += sums[1, u]
-            yy += sums[2, u]
-        a, b, c = scale * np.float32(xx), scale * np.float32(xy), scale * np.float32(yy)
-        d = np.float32(0.5) * (a - c)
-        out[x] = np.float32(0.5) * (a + c) - np.sqrt(d * d + b * b)
+def _responses(xx: F32, xy: F32, yy: F32, count: int, unit: float, out: F32) -> None:
+    """Write the smaller eigenvalue of each of `count` sums."""
+    scale, half = np.float32(unit), np.float32(0.5)
+    for i in range(count):
+        a, b, c = scale * xx[i], scale * xy[i], scale * yy[i]
+        d = half * (a - c)
+        out[i] = half * (a + c) - np.sqrt(d * d + b * b)
 
 
 @kernel
-def strongest_corners(
-    gx: I16, gy: I16, boxes: I64, taken: F32, away: float, half: int, response: F32, sums: I32, out: F64
-) -> None:
+def strongest_corners(image: U8, boxes: I64, taken: F32, away: float, half: int, out: F64) -> None:
     """Find the strongest corner of every box, at a distance from the features present.
 
     Args:
-        gx, gy: (H, W) Sobel gradients.
-        boxes: (E, 4) first row, end row, first column, end column; `half` inside the image.
+        image: (H, W) grey.
+        boxes: (E, 4) first row, end row, first column, end column; `half` + 1 inside the image.
         taken: (M, 2) pixels of present features.
         away: px, smallest distance of a corner from these.
         half: of the window that the response is summed over, less the middle.
-        response: (rows, columns) of the largest box, scratch.
-        sums: (3, columns of the largest box + 2 half), scratch.
         out: (E, 3) column, row, Shi-Tomasi response a pixel; the response is negative where there is none.
     """
-    unit = 1.0 / ((2 * half + 1) ** 2 * _GREY * _GREY)
+    window, side = 2 * half + 1, 0
+    unit = 1.0 / (window**2 * _GREY * _GREY)
+    for e in range(boxes.shape[0]):
+        side = max(side, boxes[e, 1] - boxes[e, 0], boxes[e, 3] - boxes[e, 2])
+    area = (side + window + 1) ** 2
+    grey, p, sums = np.zeros(area, np.float32), np.zeros((3, area), np.float32), np.empty(area, np.float32)
+    flat = np.empty(area, np.float32)
     for e in range(boxes.shape[0]):
         top, bottom, left, right = boxes[e]
-        for y in range(top, bottom):
-            _column_sums(gx, gy, y, left - half, right + half, half, sums)
-            _row_responses(sums, right - left, half, unit, response[y - top])
+        rows, cols = bottom - top, right - left
+        if rows <= 0 or cols <= 0:
+            out[e, 0], out[e, 1], out[e, 2] = left, top, -1.0
+            continue
+        wide = cols + window + 1
+        _copy_box(image, top - half - 1, left - half - 1, rows + window + 1, wide, grey)
+        products, count = wide * (rows + window - 1) - 2, wide * rows - 2
+        _gradient_products(grey, products, wide, p[0], p[1], p[2])
+        for i in range(3):
+            _box_sums(p[i], count, wide, window, sums)
+        _responses(p[0], p[1], p[2], count - window + 1, unit, flat)
+        response = flat[: wide * rows].reshape((rows, wide))
         for k in range(taken.shape[0]):
             for y in range(max(top, int(taken[k, 1] - away)), min(bottom, int(taken[k, 1] + away) + 2)):
                 for x in range(max(left, int(taken[k, 0] - away)), min(right, int(taken[k, 0] + away) + 2)):

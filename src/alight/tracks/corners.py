@@ -15,7 +15,7 @@ _RESPONSE_HALF = 2  # px, half side of the window of the response, without its c
 def corner_response(image: U8, pixels: F32, window_px: int) -> F64:
     """Return the (N,) Shi-Tomasi response a pixel over the SSD window: the sharpness of the minimum of the SSD."""
     out = np.empty(len(pixels))
-    corner_responses(*cv2.spatialGradient(image), np.asarray(pixels, dtype=np.float32), window_px, out)
+    corner_responses(image, np.asarray(pixels, dtype=np.float32), window_px, out)
     return out
 
 
@@ -35,6 +35,7 @@ def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: i
     """Return the strongest Shi-Tomasi corner of each grid cell without a feature, (N, 2) pixels.
 
     Args:
+        image: smoothed.
         taken: (M, 2) pixels of the present features; new ones keep a distance of 0.7 cells.
         cell: px, side of a cell.
         texture: smallest response.
@@ -51,8 +52,6 @@ def detect_corners(image: U8, taken: F32, cell: float, texture: float, border: i
     b = max(border, 2 * BORDER)
     boxes = np.clip(edges, b, [height - b, height - b, width - b, width - b])
     found = np.empty((len(boxes), 3))
-    gx, gy = cv2.spatialGradient(cv2.GaussianBlur(image, (3, 3), 0))
-    near, side = taken[beside[line, column] > 0], int(cell) + 2
-    response, sums = np.empty((side, side), np.float32), np.empty((3, side + 2 * _RESPONSE_HALF), np.int32)
-    strongest_corners(gx, gy, boxes, near, max(2.0, 0.7 * cell), _RESPONSE_HALF, response, sums, found)
+    near = np.ascontiguousarray(taken[beside[line, column] > 0])
+    strongest_corners(image, boxes, near, max(2.0, 0.7 * cell), _RESPONSE_HALF, found)
     return np.asarray(found[found[:, 2] > texture, :2], dtype=np.float32)

@@ -17,6 +17,9 @@ class Lens:
         u, v = np.meshgrid(np.arange(-1.0, camera.width + 1.0), np.arange(-1.0, camera.height + 1.0))
         self.table = np.ascontiguousarray(camera.rays(np.stack([u, v], axis=-1))[..., :2])
 
+        self.pinhole = np.array([camera.fu, camera.fv, camera.cu, camera.cv])  # px
+        self.model, self.coefficients = camera.code, camera.coefficients
+
     def normalise(self, pixels: F64) -> F64:
         """Return the (N, 2) normalised coordinates x/z, y/z of pixels; NaN stays NaN, outside at the edge."""
         out = np.empty((len(pixels), 2))

@@ -5,11 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from alight.arrays import F32, F64, Mask
-
-# (3, 3, 3): points @ [i] is the i-th coordinate of the motion of points by rotations about each axis
-_GENERATORS = np.array(
-    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]], float
-)
+from alight.tracks.transfer_kernels import pixel_covariances
 
 
 def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covariance: F64 | None) -> F64:
@@ -21,21 +17,13 @@ def pixel_covariance(points: F64, by_depth: F64, focal: float, relative_covarian
         focal: px.
         relative_covariance: (6, 6) of the rotation and shift of all points in that camera; None: exact.
     """
-    along = _pixel_motion(points, by_depth[:, :, None], focal)[..., 0]
-    out = along[:, :, None] * along[:, None, :]
-    if relative_covariance is None:
-        return np.asarray(out)
-    value, vector = np.linalg.eigh(relative_covariance)
-    root = vector * np.sqrt(np.maximum(value, 0.0))
-    moves = points @ _GENERATORS @ root[:3] + root[3:, None]  # (3, N, 6) of the points, in the camera
-    by_change = _pixel_motion(points, moves.transpose(1, 0, 2), focal)
-    return np.asarray(out + by_change @ by_change.transpose(0, 2, 1))
-
-
-def _pixel_motion(points: F64, moves: F64, focal: float) -> F64:
-    """(N, 2, M) px of (N, 3, M) motions of (N, 3) points."""
-    z = np.maximum(points[:, 2, None], 1e-9)
-    return np.asarray(focal / z[..., None] * (moves[:, :2] - (points[:, :2] / z)[..., None] * moves[:, 2:]))
+    root = np.zeros((6, 0))
+    if relative_covariance is not None:
+        value, vector = np.linalg.eigh(relative_covariance)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+    out = np.empty((len(points), 2, 2))
+    pixel_covariances(points, by_depth, focal, root, out)
+    return out
 
 
 def inside_search_region(offset: F32 | F64, covariance: F64, sigmas: float, least: float) -> Mask:

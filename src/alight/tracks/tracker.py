@@ -21,9 +21,6 @@ from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import (
     TURNS,
     common_shift,
-    downsampled,
-    downsampling_factor,
-    image_correlation,
     match_brightness,
     relocate,
     warp_affine,
@@ -37,7 +34,8 @@ from alight.tracks.patches import (
     patch_warps,
     smooth_image,
 )
-from alight.tracks.search_region import inside_search_region, pixel_covariance
+from alight.tracks.search_region import inside_search_region
+from alight.tracks.view_transfer import PredictedPixels, ViewTransfer
 
 Poses = tuple[Pose, ...]
 Stop = tuple[int, int, float]
@@ -65,20 +63,6 @@ class _LastExposure:
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedPixels:
-    """Predicted pixels of features, where the search starts."""
-
-    pixels: F32  # (N, 2)
-    depth: F64  # (N,) m in that view, NaN = unknown
-    covariance: F64 | None = None  # (N, 2, 2) px^2 of the prediction; None: unknown
-
-    def select(self, which: I64) -> PredictedPixels:
-        """Return the predictions of some features."""
-        covariance = None if self.covariance is None else self.covariance[which]
-        return PredictedPixels(self.pixels[which], self.depth[which], covariance)
-
-
-@dataclass(frozen=True, eq=False)
 class _Found:
     """Features found again in the present exposure."""
 
@@ -97,10 +81,7 @@ class Tracker:
         self._lenses = [Lens(c) for c in self._cameras]
         first = rig.cameras[0].body_from_cam
         self._cam_from_first = [c.body_from_cam.inverse @ first for c in rig.cameras]
-        baselines = [float(np.linalg.norm(p.translation)) * self._cameras[0].fu for p in self._cam_from_first[1:]]
-        self._rig_baseline_px = max(
-            [b for b in baselines if b > 0], default=np.inf
-        )  # m px: over the depth, the disparity
+        self._views = ViewTransfer(self._cameras, self._lenses, self._cam_from_first, settings)
         self._anchors = AnchorPatches(self._lenses[0], settings.patch_span * self._cameras[0].width, settings)
         # px, 90th percentile of the last matches: in time for camera 0, across the rig for others
         self._prediction_error = [np.inf] * len(rig.cameras)
@@ -128,7 +109,7 @@ class Tracker:
         found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
         pose = poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None
         ids, pixels, depth = found.ids, self._refine_in_time(soft, found, pose), found.depth
-        ids, pixels, depth = self._add_corners(image, ids, pixels, depth)
+        ids, pixels, depth = self._add_corners(soft, ids, pixels, depth)
         if pose is not None:
             self._anchors.add_missing(soft, ids, pixels.astype(np.float64), pose)
         observed, depth = self._match_across_rig(frame, image, soft, pixels, depth, pose)
@@ -158,7 +139,11 @@ class Tracker:
             other = self._match_in_time(m, image, anywhere)
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= oldest_per_cell(m.ids, pixels, good, self._cell, self._settings.most_in_cell)
-        depth = self._updated_depths(m, pixels, now_from_then) if now_from_then is not None else m.depth
+        depth = (
+            self._views.updated_depths(m.pixels, pixels, m.depth, now_from_then)
+            if now_from_then is not None
+            else m.depth
+        )
         return _Found(m.ids[good], pixels[good], depth[good], anchored[good])
 
     def _is_close(self, cam: int) -> bool:
@@ -202,8 +187,8 @@ class Tracker:
     ) -> PredictedPixels:
         """Predict pixels from the motion; where they move far, their common error is corrected first (M1c)."""
         has_depth = bool(np.isfinite(m.depth).any())
-        depth = m.depth if has_depth else self._common_depth(m, image, now_from_then)
-        predicted = self._transfer(m.pixels, depth, now_from_then, self._cameras[0], relative_covariance)
+        depth = m.depth if has_depth else self._views.common_depth((m.image, image), m.pixels, m.depth, now_from_then)
+        predicted = self._views.predicted(m.pixels, depth, now_from_then, 0, relative_covariance)
         if np.linalg.norm(predicted.pixels - m.pixels, axis=1).mean() > self._settings.far_px:
             s = self._settings
             shift = common_shift(m.image, image, m.pixels, predicted.pixels, s.common_reach_px, s.least_overlap)
@@ -216,39 +201,6 @@ class Tracker:
         then, start = warp_affine(m.image, m.pixels, predicted.pixels)
         return self._match(then, image, start, predicted, 0, expected)
 
-    def _common_depth(self, m: _LastExposure, image: U8, now_from_then: Pose) -> F64:
-        """Return one depth for all features when none is known: that of the best correlation of the images (M1c).
-
-        A single camera needs it between photos, where features move by more than a search covers.
-        """
-        baseline, camera = float(np.linalg.norm(now_from_then.translation)), self._cameras[0]
-        least, most = 4.0 / camera.fu, 0.6 * camera.width / camera.fu  # shift, tried in steps of an eighth
-        shifts = np.geomspace(least, most, int(np.log(most / least) / self._settings.depth_step))
-        if baseline * camera.fu < least:
-            return m.depth
-        small, now = downsampled(m.image), downsampled(image)
-        scores = [
-            image_correlation(
-                small,
-                now,
-                m.pixels,
-                self._transfer(m.pixels, depth, now_from_then, camera).pixels,
-                downsampling_factor(image),
-                self._settings.least_overlap,
-            )
-            for depth in (np.full(len(m.ids), baseline / s) for s in shifts)
-        ]
-        return np.full(len(m.ids), baseline / shifts[int(np.argmax(scores))])
-
-    def _updated_depths(self, m: _LastExposure, pixels: F32, now_from_then: Pose) -> F64:
-        """Return depths in the present view: by parallax where it suffices, else the old depths moved on."""
-        camera = self._cameras[0]
-        then, now = (self._lenses[0].normalise(p.astype(np.float64)) for p in (m.pixels, pixels))
-        w, arm = inverse_depth(then, now, now_from_then)
-        z = np.where(w * arm * camera.fu > self._settings.depth_parallax_px, 1.0 / np.maximum(w, 1e-9), m.depth)
-        points = np.column_stack([then, np.ones(len(then))]) * z[:, None]
-        return np.asarray(now_from_then.apply(points)[:, 2])
-
     def _lucas_kanade(self, a: U8, b: U8, pixels: F32, predicted: F32, levels: int, stop: Stop) -> tuple[F32, Mask]:
         window = (self._settings.window_px, self._settings.window_px)
         options: dict[str, Any] = {"winSize": window, "maxLevel": levels - 1, "criteria": stop}
@@ -256,27 +208,6 @@ class Tracker:
             a, b, pixels, predicted.copy(), flags=cv2.OPTFLOW_USE_INITIAL_FLOW, **options
         )
         return np.asarray(found), np.asarray(ok[:, 0] > 0)
-
-    def _transfer(
-        self, pixels: F32, depth: F64, other_from_first: Pose, other: Camera, relative_covariance: F64 | None = None
-    ) -> PredictedPixels:
-        """Project pixels of the left camera at their depth (unknown: the median, else infinity) into another view."""
-        has_depth = np.isfinite(depth)
-        z = np.where(has_depth, depth, np.median(depth[has_depth]) if has_depth.any() else 1e6)
-        flat = self._lenses[0].normalise(pixels.astype(np.float64))
-        points = np.column_stack([flat, np.ones(len(flat))]) * z[:, None]
-        moved = other_from_first.apply(points)
-        out = other.project(moved).astype(np.float32)
-        relative_sigma = np.where(
-            has_depth,
-            self._settings.depth_sigma_px
-            / np.minimum(self._rig_baseline_px / np.maximum(z, 1e-9), self._settings.depth_parallax_px),
-            self._settings.unknown_depth_share,
-        )
-        by_depth = (points * relative_sigma[:, None]) @ other_from_first.rotation.T
-        covariance = pixel_covariance(moved, by_depth, other.fu, relative_covariance) if has_depth.any() else None
-        there = np.where(has_depth, moved[:, 2], np.nan)
-        return PredictedPixels(np.where(np.isfinite(out), out, pixels), there, covariance)
 
     def _match(
         self, a: U8, b: U8, pixels: F32, predicted: PredictedPixels, cam: int, expected: bool = False
@@ -324,9 +255,9 @@ class Tracker:
         camera = self._cameras[0]
         return float(np.sqrt(camera.width * camera.height / self._settings.count))
 
-    def _add_corners(self, image: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
+    def _add_corners(self, soft: U8, ids: I64, pixels: F32, depth: F64) -> tuple[I64, F32, F64]:
         border = self._settings.window_px // 2 + BORDER // 2  # patches need their whole window
-        new = detect_corners(image, pixels, self._cell, self._settings.texture, border)
+        new = detect_corners(soft, pixels, self._cell, self._settings.texture, border)
         fresh = np.arange(self._next_id, self._next_id + len(new))
         self._next_id += len(new)
         return (
@@ -356,7 +287,7 @@ class Tracker:
     ) -> tuple[F64, F64]:
         """Match in camera `i`, starting at the expected disparity; pixels (N, 2) and depths (N,), NaN = no match."""
         pose, camera = self._cam_from_first[i], self._cameras[i]
-        predicted, soft_right = self._transfer(pixels, depth, pose, camera), smooth_image(right)
+        predicted, soft_right = self._views.predicted(pixels, depth, pose, i), smooth_image(right)
         expected = bool(np.isfinite(depth).any())
         matched, good = predicted.pixels.astype(np.float64), np.zeros(len(pixels), bool)
         if expected and self._is_close(i):
@@ -394,7 +325,8 @@ class Tracker:
         patched = patches.select(good[patches.ids])
         to_first, at = self._cam_from_first[i].inverse, patched.ids
         ground, which = GroundPlane.under(pose @ to_first if pose is not None else None, depth), np.zeros_like(at)
-        warps = patch_warps(found[at], self._lenses[i], [to_first], which, ground, patched.pixels, self._lenses[0])
+        views = to_first.rotation[None], to_first.translation[None]
+        warps = patch_warps(found[at], self._lenses[i], views, which, ground, patched.pixels, self._lenses[0])
         out = found.copy()
         limit = None if reach is None else reach[at]
         out[at], good[at] = patched.locate(right, found[at], warps, self._settings, limit)

@@ -8,6 +8,7 @@ preintegrated IMU (Forster et al. 2017). See docs/method/motion.md.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,10 +48,12 @@ from alight.motion.ekf.state import (
     FilterState,
     moment_in_world,
 )
+from alight.motion.ekf.state_kernels import squared_distance
 from alight.motion.ekf.visual_update import VisualUpdate
-from alight.motion.gps_ins import Quantity, initial_state, measurements, rate_measurement, sigmas
+from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Preintegral
+from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
     ImuSample,
@@ -309,17 +312,28 @@ class MotionFilter:
         rows = measurements(state, sample, sigma, self._settings)
         rate = None if self._memory.inertial else rate_measurement(state, sample, self._settings)
         rows += [rate] if rate else []
-        passed = [
-            z for z in rows if self._gate.passes(z.residual, z.H @ state.P[:CORE, :CORE] @ z.H.T + np.diag(z.variance))
-        ]
-        if passed:
-            residual, H, variance = ([getattr(z, name) for z in passed] for name in ("residual", "H", "variance"))
-            state.update(np.concatenate(residual), np.concatenate(H), np.concatenate(variance))
+        passed = self._correct_by_passed(state, rows) if rows else []
         quantities = {z.quantity for z in passed}
         position = Quantity.POSITION in quantities if sample.position_world is not None else None
         rejected = self._memory.health.on_gps(sample.t_ns, position, bool(quantities - {Quantity.POSITION}))
         if rejected > _MAX_GPS_REJECTION and sample.position_world is not None:
             self._accept_jump(state, sample.position_world)
+
+    def _correct_by_passed(self, state: FilterState, rows: Sequence[NavMeasurement]) -> list[NavMeasurement]:
+        """Update by the measurements that pass their gates, each by itself; return these."""
+        H = np.concatenate([z.H for z in rows])
+        residual, unit = np.concatenate([z.residual for z in rows]), np.concatenate([z.variance for z in rows]) ** -0.5
+        residual, HP = residual * unit, (H @ state.P[:CORE]) * unit[:, None]
+        S = (HP[:, :CORE] @ H.T) * unit
+        passed, used, limit = list[NavMeasurement](), np.zeros(len(H), bool), self._gate.limit(3)
+        for i, z in enumerate(rows):
+            at = slice(3 * i, 3 * i + 3)
+            if squared_distance(residual[at], S[at, at]) <= limit:
+                passed.append(z)
+                used[at] = True
+        if passed:
+            state.correct_by(residual[used], HP[used], np.ascontiguousarray(S[used][:, used]))
+        return passed
 
     def _accept_jump(self, state: FilterState, position: F64) -> None:
         """The GPS/INS position jumped: set its slow error anew, so that the jump does not move the vehicle."""
@@ -356,13 +370,16 @@ class MotionFilter:
                 "motion: found again, in map %d: the way from the poses before is known by GPS/INS only", m.map_number
             )
         m.lost = judged is MotionState.LOST
-        rig, order = Pose(state.rig, state.core[POS]), np.r_[POS, ATT]
+        rig, rows = Pose(state.rig, state.core[POS]), POSITION_FIRST[:, None]
         return Motion(
             stamp_ns,
             Pose(state.R, state.core[POS]),
             tuple(rig @ c for c in self._cams),
             moment_in_world(
-                state.P[np.ix_(order, order)], state.P[order, OFFSET], state.core[OFFSET], state.P[OFFSET, OFFSET]
+                state.P[rows, POSITION_FIRST],
+                state.P[POSITION_FIRST, OFFSET],
+                state.core[OFFSET],
+                state.P[OFFSET, OFFSET],
             ),
             state.core[VEL].copy(),
             judged,

@@ -47,10 +47,6 @@ class Gate:
         """Return the largest squared distance that passes (chi-square)."""
         return float(self.limits(np.array([rows]))[0])
 
-    def passes(self, residual: F64, S: F64) -> bool:
-        """Whether a residual with covariance `S` is inside the gate."""
-        return bool(residual @ np.linalg.solve(S, residual) <= self.limit(len(residual)))
-
 
 @dataclass(frozen=True, eq=False)
 class LandmarkRows:

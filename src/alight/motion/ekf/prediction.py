@@ -62,9 +62,12 @@ class MotionPredictor:
         """Copy the relevant part of a state."""
         c = state.clones
         last = LastClone(c.stamps[-1], c.poses.R[-1], c.poses.p[-1]) if len(c) else None
-        rows = _CORE if last is None else np.r_[state.clone_slice(len(state.clones) - 1), _CORE]
-        P = np.zeros((CLONE + len(_CORE), CLONE + len(_CORE)))
-        P[-len(rows) :, -len(rows) :] = state.P[np.ix_(rows, rows)]
+        rows = np.concatenate([np.arange(state.landmark_start - CLONE, state.landmark_start), _CORE])
+        if last is None:
+            P = np.zeros((len(rows), len(rows)))
+            P[CLONE:, CLONE:] = state.P[_CORE[:, None], _CORE]
+        else:
+            P = state.P[rows[:, None], rows]
         return cls(state.t_ns, state.R, state.core.copy(), last, P, cams, inertial, noise)
 
     def cameras(self, stamp_ns: int, before_ns: int | None, imu: ImuBuffer) -> Prediction:

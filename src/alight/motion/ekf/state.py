@@ -16,6 +16,7 @@ from alight.arrays import F64, I64
 from alight.geometry import so3_exp
 from alight.motion.ekf.state_kernels import insert_rows, keep_rows, mirror_lower
 from alight.motion.observations import WindowPoses
+from alight.motion.rotation_kernels import move_poses
 
 ATT = slice(0, 3)  # rad, body attitude
 POS = slice(3, 6)  # m
@@ -222,24 +223,16 @@ class FilterState:
         mirror_lower(self.P)
         self._apply(half @ dtrsm(1.0, U, residual[:, None], trans_a=1)[:, 0])
 
-    def update(self, residual: F64, H: F64, noise: F64) -> None:
-        """EKF update by a measurement `residual = H error + noise` of the core's errors.
-
-        Args:
-            residual: (m,)
-            H: (m, CORE).
-            noise: (m,) variances.
-        """
-        unit = 1.0 / np.sqrt(noise)
-        self.correct(residual * unit, H * unit[:, None], slice(0, CORE))
-
     def _apply(self, error: F64) -> None:
         """Add (n,) errors to the nominal values."""
-        self.R = so3_exp(error[ATT]) @ self.R
+        R = np.empty((1, 3, 3))
+        move_poses(self.R[None], self.core[None, POS], error, R, np.empty((1, 3)))
+        self.R = R[0]
         self.core[3:] += error[3:CORE]
         self.clones = Clones(self.clones.stamps, self.clones.poses.moved(error[self.clone_rows]))
-        x = self.landmarks.x + error[self.landmark_start :].reshape(-1, LANDMARK)
-        self.landmarks = replace(self.landmarks, x=x)
+        q = self.landmarks
+        x = q.x + error[self.landmark_start :].reshape(-1, LANDMARK)
+        self.landmarks = Landmarks(q.ids, x, q.first_x, q.rejections, q.mean_residual, q.mean_square)
 
 
 def moment_in_world(covariance: F64, by_offset: F64, offset: F64, offset_covariance: F64) -> F64:

@@ -1,5 +1,7 @@
 """Covariance of the filter's errors: propagation, rows that come and go, corrections: kernels."""
 
+import math
+
 import numpy as np
 
 from alight.arrays import F64, I64
@@ -84,3 +86,22 @@ def mirror_lower(P: F64) -> None:
             for i in range(top, min(top + size, n)):
                 for j in range(left, min(left + size, i)):
                     P[j, i] = P[i, j]
+
+
+@kernel
+def squared_distance(residual: F64, S: F64) -> float:
+    """Squared Mahalanobis distance of an (m,) residual with unit noise and a covariance (m, m) without it."""
+    m, out = len(residual), 0.0
+    L, y = np.empty((m, m)), np.empty(m)
+    for r in range(m):
+        e = residual[r]
+        for s in range(r + 1):
+            value = S[r, s] + (1.0 if r == s else 0.0)
+            for i in range(s):
+                value -= L[r, i] * L[s, i]
+            L[r, s] = math.sqrt(value) if r == s else value / L[s, s]
+        for i in range(r):
+            e -= L[r, i] * y[i]
+        y[r] = e / L[r, r]
+        out += y[r] * y[r]
+    return out

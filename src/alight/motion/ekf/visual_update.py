@@ -8,7 +8,7 @@ from copy import copy
 import numpy as np
 
 from alight.arrays import F64, I64, Mask
-from alight.geometry import Camera, Pose, so3_log
+from alight.geometry import Camera, Pose
 from alight.motion.dynamics import MAX_RATE_AGE
 from alight.motion.ekf.health import GateCounts
 from alight.motion.ekf.keyframe_posterior import KeyframeWindow
@@ -17,7 +17,7 @@ from alight.motion.ekf.state import POS, FilterState
 from alight.motion.elimination import largest_sigma, marginalise_points, unit_noise_rows
 from alight.motion.observations import WindowObservations, positions
 from alight.motion.projection import observation_sigma
-from alight.motion.robust import robust_pose_weights
+from alight.motion.robust import median_of, robust_pose_weights
 from alight.motion.triangulation import triangulate_window
 from alight.records import Tracks
 from alight.settings import FilterSettings
@@ -86,7 +86,8 @@ class VisualUpdate:
         """Median distance of the landmarks, metres; 0 without any."""
         if not len(state.landmarks):
             return 0.0
-        return float(np.median(np.linalg.norm(state.landmarks.x - state.core[POS], axis=1)))
+        off = state.landmarks.x - state.core[POS]
+        return float(np.sqrt(median_of((off * off).sum(axis=1))))
 
     def _update_from_lost_tracks(self, state: FilterState, ids: I64, dropped: list[int]) -> GateCounts:
         """Update the poses by tracks that are no longer observed, or whose first pose is about to be dropped."""
@@ -145,11 +146,13 @@ class VisualUpdate:
         passed = initialise_landmarks(
             state, unused.ids[chosen], x[tried], constraint.select(tried), self._gate, 2 * len(self._cams)
         )
-        self._unused = unused.select(np.setdiff1d(np.arange(len(unused.ids)), chosen[passed]))
+        kept = np.ones(len(unused.ids), bool)
+        kept[chosen[passed]] = False
+        self._unused = unused.select(kept)
         return GateCounts(int(passed.sum()), int((~passed).sum()), 1.0)
 
 
 def _is_stale(state: FilterState) -> bool:
     """Whether the oldest clone has turned too far from the first estimate where its Jacobians are taken."""
     w = state.clones.poses
-    return len(w.R) > 0 and float(np.linalg.norm(so3_log(w.R[0] @ w.first_R[0].T))) > _MAX_LINEARISATION_ERROR
+    return len(w.R) > 0 and float((w.R[0] * w.first_R[0]).sum()) < 1.0 + 2.0 * np.cos(_MAX_LINEARISATION_ERROR)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from alight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
-from alight.records import Event, InputError
+from alight.records import Event, InputError, NavSample
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource
 
@@ -36,7 +36,7 @@ class TelemetryFeed:
         self.autopilot = Autopilot(events=self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
-        self._ended = threading.Event()
+        self._ended, self._located = threading.Event(), False
         threading.Thread(target=self._listen, daemon=True).start()
 
     def wait_for_position(self) -> LocalFrame:
@@ -46,7 +46,7 @@ class TelemetryFeed:
             InputError: it does not, with the reason.
         """
         end = time.monotonic() + PATIENCE
-        while self._samples.empty() or self.events_of.local is None:
+        while not self._located or self.events_of.local is None:
             if time.monotonic() > end:
                 with self.lock:
                     heard = self.autopilot.telemetry is not None
@@ -79,7 +79,9 @@ class TelemetryFeed:
             for datagram in out:
                 self._link.write(datagram)
             for sample in samples:
-                self._samples.put(sample)
+                self._located |= isinstance(sample, NavSample) and sample.position_world is not None
+                if self._located:
+                    self._samples.put(sample)
 
 
 def together(cameras: Iterator[Event], telemetry: Iterator[Event]) -> Iterator[Event]:
