@@ -116,7 +116,7 @@ def together(cameras: Iterator[Event], telemetry: Iterator[Event]) -> Iterator[E
 
 
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
-    """Pictures with an autopilot's GPS/INS; the world begins where the autopilot is, if it lies nowhere yet.
+    """Pictures with an autopilot's GPS/INS; the world begins where the autopilot is.
 
     Raises:
         InputError: the source is a recording, or the autopilot gives no position.
@@ -124,7 +124,7 @@ def with_telemetry(opened: LiveSource, link: str, separation: float | None = Non
     source = opened.source
     if not isinstance(source, CalibratedFolder) or not opened.real_time:
         raise InputError(f"{source.name}: has a clock of its own; --telemetry goes with cameras and folders that fill")
-    feed = TelemetryFeed(link, source.local if source.georeferenced else None, separation)
+    feed = TelemetryFeed(link, None, separation)
     try:
         source.locate(feed.wait_for_position())
     except InputError:
