@@ -12,7 +12,7 @@ from alight_sim.exposure import QUIET, Sensor, gains, irregular_gauss_markov
 from alight_sim.faults import Calibration, exposures
 from alight_sim.kernels.exposure import LEVELS, develop
 from alight_sim.patterns import line
-from alight_sim.sensors import gauss_markov, imu_biases, simulated_imu, simulated_nav
+from alight_sim.sensors import MarkovNoise, imu_biases, simulated_imu, simulated_nav
 from alight_sim.vehicle import fly_through
 
 SILENT_NAV = {
@@ -56,7 +56,8 @@ def field(samples, name):
 
 def test_drift_has_the_claimed_deviation_and_correlation_time():
     t = np.arange(0, 4000, 1.0)
-    x = gauss_markov(np.random.default_rng(2), t, np.array([1.0, 2.0] * 20), 60.0)
+    noise = MarkovNoise(np.random.default_rng(2), np.array([1.0, 2.0] * 20), 60.0)
+    x = np.array([noise.at(s) for s in t])
     assert x[:, ::2].std() == pytest.approx(1.0, rel=0.05)
     assert x[:, 1::2].std() == pytest.approx(2.0, rel=0.05)
     lag = (x[60:, ::2] * x[:-60, ::2]).mean() / x[:, ::2].var()

@@ -16,6 +16,7 @@ from alight_sim.section import Section
 from alight_sim.vehicle import correlated
 
 HOT = 0.9  # of full scale: what a hot pixel adds
+CONTROL_RANGE = math.log(16.0)  # exposure control changes the gain by no larger factor, either way
 Seeds = np.random.SeedSequence
 
 
@@ -117,14 +118,37 @@ def gains(imaging: Imaging, seconds: F64, seeds: Seeds, metered: F64 | None = No
 
 
 def _control(imaging: Imaging, seconds: F64, metered: F64) -> F64:
-    """(N,) logarithm of what exposure control does: a first-order lag towards the wanted mean, from settled."""
-    wanted = np.log(imaging.auto_target / np.maximum(metered * imaging.gain, 1e-6))
-    out = np.empty_like(wanted)
-    out[0] = wanted[0]
-    for i in range(1, len(out)):
-        keep = math.exp(-(seconds[i] - seconds[i - 1]) / imaging.auto_lag)
-        out[i] = keep * out[i - 1] + (1.0 - keep) * wanted[i - 1]  # what the exposure before showed
-    return np.clip(out, math.log(1 / 16), math.log(16))
+    """(N,) logarithm of what exposure control does."""
+    out, before = np.empty(len(metered)), None
+    for i, light in enumerate(metered):
+        step = controlled(imaging, before, float(light), seconds[i] - seconds[max(i - 1, 0)])
+        out[i], before = step.log, step
+    return out
+
+
+@dataclass(frozen=True)
+class ControlStep:
+    """What exposure control does at one exposure."""
+
+    free: float  # logarithm of the factor on the gain, before it ends at 1/16 and 16
+    wanted: float  # logarithm of the factor that would have brought the mean to its target
+
+    @property
+    def log(self) -> float:
+        """Logarithm of the factor on the gain."""
+        return min(max(self.free, -CONTROL_RANGE), CONTROL_RANGE)
+
+
+def controlled(imaging: Imaging, before: ControlStep | None, metered: float, seconds: float) -> ControlStep:
+    """Exposure control, so many seconds after the exposure before: a first-order lag towards the wanted mean.
+
+    `metered` is the mean linear light now; what counts is what the exposure before showed. None: it has settled.
+    """
+    wanted = math.log(imaging.auto_target / max(metered * imaging.gain, 1e-6))
+    if before is None:
+        return ControlStep(wanted, wanted)
+    keep = math.exp(-seconds / imaging.auto_lag)
+    return ControlStep(keep * before.free + (1.0 - keep) * before.wanted, wanted)
 
 
 def irregular_gauss_markov(rng: np.random.Generator, seconds: F64, width: int, tau: float) -> F64:

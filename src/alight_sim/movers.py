@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,6 +18,13 @@ Height = Callable[[float, float], float]
 COLOURS = ((0.75, 0.75, 0.74), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.40, 0.04, 0.03), (0.05, 0.09, 0.25))
 CABIN = (0.55, 0.86, 0.42)  # of the length, the width and the height: the glass house on the body
 NODE = 1.0  # metres along the path between the heights of the ground that a car rides on
+
+
+class Moving(Protocol):
+    """Anything made of upright boxes whose places are functions of time."""
+
+    def boxes_at(self, times: F64) -> F64:
+        """(T, M, 12) boxes at times in seconds, as `kernels.boxes` takes them."""
 
 
 class Traffic(Section):
@@ -88,20 +96,28 @@ class Mover:
     def boxes_at(self, times: F64) -> F64:
         """(T, 2 M, 12) body and cabin of each car at times in seconds, as `kernels.boxes` takes them."""
         places, heading = self.places_at(times)
-        length, width, height = self.traffic.size
-        out = np.zeros((*heading.shape, 2, NUMBERS))
-        out[..., 3], out[..., 4] = np.cos(heading)[..., None], np.sin(heading)[..., None]
-        body, cabin = out[..., 0, :], out[..., 1, :]
-        body[..., :3] = cabin[..., :3] = places
-        body[..., 5:8] = 0.5 * length, 0.5 * width, (1.0 - CABIN[2]) * height
-        cabin[..., 2] += (1.0 - CABIN[2]) * height
-        cabin[..., 5:8] = 0.5 * CABIN[0] * length, 0.5 * CABIN[1] * width, CABIN[2] * height
-        body[..., 8:11] = cabin[..., 8:11] = self.paint
-        cabin[..., 11] = 1.0
-        return out.reshape(len(times), -1, NUMBERS)
+        return car_boxes(places, heading, self.traffic.size, self.paint)
 
 
-def boxes_at(movers: tuple[Mover, ...], times: F64) -> F64:
+def car_boxes(places: F64, heading: F64, size: tuple[float, float, float], paint: F64) -> F64:
+    """(T, 2 M, 12) body and cabin of cars at places (T, M, 3) with headings (T, M), rad from east to north.
+
+    `size`: length, width, height, metres; `paint` (M, 3).
+    """
+    length, width, height = size
+    out = np.zeros((*heading.shape, 2, NUMBERS))
+    out[..., 3], out[..., 4] = np.cos(heading)[..., None], np.sin(heading)[..., None]
+    body, cabin = out[..., 0, :], out[..., 1, :]
+    body[..., :3] = cabin[..., :3] = places
+    body[..., 5:8] = 0.5 * length, 0.5 * width, (1.0 - CABIN[2]) * height
+    cabin[..., 2] += (1.0 - CABIN[2]) * height
+    cabin[..., 5:8] = 0.5 * CABIN[0] * length, 0.5 * CABIN[1] * width, CABIN[2] * height
+    body[..., 8:11] = cabin[..., 8:11] = paint
+    cabin[..., 11] = 1.0
+    return out.reshape(len(heading), -1, NUMBERS)
+
+
+def boxes_at(movers: tuple[Moving, ...], times: F64) -> F64:
     """(T, M, 12) all boxes at times in seconds."""
     none = np.zeros((len(times), 0, NUMBERS))
     return np.concatenate([none, *(m.boxes_at(times) for m in movers)], axis=1)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from alight.arrays import F64, I64
@@ -85,98 +85,154 @@ class Sensors(Section):
     imu: ImuErrors = Field(ImuErrors(), description="IMU")
 
 
-def gauss_markov(rng: np.random.Generator, t: F64, sigma: F64, tau: float) -> F64:
-    """(N, len(sigma)) stationary first-order Gauss-Markov noise at times `t` in seconds."""
-    white = rng.standard_normal((len(t), len(sigma)))
-    keep = np.exp(-np.diff(t) / tau)
-    out = np.empty_like(white)
-    out[0] = white[0]
-    for i, k in enumerate(keep, 1):
-        out[i] = k * out[i - 1] + math.sqrt(1.0 - k * k) * white[i]
-    return out * sigma
+class MarkovNoise:
+    """Stationary first-order Gauss-Markov noise, one value after the other. `sigma` (N,), `tau` in seconds."""
 
+    def __init__(self, rng: np.random.Generator, sigma: F64, tau: float) -> None:
+        self._rng, self._sigma, self._tau = rng, sigma, tau
+        self._state: tuple[float, F64] | None = None
 
-def _jumped(errors: NavErrors, seconds: F64) -> F64:
-    out = np.zeros((len(seconds), 3))
-    for jump in errors.jumps:
-        end = math.inf if jump.seconds is None else jump.at + jump.seconds
-        out[(seconds >= jump.at) & (seconds < end)] += jump.offset
-    return out
-
-
-def _turned(errors: NavErrors, seconds: F64) -> F64:
-    """(N, 3, 3) by which the heading is wrong, in the world."""
-    fade = 1.0 if errors.yaw_tau is None else np.exp(-np.maximum(seconds, 0.0) / errors.yaw_tau)
-    angles = -math.radians(errors.yaw_start_deg) * fade * np.ones(len(seconds))
-    return np.stack([so3_exp([0.0, 0.0, a]) for a in angles])
+    def at(self, seconds: float) -> F64:
+        """(N,) at a time later than the last one asked for."""
+        white = self._rng.standard_normal(len(self._sigma))
+        if self._state is not None:
+            keep = math.exp(-(seconds - self._state[0]) / self._tau)
+            white = keep * self._state[1] + math.sqrt(1.0 - keep * keep) * white
+        self._state = seconds, white
+        return np.asarray(white * self._sigma)
 
 
 def _claimed(*parts: Triple | float, least: float) -> F64:
     return np.asarray(np.maximum(np.sqrt(sum(np.square(np.broadcast_to(p, 3)) for p in parts)), least))
 
 
+@dataclass(frozen=True, eq=False)
+class TrueMotion:
+    """How the body moves at an instant: what the sensors measure."""
+
+    position_world: F64  # (3,) metres
+    velocity_world: F64  # (3,) m/s
+    world_from_body: F64  # (3, 3) rotation
+    angular_velocity_body: F64  # (3,) rad/s
+
+
+class NavStream:
+    """GPS/INS, row by row: the errors of one flight."""
+
+    def __init__(self, errors: NavErrors, seeds: np.random.SeedSequence) -> None:
+        drift, self._white, turn, self._turn_white, self._speed, self._rate, wind = (
+            np.random.default_rng(s) for s in seeds.spawn(7)
+        )
+        self.errors = errors
+        self.offset = np.zeros(3)  # metres: error of the last row without its white noise, drawn or lost
+        self._drift = MarkovNoise(drift, np.array(errors.position), errors.position_tau)
+        self._turn = MarkovNoise(turn, np.radians(errors.attitude_deg), errors.attitude_tau)
+        self._wind = MarkovNoise(wind, np.full(3, errors.velocity), errors.velocity_tau)
+        self._sigma_position = _claimed(errors.position, errors.position_white, least=1e-3)
+        in_radians = np.radians(errors.attitude_deg), math.radians(errors.attitude_white_deg)
+        self._sigma_attitude = np.asarray(np.maximum(np.hypot(*in_radians), 1e-4))
+        self._sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
+
+    def sample(self, t_ns: int, seconds: float, true: TrueMotion) -> NavSample | None:
+        """The row of a time of the flight, of the motion `errors.latency` before it; None: it is missing."""
+        e = self.errors
+        jump = self._jump(seconds)
+        drift = self._drift.at(seconds)
+        self.offset = drift + jump
+        position = drift + (e.position_white * self._white.standard_normal(3) + jump) + true.position_world
+        attitude = self._turn.at(seconds) + math.radians(e.attitude_white_deg) * self._turn_white.standard_normal(3)
+        velocity = self._wind.at(seconds) + e.velocity_white * self._speed.standard_normal(3) + true.velocity_world
+        rates = true.angular_velocity_body + math.radians(e.rate_white_deg) * self._rate.standard_normal(3)
+        if self._gone("rows", seconds):
+            return None
+        here = not self._gone("position", seconds)
+        return NavSample(
+            t_ns,
+            position if here else None,
+            self._turned(seconds) @ true.world_from_body @ so3_exp(attitude),
+            velocity,
+            rates,
+            self._sigma_position if here else None,
+            self._sigma_attitude,
+            self._sigma_velocity,
+        )
+
+    def _jump(self, seconds: float) -> F64:
+        out = np.zeros(3)
+        for jump in self.errors.jumps:
+            if jump.at <= seconds < (math.inf if jump.seconds is None else jump.at + jump.seconds):
+                out += jump.offset
+        return out
+
+    def _turned(self, seconds: float) -> F64:
+        """(3, 3) by which the heading is wrong, in the world."""
+        tau = self.errors.yaw_tau
+        fade = 1.0 if tau is None else math.exp(-max(seconds, 0.0) / tau)
+        return so3_exp([0.0, 0.0, -math.radians(self.errors.yaw_start_deg) * fade])
+
+    def _gone(self, what: str, seconds: float) -> bool:
+        return any(o.what == what and o.at <= seconds < o.at + o.seconds for o in self.errors.outages)
+
+
 def simulated_nav(
     flight: TrueTrajectory, t_ns: I64, seconds: F64, errors: NavErrors, seeds: np.random.SeedSequence
 ) -> Iterator[NavSample]:
     """Yield the navigation solution at times of the clock (`t_ns`) and of the trajectory (`seconds`)."""
-    drift, white, turn, turn_white, speed, rate, wind = (np.random.default_rng(s) for s in seeds.spawn(7))
-    n, then = len(seconds), seconds - errors.latency
-    position = gauss_markov(drift, seconds, np.array(errors.position), errors.position_tau)
-    position += errors.position_white * white.standard_normal((n, 3)) + _jumped(errors, seconds)
-    attitude = gauss_markov(turn, seconds, np.radians(errors.attitude_deg), errors.attitude_tau)
-    attitude += math.radians(errors.attitude_white_deg) * turn_white.standard_normal((n, 3))
-    velocity = gauss_markov(wind, seconds, np.full(3, errors.velocity), errors.velocity_tau)
-    velocity += errors.velocity_white * speed.standard_normal((n, 3))
-    position += flight.place_world(then)
-    velocity += flight.velocity_world(then)
-    rates = flight.angular_velocity_body(then) + math.radians(errors.rate_white_deg) * rate.standard_normal((n, 3))
-    rotations = _turned(errors, seconds) @ flight.rotations(then)
-    sigma_position = _claimed(errors.position, errors.position_white, least=1e-3)
-    in_radians = np.radians(errors.attitude_deg), math.radians(errors.attitude_white_deg)
-    sigma_attitude = np.maximum(np.hypot(*in_radians), 1e-4)
-    sigma_velocity = _claimed(errors.velocity, errors.velocity_white, least=1e-3)
-    gone = {what: _out(errors, seconds, what) for what in ("position", "rows")}
-    for i in np.flatnonzero(~gone["rows"]):
-        here = not gone["position"][i]
-        yield NavSample(
-            int(t_ns[i]),
-            position[i] if here else None,
-            rotations[i] @ so3_exp(attitude[i]),
-            velocity[i],
-            rates[i],
-            sigma_position if here else None,
-            sigma_attitude,
-            sigma_velocity,
-        )
-
-
-def _out(errors: NavErrors, seconds: F64, what: str) -> NDArray[np.bool_]:
-    gone = np.zeros(len(seconds), bool)
-    for outage in errors.outages:
-        if outage.what == what:
-            gone |= outage.holds(seconds)
-    return gone
-
-
-def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tuple[F64, F64]:
-    """(N, 3) gyroscope and (N, 3) accelerometer biases."""
-    step = 1.0 / math.sqrt(errors.rate_hz)
-    out = []
-    for seed, start, walk in zip(
-        seeds.spawn(2),
-        (errors.gyroscope_bias, errors.accelerometer_bias),
-        (errors.gyroscope_random_walk, errors.accelerometer_random_walk),
-        strict=True,
-    ):
-        rng = np.random.default_rng(seed)
-        out.append(start * rng.standard_normal(3) + np.cumsum(walk * step * rng.standard_normal((n, 3)), axis=0))
-    return out[0], out[1]
+    then, stream = seconds - errors.latency, NavStream(errors, seeds)
+    places, velocities = flight.place_world(then), flight.velocity_world(then)
+    turns, rates = flight.rotations(then), flight.angular_velocity_body(then)
+    for i, t in enumerate(t_ns):
+        true = TrueMotion(places[i], velocities[i], turns[i], rates[i])
+        row = stream.sample(int(t), float(seconds[i]), true)
+        if row is not None:
+            yield row
 
 
 def _bent(rng: np.random.Generator, scale: float, misalignment: float) -> F64:
     """(3, 3) measured from true: scales on the diagonal, small angles beside it."""
     M = np.diag(1.0 + scale * rng.standard_normal(3))
     return np.asarray(M + misalignment * rng.standard_normal((3, 3)) * (1.0 - np.eye(3)))
+
+
+class BiasWalk:
+    """The biases of gyroscope and accelerometer, sample by sample."""
+
+    def __init__(self, errors: ImuErrors, seeds: np.random.SeedSequence) -> None:
+        self._rngs = [np.random.default_rng(s) for s in seeds.spawn(2)]
+        walks = errors.gyroscope_random_walk, errors.accelerometer_random_walk
+        self._steps = [walk * (1.0 / math.sqrt(errors.rate_hz)) for walk in walks]
+        starts = errors.gyroscope_bias, errors.accelerometer_bias
+        self._starts = [s * rng.standard_normal(3) for s, rng in zip(starts, self._rngs, strict=True)]
+        self._walked = [np.zeros(3), np.zeros(3)]
+
+    def next(self) -> tuple[F64, F64]:
+        """(3,) gyroscope and (3,) accelerometer bias of the next sample."""
+        for k, (rng, step) in enumerate(zip(self._rngs, self._steps, strict=True)):
+            self._walked[k] = self._walked[k] + step * rng.standard_normal(3)
+        return self._starts[0] + self._walked[0], self._starts[1] + self._walked[1]
+
+
+def imu_biases(n: int, errors: ImuErrors, seeds: np.random.SeedSequence) -> tuple[F64, F64]:
+    """(N, 3) gyroscope and (N, 3) accelerometer biases."""
+    walk = BiasWalk(errors, seeds)
+    both = np.array([walk.next() for _ in range(n)])
+    return both[:, 0], both[:, 1]
+
+
+class ImuStream:
+    """The IMU, sample by sample: the errors of one flight."""
+
+    def __init__(self, errors: ImuErrors, seeds: np.random.SeedSequence) -> None:
+        self._gyro, self._accel, gyro_axes, accel_axes = (np.random.default_rng(s) for s in seeds.spawn(4))
+        root, lean = math.sqrt(errors.rate_hz), math.radians(errors.misalignment_deg)
+        self._axes = _bent(gyro_axes, errors.gyroscope_scale, lean), _bent(accel_axes, errors.accelerometer_scale, lean)
+        self._sigmas = errors.gyroscope_noise_density * root, errors.accelerometer_noise_density * root
+
+    def sample(self, t_ns: int, rate: F64, force: F64, biases: tuple[F64, F64]) -> ImuSample:
+        """What it says of a true turn rate and specific force in the body, with scale, misalignment, bias and noise."""
+        measured = self._axes[0] @ rate + biases[0] + self._sigmas[0] * self._gyro.standard_normal(3)
+        felt = self._axes[1] @ force + biases[1] + self._sigmas[1] * self._accel.standard_normal(3)
+        return ImuSample(t_ns, measured, felt)
 
 
 def simulated_imu(
@@ -187,12 +243,8 @@ def simulated_imu(
     errors: ImuErrors,
     seeds: np.random.SeedSequence,
 ) -> Iterator[ImuSample]:
-    """Yield turn rate and specific force in the body, with scale, misalignment, bias and noise."""
-    gyro, accel, gyro_axes, accel_axes = (np.random.default_rng(s) for s in seeds.spawn(4))
-    root, n, lean = math.sqrt(errors.rate_hz), len(seconds), math.radians(errors.misalignment_deg)
-    rates = flight.angular_velocity_body(seconds) @ _bent(gyro_axes, errors.gyroscope_scale, lean).T + biases[0]
-    rates += errors.gyroscope_noise_density * root * gyro.standard_normal((n, 3))
-    forces = flight.specific_force_body(seconds) @ _bent(accel_axes, errors.accelerometer_scale, lean).T + biases[1]
-    forces += errors.accelerometer_noise_density * root * accel.standard_normal((n, 3))
-    for t, rate, force in zip(t_ns, rates, forces, strict=True):
-        yield ImuSample(int(t), rate, force)
+    """Yield turn rate and specific force in the body."""
+    stream = ImuStream(errors, seeds)
+    rates, forces = flight.angular_velocity_body(seconds), flight.specific_force_body(seconds)
+    for i, t in enumerate(t_ns):
+        yield stream.sample(int(t), rates[i], forces[i], (biases[0][i], biases[1][i]))

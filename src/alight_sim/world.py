@@ -19,7 +19,7 @@ from alight_sim.coarser import mean_of, mean_shadow, most_of
 from alight_sim.kernels.layers import BLOCK, box_mean, ground_light, sun_margin, tile_block_tops
 from alight_sim.kernels.raycast import max_pyramid
 from alight_sim.light import Light, Sun
-from alight_sim.movers import Mover
+from alight_sim.movers import Mover, Moving
 from alight_sim.rasters import Arrays
 from alight_sim.scene import Origin, Scene, built_in, read_scene
 from alight_sim.things.base import Box
@@ -89,12 +89,18 @@ class World:
     light: Light = field(default_factory=Light)
     scene: Scene | None = None
     warnings: tuple[str, ...] = ()  # what was assumed about it
+    bodies: list[Moving] = field(default_factory=list)  # what came on command: alight_sim.steered
     _tiles: Cache = field(default_factory=lambda: Cache(TILE_BYTES), repr=False)
     _patches: Cache = field(default_factory=lambda: Cache(PATCH_BYTES), repr=False)
 
+    @property
+    def movers(self) -> tuple[Moving, ...]:
+        """What moves about: in the pictures, not in the truth of the ground."""
+        return (*self.traffic, *self.bodies)
+
     @cached_property
-    def movers(self) -> tuple[Mover, ...]:
-        """What drives about: in the pictures, not in the truth."""
+    def traffic(self) -> tuple[Mover, ...]:
+        """The cars of the scene file."""
         traffic = () if self.scene is None else self.scene.traffic
         return tuple(Mover(t, self.height_at, self.seed + 1000 * k) for k, t in enumerate(traffic))
 

@@ -29,6 +29,7 @@ class FlightLimits:
     acceleration: float = 3.0  # m/s^2
     turn: float = 1.0  # rad/s
     drag: float = 0.15  # 1/s, deceleration per m/s of air speed: how far it leans into the wind
+    lag: float = 0.0  # s, twice: how late the thrust follows what is asked for; 0: it leans at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ class PointMass:
     ground: Callable[[float, float], float] = lambda east, north: 0.0
     wind_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, where the air goes
     gusts: float = 0.0  # m/s^2, standard deviation of what they push
+    push_world: F64 = field(default_factory=lambda: np.zeros(3))  # (3,) m/s^2, from outside, on top of that
     seed: int = 0
     position: F64 = field(default_factory=lambda: np.zeros(3))
     velocity: F64 = field(default_factory=lambda: np.zeros(3))
@@ -63,6 +65,7 @@ class PointMass:
         self._rng = np.random.default_rng(self.seed)
         self._gust = np.zeros(3)
         self._acceleration = np.zeros(3)
+        self._thrust = np.zeros(3)
         self._rates = np.zeros(3)
         self._aloft = False
         self.position = np.array(self.position, dtype=np.float64)
@@ -109,12 +112,18 @@ class PointMass:
         asked *= min(1.0, most / max(float(np.linalg.norm(asked)), 1e-9))
         decay = math.exp(-dt / 2.0)
         self._gust = decay * self._gust + math.sqrt(1 - decay**2) * self.gusts * self._rng.standard_normal(3)
-        self._acceleration = asked + self._gust
+        self._follow(dt, asked + self._gust + self.push_world)
         self.position = self.position + self.velocity * dt + 0.5 * self._acceleration * dt**2
         self.velocity = self.velocity + self._acceleration * dt
         if wanted.heading is not None:
             left = math.remainder(wanted.heading - self.heading, 2 * math.pi)
             self.heading += max(-self.limits.turn * dt, min(self.limits.turn * dt, left))
+
+    def _follow(self, dt: float, asked: F64) -> None:
+        """Two lags in a row: attitude and turn rate are continuous."""
+        keep = math.exp(-dt / self.limits.lag) if self.limits.lag > 0 else 0.0
+        self._thrust = asked + keep * (self._thrust - asked)
+        self._acceleration = self._thrust + keep * (self._acceleration - self._thrust)
 
     def _fall(self, dt: float) -> None:
         self._acceleration = np.zeros(3) if self.stands else np.array([0.0, 0.0, -_GRAVITY])

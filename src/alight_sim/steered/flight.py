@@ -1,0 +1,384 @@
+"""A flight that is steered: set-points in, events out, step by step, over the same worlds and with the same errors."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.geometry import LocalFrame, Pose, so3_exp
+from alight.records import Event, InputError, Rig
+from alight.settings import ImuNoise
+from alight_sim.autopilot.point_mass import FlightLimits, PointMass, Wanted
+from alight_sim.course import LEAD, ground_at
+from alight_sim.faults import Faults
+from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, NAV_OFFSET_NS, START_NS, WIND
+from alight_sim.scene import Scene
+from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
+from alight_sim.steered.bodies import Body
+from alight_sim.steered.cameras import CameraFault, SteeredCameras
+from alight_sim.steered.ground import GroundBelow
+from alight_sim.steered.track import TrueTrack
+from alight_sim.vehicle import UPWARDS
+from alight_sim.world import World, build
+
+NIMBLE = FlightLimits(lag=0.08)
+_TRIM = 1.5  # s in which the autopilot has learned a new wind
+_SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
+
+
+@dataclass(frozen=True)
+class Battery:
+    """What flying costs."""
+
+    share: float = 1.0  # left at the start
+    endurance: float = 1200.0  # s of hovering with a full one
+    climb: float = 1.5e-4  # share for each metre upwards, on top of that
+
+
+@dataclass(frozen=True, eq=False)
+class TrueContact:
+    """How the vehicle met the ground."""
+
+    t_ns: int
+    pose: Pose  # world_from_body just then; its origin is `standing` above the ground
+    velocity_world: F64  # (3,) m/s just before
+    standing: float  # metres from the plane of the feet to the body's origin
+
+
+class SteeredFlight:
+    """A source of events that answers to set-points. Same seed, same calls: the same bits.
+
+    Args:
+        scene: a built-in scene's name, a scene file, a scene, or a world.
+        seed: of everything that chance decides.
+        size: of the pictures, pixels; the scene's rig is scaled to it.
+        stereo: all cameras of the rig, or the first alone.
+        rate_hz: exposures a second.
+        start: east and north, and metres above the ground there.
+        heading: rad clockwise from north.
+        limits: of the vehicle; None: `NIMBLE`.
+        wind: (3,) m/s, east, north, up: where the air goes.
+        gusts: m/s^2, standard deviation of what they push.
+        battery: what flying costs.
+        faults, nav, imu: instead of the scene's.
+        standing: metres from the plane of the feet to the body's origin.
+        steered_by: positions wanted are in the frame of the navigation solution, as for an autopilot, or true ones.
+
+    Raises:
+        InputError: no such scene, or `size` is not of the shape of the rig's pictures.
+    """
+
+    kind: Literal["flight"] = "flight"
+    georeferenced = True
+    schedule = None
+    flown_with = None
+
+    def __init__(
+        self,
+        scene: str | Path | Scene | World = "demo",
+        seed: int = 0,
+        *,
+        size: tuple[int, int] = (320, 240),
+        stereo: bool = True,
+        rate_hz: float = 5.0,
+        start: Sequence[float] = (0.0, 0.0, 40.0),
+        heading: float = 0.0,
+        limits: FlightLimits | None = None,
+        wind: Sequence[float] = (0.0, 0.0, 0.0),
+        gusts: float = 0.2,
+        battery: Battery | None = None,
+        faults: Faults | None = None,
+        nav: NavErrors | None = None,
+        imu: ImuErrors | None = None,
+        standing: float = 0.35,
+        steered_by: Literal["navigation", "truth"] = "navigation",
+    ) -> None:
+        made = scene if isinstance(scene, World) else build(scene, seed)
+        self.world = replace(made, bodies=[])  # its tiles are shared, what comes on command is not
+        self.scene, self.seed, self.rate_hz, self.standing = made.scene or Scene(), seed, rate_hz, standing
+        self.warnings = list(made.warnings)
+        self._faults = faults or self.scene.faults
+        self.true_rig = _sized(self.scene.rig.rig, size, stereo)
+        self.rig = self._faults.claimed(self.true_rig)
+        self._cameras = SteeredCameras(
+            self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
+        )
+        self._nav_errors, self._imu_errors = nav or self.scene.sensors.nav, imu or self.scene.sensors.imu
+        self._nav = NavStream(self._nav_errors, self._seeds(NAV))
+        self._imu, self._biases = (
+            ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
+            BiasWalk(self._imu_errors, self._seeds(IMU_BIAS)),
+        )
+        self._imu_lost = [(0.0, -1.0)]
+        self._steers_by_nav = steered_by == "navigation"
+        self._cost = battery or Battery()
+        self.battery = self._cost.share
+        self.contacts: list[TrueContact] = []
+        self._below = GroundBelow(self.world)
+        self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
+        self._pushes: list[tuple[float, float, F64]] = []
+        self._steps, self._asked_ns, self._nav_rows = 0, 0, 0
+        self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
+        self._track, self._queue, self._count = TrueTrack(), list[tuple[int, int, Event]](), 0
+        self._believed = np.zeros(3)  # metres: error of the position that the autopilot steers by
+
+    def _start_vehicle(self, start: F64, heading: float, limits: FlightLimits, gusts: float) -> None:
+        ground = ground_at(self.world, start)
+        place = np.array([start[0], start[1], ground + start[2] + self.standing])
+        seed = int(self._seeds(WIND).generate_state(1)[0])
+        self._vehicle = PointMass(limits, self._floor, self._air, gusts, seed=seed, position=place, heading=heading)
+
+    def _floor(self, east: float, north: float) -> float:
+        return self._below.height(east, north) + self.standing
+
+    def _seeds(self, *key: int) -> np.random.SeedSequence:
+        return np.random.SeedSequence(self.seed, spawn_key=key)
+
+    # -- what a source tells
+
+    @property
+    def name(self) -> str:
+        """The scene and the seed."""
+        return f"{self.world.name}-{self.seed}"
+
+    @property
+    def local(self) -> LocalFrame:
+        """Where the world lies."""
+        return self.world.local
+
+    @property
+    def imu_noise(self) -> ImuNoise:
+        """What the maker of the IMU states."""
+        return ImuNoise(**self._imu_errors.densities)
+
+    @property
+    def notes(self) -> dict[str, Any]:
+        """Facts for the report."""
+        lens = self.rig.cameras[0].camera
+        return {
+            "cameras": [c.name for c in self.rig.cameras],
+            "image_size": [lens.width, lens.height],
+            "focal_px": [lens.fu, lens.fv],
+            "focal_from": "simulated",
+            "nav": True,
+            "imu": True,
+            "scene": self.world.description,
+            "imu_noise": self._imu_errors.densities,
+        }
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Exposures so far, the lost ones included."""
+        return {"exposures": self._cameras.next}
+
+    # -- truth
+
+    @property
+    def seconds(self) -> float:
+        """Of the flight, from its first exposure; it begins LEAD before."""
+        return self._asked_ns * 1e-9 - LEAD
+
+    @property
+    def time_ns(self) -> int:
+        """Now."""
+        return START_NS - round(LEAD * 1e9) + self._asked_ns
+
+    @property
+    def true_pose(self) -> Pose:
+        """True `world_from_body`, at most one sample of the IMU ago."""
+        return self._vehicle.world_from_body
+
+    @property
+    def true_velocity(self) -> F64:
+        """(3,) m/s, world, likewise."""
+        return self._vehicle.velocity.copy()
+
+    @property
+    def height_above_ground(self) -> float:
+        """Metres from the surface below to the plane of the feet."""
+        east, north, up = self._vehicle.position
+        return float(up - self._floor(float(east), float(north)))
+
+    @property
+    def landed(self) -> bool:
+        """Whether it stands on something."""
+        return self._vehicle.stands
+
+    @property
+    def contact(self) -> TrueContact | None:
+        """How it met the ground last; None: it has not yet."""
+        return self.contacts[-1] if self.contacts else None
+
+    def poses(self, t_ns: I64) -> list[Pose]:
+        """True `world_from_body` at times (N,) of the last three seconds."""
+        turns, places = self._track.poses(1e-9 * np.asarray(t_ns - START_NS, np.float64))
+        return [Pose(R, p) for R, p in zip(turns, places, strict=True)]
+
+    # -- time
+
+    def step(self, dt: float, wanted: Wanted | None) -> list[Event]:
+        """Fly for `dt` seconds as wanted (None: motors off) and return the events that arrived, in that order."""
+        self._asked_ns += round(dt * 1e9)
+        while (self._steps + 1) / self._imu_errors.rate_hz <= self._asked_ns * 1e-9 + 1e-9:
+            self._advance(wanted)
+        out = []
+        while self._queue and self._queue[0][0] <= self.time_ns:
+            out.append(heapq.heappop(self._queue)[2])
+        return out
+
+    def _advance(self, wanted: Wanted | None) -> None:
+        """One sample of the IMU."""
+        vehicle, h = self._vehicle, 1.0 / self._imu_errors.rate_hz
+        start = self._steps * h - LEAD
+        self._steps += 1
+        self._below.seconds = start
+        place = vehicle.world_from_body
+        before = TrueMotion(place.translation, vehicle.velocity.copy(), place.rotation, np.zeros(3))
+        stood, up = vehicle.stands, float(vehicle.position[2])
+        flown = wanted if self.battery > 0 else None
+        vehicle.push_world = self._blown(start, h)
+        vehicle.step(h, None if flown is None else self._as_believed(flown, h))
+        if vehicle.stands and not stood:
+            self.contacts.append(
+                TrueContact(
+                    START_NS + round((start + h) * 1e9), vehicle.world_from_body, before.velocity_world, self.standing
+                )
+            )
+        self._spend(flown is not None and not vehicle.stands, h, float(vehicle.position[2]) - up)
+        motion = self._track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
+        self._measure(start, h, motion)
+
+    def _as_believed(self, wanted: Wanted, h: float) -> Wanted:
+        """It steers by its estimate: the vehicle is off by the error."""
+        if not self._steers_by_nav:
+            return wanted
+        self._believed += (1.0 - math.exp(-h / _SETTLE)) * (self._nav.offset - self._believed)
+        return wanted if wanted.position is None else replace(wanted, position=wanted.position - self._believed)
+
+    def _blown(self, now: float, h: float) -> F64:
+        """(3,) m/s^2: gusts on command, and wind that the autopilot has not learned yet."""
+        self._trimmed = self._trimmed + (1.0 - math.exp(-h / _TRIM)) * (self._air - self._trimmed)
+        push = self._vehicle.limits.drag * (self._air - self._trimmed)
+        return np.asarray(sum((a for start, end, a in self._pushes if start <= now < end), push))
+
+    def _spend(self, flying: bool, h: float, risen: float) -> None:
+        cost = (h / self._cost.endurance + max(risen, 0.0) * self._cost.climb) if flying else 0.0
+        self.battery = max(0.0, self.battery - cost)
+
+    # -- events
+
+    def _measure(self, start: float, h: float, motion: TrueMotion) -> None:
+        """What the sensors made of a step of `h` seconds."""
+        biases, middle = self._biases.next(), start + 0.5 * h
+        turn = motion.world_from_body @ so3_exp(0.5 * h * motion.angular_velocity_body)
+        force = turn.T @ ((self._vehicle.velocity - motion.velocity_world) / h + UPWARDS)
+        t_ns = START_NS + round(middle * 1e9)
+        sample = self._imu.sample(t_ns, motion.angular_velocity_body, force, biases)
+        if not any(a <= middle < b for a, b in self._imu_lost):
+            self._arrive(t_ns, sample)
+        while (then := self._nav_time()) <= start + h:
+            self._nav_rows += 1
+            row = self._nav.sample(START_NS + round(then * 1e9), then, self._track.at(then - self._nav.errors.latency))
+            if row is not None:
+                self._arrive(row.t_ns, row)
+        while self._cameras.done_at() <= start + h:
+            arrived = self._cameras.expose(self._track.poses)
+            if arrived is not None:
+                self._arrive(*arrived)
+
+    def _nav_time(self) -> float:
+        return self._nav_rows / self._nav.errors.rate_hz - LEAD + NAV_OFFSET_NS * 1e-9
+
+    def _arrive(self, t_ns: int, event: Event) -> None:
+        heapq.heappush(self._queue, (t_ns, self._count, event))
+        self._count += 1
+
+    # -- what happens on command, from now on
+
+    def park(self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 5.0,
+             heading: float = 0.0) -> Body:  # fmt: skip
+        """A car drives in from `start` (None: it stands there at once, its length at `heading` rad from east)."""
+        return self._come(True, east, north, start, speed, heading)
+
+    def walk_in(
+        self, east: float, north: float, *, start: tuple[float, float] | None = None, speed: float = 1.4
+    ) -> Body:
+        """A person walks to a spot from `start` (None: from 10 m south of it) and stays."""
+        return self._come(False, east, north, start or (east, north - 10.0), speed, 0.0)
+
+    def _come(
+        self, car: bool, east: float, north: float, start: tuple[float, float] | None, speed: float, heading: float
+    ) -> Body:
+        goal = (float(east), float(north))
+        body = Body(car, start or goal, goal, self.seconds, speed, heading, self.world.height_at)
+        self.world.bodies.append(body)
+        return body
+
+    def gust(self, acceleration: Sequence[float], seconds: float) -> None:
+        """Push the vehicle with (3,) m/s^2, world, for a time."""
+        self._pushes.append((self.seconds, self.seconds + seconds, np.array(acceleration, float)))
+
+    def wind(self, east: float, north: float, up: float = 0.0) -> None:
+        """Turn the wind: m/s, where the air goes."""
+        self._air = self._vehicle.wind_world = np.array([east, north, up], float)
+
+    def freeze_camera(self, seconds: float, camera: int | None = None) -> None:
+        """Send the last picture again, with new stamps. `camera`: its number; None: all of them."""
+        self._camera_fault("freeze", seconds, camera)
+
+    def lose_camera(self, seconds: float, camera: int | None = None) -> None:
+        """No pictures."""
+        self._camera_fault("lose", seconds, camera)
+
+    def cover_camera(self, seconds: float, share: float = 0.98, camera: int | None = None) -> None:
+        """Keep a share of the light out."""
+        self._camera_fault("cover", seconds, camera, share)
+
+    def delay_frames(self, seconds: float, by: float) -> None:
+        """Let the exposures of a time arrive so many seconds late, rightly stamped."""
+        self._camera_fault("late", seconds, None, by)
+
+    def _camera_fault(self, what: str, seconds: float, camera: int | None, amount: float = 0.0) -> None:
+        self._cameras.commanded.append(CameraFault(what, self.seconds, self.seconds + seconds, camera, amount))
+
+    def lose_gps(self, seconds: float, what: Literal["position", "rows"] = "position") -> None:
+        """No position, or no rows at all; the autopilot goes on with the error that it had."""
+        self._change_nav(outages=(*self._nav.errors.outages, Outage(at=self.seconds, seconds=seconds, what=what)))
+
+    def jump_gps(self, offset: Sequence[float], seconds: float | None = None) -> None:
+        """Shift all positions by (3,) metres, unclaimed, for a time (None: for good)."""
+        east, north, up = (float(v) for v in offset)
+        jump = Jump(at=self.seconds, seconds=seconds, offset=(east, north, up))
+        self._change_nav(jumps=(*self._nav.errors.jumps, jump))
+
+    def _change_nav(self, **what: Any) -> None:
+        self._nav.errors = self._nav.errors.model_copy(update=what)
+
+    def lose_imu(self, seconds: float) -> None:
+        """No samples."""
+        self._imu_lost.append((self.seconds, self.seconds + seconds))
+
+    def drain(self, share: float) -> None:
+        """Take a share of a full battery away."""
+        self.battery = max(0.0, self.battery - share)
+
+
+def _sized(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
+    """The rig with pictures of another size, all of its cameras or the first alone."""
+    cams = []
+    for cam in rig.cameras if stereo else rig.cameras[:1]:
+        lens = cam.camera.scaled(size[0] / cam.camera.width)
+        if (lens.width, lens.height) != tuple(size):
+            raise InputError(
+                f"size {size[0]} x {size[1]}: the rig's pictures are {cam.camera.width} x {cam.camera.height}; "
+                f"keep that shape, as with {lens.width} x {lens.height}"
+            )
+        cams.append(replace(cam, camera=lens))
+    return Rig(tuple(cams))
