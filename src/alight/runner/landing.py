@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
 from alight import terrain
 from alight.arrays import F64
-from alight.geometry import LocalFrame
 from alight.landing.executive import Executive
 from alight.pipeline import Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
-from alight.records import Event, Frame, Motion, MotionState, Rig
+from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
-from alight.settings import ImuNoise, Settings
+from alight.settings import Settings
+from alight_sim.autopilot import Wanted
+from alight_sim.steered import SteeredFlight
 
 TICK = 0.1  # s between two orders
 JUDGE_EVERY = {  # s between two judgements
@@ -28,40 +29,6 @@ LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 ENDS = (FlightState.LANDED, FlightState.RETURN, FlightState.HANDED_OVER)
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
-
-
-class SteeredVehicle(Protocol):
-    """A vehicle in the loop: the simulator's, or another one that renders what it flies over."""
-
-    @property
-    def rig(self) -> Rig:
-        """The cameras, as calibrated."""
-
-    @property
-    def local(self) -> LocalFrame:
-        """Where the world lies."""
-
-    @property
-    def imu_noise(self) -> ImuNoise:
-        """Noise that is stated for its IMU."""
-
-    @property
-    def landed(self) -> bool:
-        """Whether it stands on the ground."""
-
-    @property
-    def battery(self) -> float:
-        """Share that is left."""
-
-    @property
-    def time_ns(self) -> int:
-        """Its clock."""
-
-    def fly_by(self, displacement: F64 | None, speed: float, sink: float, heading: float | None) -> None:
-        """Fly to a point so far from where it is now, (3,) metres; None: stay here."""
-
-    def advance(self, seconds: float) -> list[Event]:
-        """Let time pass; what came in."""
 
 
 @dataclass
@@ -78,7 +45,7 @@ class Landing:
 
 
 def fly_landing(
-    vehicle: SteeredVehicle,
+    vehicle: SteeredFlight,
     settings: Settings,
     appearance: terrain.Model | None = None,
     happening: Callable[[float, FlightState], None] = lambda t, state: None,
@@ -102,7 +69,7 @@ def fly_landing(
 
 class _Loop:
     def __init__(
-        self, vehicle: SteeredVehicle, settings: Settings, appearance: terrain.Model | None, keep_film: bool
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, keep_film: bool
     ) -> None:
         self._vehicle, self._keep = vehicle, keep_film
         self._settings = settings.model_copy(
@@ -120,6 +87,10 @@ class _Loop:
         self._judged_at = -math.inf
         self._number, self._most = 0, LONGEST * settings.executive.time_budget
         self._landing = Landing()
+        self._rows: deque[tuple[int, F64]] = deque(maxlen=40)  # GPS/INS, ns and metres
+        self._tie, self._tied_to = np.zeros(3), -1
+        self._held: F64 | None = None
+        self._wanted = Wanted()
 
     @property
     def t(self) -> float:
@@ -133,14 +104,16 @@ class _Loop:
 
     def step(self) -> None:
         """One order, and what comes of it."""
-        for event in self._vehicle.advance(TICK):
-            motion = self._pipeline.feed(event)
-            if isinstance(event, Frame):
+        for event in self._vehicle.step(TICK, self._wanted):
+            if isinstance(event, NavSample) and event.position_world is not None:
+                self._rows.append((event.t_ns, event.position_world))
+            elif isinstance(event, Frame):
                 self._newest_ns = max(self._newest_ns, event.t_ns)
+            motion = self._pipeline.feed(event)
             if motion is not None:
                 self._motion = motion
+                self._tie_to_autopilot(motion)
         if self._motion is None:  # nothing is known before the first exposure
-            self._vehicle.fly_by(None, 1.0, 1.0, None)
             return
         self._judge()
         before = len(self.executive.diary.looks)
@@ -175,15 +148,26 @@ class _Loop:
             self._landing.verdicts += 1
             self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t), verdict)
 
+    def _tie_to_autopilot(self, motion: Motion) -> None:
+        """Commands are relative to the autopilot's own estimate of the same instant: the error of GPS cancels."""
+        if len(self._rows) < 2 or motion.state in (MotionState.LOST, MotionState.INITIALISING):
+            return
+        t = np.array([r[0] for r in self._rows], np.float64)
+        own = np.array([np.interp(motion.t_ns, t, axis) for axis in np.array([r[1] for r in self._rows]).T])
+        self._tie, self._tied_to = own - motion.world_from_body.translation, motion.frame_id
+
     def _obey(self, order: Order) -> None:
-        assert self._motion is not None
-        at = self._motion.world_from_body.translation
-        if order.what == "fly" and order.position is not None:
-            self._vehicle.fly_by(order.position - at, order.speed, order.sink, None)
-        elif order.what == "land" and order.position is not None:
-            self._vehicle.fly_by(order.position - at - np.array([0, 0, BELOW]), order.speed, order.sink, None)
-        else:
-            self._vehicle.fly_by(None, order.speed, order.sink, None)
+        m = self._motion
+        assert m is not None
+        if order.what in ("fly", "land") and order.position is not None and self._tied_to == m.frame_id:
+            down = BELOW if order.what == "land" else 0.0
+            target = order.position + self._tie - np.array([0.0, 0.0, down])
+            self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
+            self._held = None
+        elif order.what != "nothing":
+            if self._held is None and self._rows:
+                self._held = self._rows[-1][1].copy()
+            self._wanted = Wanted(self._held, speed=1.0)
 
     def result(self) -> Landing:
         """How it went."""
