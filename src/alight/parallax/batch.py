@@ -96,7 +96,8 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)
     rgb = colour(views, fine, grid, fit.height, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
-    heights = judged(fine, grid, fit, ratio, (low, high), seen, rgb, settings.uncertainty)
+    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
+    heights = judged(fine, grid, fit, ratio, (low, high), sampling, rgb, settings.uncertainty)
     flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
     return Match(replace(heights, flags=flags), views)
 
@@ -119,13 +120,12 @@ def judged(
     fit: refine.Fit,
     ratio: F32,
     searched: tuple[float, float],
-    seen: refine.ViewGeometry,
+    sampling: F32,
     rgb: U8,
     tuning: UncertaintyTuning,
 ) -> Heights:
     """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
     sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
-    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
@@ -57,6 +57,7 @@ class ViewGeometry:
     count: NDArray[np.uint8]  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
     sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
+    views: Mask  # (N, ...) which these are
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
@@ -74,7 +75,8 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
     view_kernels.baseline(seen, centres, baseline, count)
     drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
     per_px = np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop)
-    return ViewGeometry(baseline, count, per_px, _sampling(prepared, wide, level, np.isfinite(seen), grid.cell))
+    sees = np.isfinite(seen)
+    return ViewGeometry(baseline, count, per_px, _sampling(prepared, wide, level, sees, grid.cell), sees)
 
 
 def _sampling(prepared: list[Prepared], wide: Grid, level: F32, seen: NDArray[np.bool_], cell: float) -> F32:
@@ -91,20 +93,44 @@ def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
 
 
-def visible_from(
-    prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float
-) -> NDArray[np.uint8]:
+@dataclass(frozen=True, eq=False)
+class Skyline:
+    """A height map at half resolution, as rays to the cameras meet it."""
+
+    grid: Grid  # of 2 x 2 cells
+    solid: F32  # (R / 2, C / 2) metres, single spikes taken out
+    tops: F32  # of each block of `BLOCK` x `BLOCK` of these, the highest within reach of its rays
+
+    @classmethod
+    def of(cls, height: F32, grid: Grid, centres: F64) -> Skyline:
+        """Of a map (R, C) and the cameras (N, 3)."""
+        wide = grid.coarser(2)
+        height = np.ascontiguousarray(height[::2, ::2])
+        solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
+        tops = _tops(solid, wide, centres)
+        solid[solid <= LOWEST] = np.nan
+        return cls(wide, solid, tops)
+
+    def visible(self, centres: F64, where: tuple[slice, slice], metres_per_px: F32, rise_px: float) -> U8:
+        """(N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a ray to the camera (eq. 13).
+
+        Args:
+            centres: (N, 3) metres.
+            where: rows and columns of the map, from even ones on; `metres_per_px` (R, C) there.
+        """
+        margin = np.ascontiguousarray(np.float32(rise_px) * metres_per_px[::2, ::2])
+        out = np.empty((len(centres), *margin.shape), np.uint8)
+        top, left = (s.start // 2 for s in where)
+        visibility_kernels.visibility(
+            self.solid, self.tops, BLOCK, centres, *self.grid.xy(), self.grid.cell, margin, top, left, out
+        )
+        return out
+
+
+def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float) -> U8:
     """(N, R / 2, C / 2): 0 where the map rises `rise_px` over a ray to the camera (eq. 13); no single spike does."""
-    wide = grid.coarser(2)
-    height = np.ascontiguousarray(height[::2, ::2])
-    centres = centres_of(prepared)
-    out = np.empty((len(prepared), *wide.shape), np.uint8)
-    solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
-    tops = _tops(solid, wide, centres)
-    solid[solid <= LOWEST] = np.nan
-    margin = np.float32(rise_px) * metres_per_px[::2, ::2]
-    visibility_kernels.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
-    return out
+    centres, whole = centres_of(prepared), (slice(0, grid.rows), slice(0, grid.cols))
+    return Skyline.of(height, grid, centres).visible(centres, whole, metres_per_px, rise_px)
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:

@@ -34,9 +34,13 @@ def parallax_per_metre(centres: F64, height: float) -> float:
 
 def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
     """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
-    slide = max(parallax_per_metre(centres, 0.5 * (low + high)), 1e-3)
-    count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, most))
+    count = plane_count(parallax_per_metre(centres, 0.5 * (low + high)), low, high, cell, most)
     return np.linspace(low, high, count).astype(np.float32)
+
+
+def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
+    """How many these are for a `slide` of the outermost views, metres a metre of height."""
+    return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
 @dataclass(frozen=True, eq=False)

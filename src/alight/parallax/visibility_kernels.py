@@ -122,19 +122,25 @@ def block_tops(h: F32, side: int, lowest: float, out: F32) -> None:
 
 @parallel_kernel
 def visibility(
-    h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, visible: U8
-) -> None:
-    """Fill `visible` (N, R, C) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+    h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, top_row: int,
+    left_col: int, visible: U8,
+) -> None:  # fmt: skip
+    """Fill `visible` (N, P, Q) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+
+    It is asked of the P x Q cells of the map from `top_row` and `left_col` on.
 
     `tops`: for each block of `block` x `block` cells the highest height that a ray from it can meet: the march ends
-    once the ray is above it, and on open ground it does not begin. `margin` (R, C) metres are forgiven.
+    once the ray is above it, and on open ground it does not begin. `margin` (P, Q) metres are forgiven.
     """
-    n, rows, cols = visible.shape
-    for r in prange(rows):
+    n, high, wide = visible.shape
+    rows, cols = h.shape
+    for p in prange(high):
+        r = top_row + p
         for i in range(n):
-            visible[i, r] = 1
-        for c in range(cols):
-            hc, top, spare = h[r, c], tops[r // block, c // block], margin[r, c]
+            visible[i, p] = 1
+        for q in range(wide):
+            c = left_col + q
+            hc, top, spare = h[r, c], tops[r // block, c // block], margin[p, q]
             if not top > hc + spare:  # NaN too
                 continue
             for i in range(n):
@@ -153,5 +159,5 @@ def visibility(
                         break
                     over = h[y, x]
                     if not np.isnan(over) and over > hc + rise * s + spare:
-                        visible[i, r, c] = 0
+                        visible[i, p, q] = 0
                         break

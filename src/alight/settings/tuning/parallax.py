@@ -117,6 +117,15 @@ class RecursiveTuning(FrozenModel):
         2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
     )
     shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
+    share: Fraction = Field(0.4, description="Largest share of the window's cells that a step refines")
+    least_cells: int = Field(65_536, ge=1, description="Cells that it may refine in any case")
+    sweep_samples: int = Field(10_000_000, ge=1, description="Most samples of the first sweeps of a step")
+    patience: int = Field(4, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
+    pace: Positive = Field(3.0, description="Refinements of a block for each keyframe that it then waits for the next")
+    longest_wait: Positive = Field(8.0, description="Keyframes that it waits at most")
+    unsettled: Fraction = Field(
+        0.1, description="Share of heights replaced or newly trusted or refused from which a block begins anew"
+    )
     renew_below: NonNegative = Field(
         0.06, description="Horizontal over vertical distance within which the newest view renews the colour"
     )
