@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, U16
-from alight.geometry import Grid
+from alight.geometry import Camera, Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
@@ -148,14 +148,14 @@ def colour(
             mx, my = maps(fine[i], grid, height)
             ok = left & (mx >= 0) & ((refine.enlarged(visible[i], grid, 2) > 0) | (not strict))
             if ok.any():
-                seen = picture_at(views[i], fine[i], mx, my)
+                seen = picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my)
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
 
 
-def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """The view's own picture at maps of its prepared image, (R, C, 3)."""
-    scale = np.float32(view.camera.width / prepared.camera.width)
+def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
+    """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
+    scale = np.float32(camera.width / prepared.camera.width)
     offset = np.float32(0.5) * scale - np.float32(0.5)
-    return np.asarray(cv2.remap(rgb_of(view.image), mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

@@ -18,9 +18,15 @@ from alight.geometry import Grid
 from alight.settings.tuning.parallax import RecursiveTuning
 
 SIDE = 64  # cells of a block
-LEAST = 8  # samples of a kind from which a block counts: one in 32
+LEAST = 8  # samples of known cells from which a block is refined: one in 32
+ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
+PART = 0.25  # of the cells of a block that are seen, the least that is swept: not what a sweep at the rim left
 NEVER = -(1 << 30)
-GAIN = 8192  # cells whose refinement costs as much as one rectangle more
+DEAR = 8192  # cells whose refinement costs as much as one rectangle more
+MOST_URGENT = 4.0
+WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
+TAKEN = -8.0
+SETTLED = 0.1  # of the urgency of a block that was refined often counts beside new ones
 
 Box = tuple[slice, slice]  # rows and columns of the window
 
@@ -34,6 +40,20 @@ class Effort:
 
 
 EFFORTS = (Effort(1.0, True), Effort(0.8, False), Effort(0.5, False), Effort(0.25, False))  # full, ..., least
+
+
+class Rectangle(NamedTuple):
+    """Of blocks."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @property
+    def blocks(self) -> int:
+        """How many."""
+        return (self.bottom - self.top) * (self.right - self.left)
 
 
 class Counts(NamedTuple):
@@ -67,7 +87,8 @@ class Blocks:
 
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
-        self._row, self._col, self._cell = 0, 0, 0.0
+        self._row, self._col = 0, 0
+        self._rate = 0.0  # samples of first sweeps a step, until none is due
         self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
         self._shape = (0, 0)  # of the window
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
@@ -104,34 +125,47 @@ class Blocks:
             (self._row, self._col), self._count.shape, self._first, strict=True)]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
-        swept = self._to_sweep(counts, away, costs, effort.share * self._tuning.sweep_samples)
-        wanted = self._to_refine(counts, away, swept, effort.share)
-        self._count[swept] = 0
+        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells)
+        most = effort.share * self._tuning.share * cells
+        swept = self._to_sweep(counts, costs, most, effort)
+        refined = self._to_refine(counts, away, swept, most, effort.share * self._tuning.rotation * cells)
+        new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
+        self._count[swept] = np.rint(self._count * (1 - new))[swept]
         self._since[swept] = NEVER
-        return Plan(self._boxes(swept), self._boxes(wanted))
+        each = covered(np.where(swept, 1.0, TAKEN), away, np.inf)
+        return Plan([self._box(b) for b in each], [self._box(b) for b in refined])
 
-    def _to_sweep(self, counts: Counts, away: F64, costs: F64, budget: float) -> Mask:
-        some = counts.fresh >= LEAST
+    def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
+        """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""
+        some = (counts.fresh >= ENOUGH) & (counts.fresh >= PART * (counts.fresh + counts.waiting + counts.known))
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
         ready = some & ((counts.fresh >= counts.waiting) | (self._step - self._since >= self._tuning.patience))
-        return _within(np.lexsort((away.ravel(), self._since.ravel())), ready, costs, budget)
+        self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
+        budget = effort.share * min(max(self._rate, self._tuning.least_sweep), self._tuning.most_sweep)
+        order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
+        return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
 
-    def _to_refine(self, counts: Counts, away: F64, swept: Mask, share: float) -> Mask:
+    def _to_refine(self, counts: Counts, away: F64, swept: Mask, most: float, rotation: float) -> list[Rectangle]:
+        """Rectangles about the blocks that have waited long enough, new ones first.
+
+        Args:
+            most: cells that may be refined.
+            rotation: cells up to which blocks that have been refined often are.
+        """
         wait = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait)
-        urgency = np.where(swept, np.inf, (self._step - self._last) / wait)
-        urgency[away < SIDE * 0.75] += self._tuning.longest_wait  # seen best, and its colours are renewed
-        due = swept | ((counts.known >= LEAST) & (urgency >= 1))
-        budget = max(share * self._tuning.share * self._shape[0] * self._shape[1], share * self._tuning.least_cells)
-        return swept | _within(np.lexsort((away.ravel(), -urgency.ravel())), due, np.full(due.shape, float(SIDE * SIDE)), budget)
+        urgency = np.where(counts.known >= LEAST, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
+        urgency[swept] = MOST_URGENT + 1
+        settled = ~swept & (self._count > self._tuning.pace)
+        out = covered(np.where(settled, SETTLED * urgency, urgency), away, most)
+        for done in out:
+            urgency[done.top : done.bottom, done.left : done.right] = TAKEN
+        return out + covered(urgency, away, rotation - sum(r.blocks * SIDE**2 + DEAR for r in out))
 
-    def _boxes(self, chosen: Mask) -> list[Box]:
-        """Rectangles of cells of the window about chosen blocks."""
-        out = []
-        for top, left, bottom, right in rectangles(chosen):
-            edges = zip((top, left), (bottom, right), (self._row, self._col), self._first, self._shape, strict=True)
-            r, c = (slice(max(SIDE * (a + b) - f, 0), min(SIDE * (z + b) - f, n)) for a, z, b, f, n in edges)
-            out.append((r, c))
-        return out
+    def _box(self, of: Rectangle) -> Box:
+        """The cells of the window in a rectangle of blocks."""
+        edges = zip((of.top, of.left), (of.bottom, of.right), (self._row, self._col), self._first, self._shape, strict=True)
+        r, c = (slice(int(max(SIDE * (a + b) - f, 0)), int(min(SIDE * (z + b) - f, n))) for a, z, b, f, n in edges)
+        return r, c
 
     def never_visited(self, box: Box) -> bool:
         """Whether some block of a rectangle was never refined."""
@@ -175,29 +209,40 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
     return out.reshape(wanted.shape)
 
 
-def rectangles(chosen: Mask) -> list[tuple[int, int, int, int]]:
-    """Rectangles (top, left, bottom, right) of blocks that cover the chosen ones, few and sharing no block.
+def covered(urgency: F64, away: F64, most: float) -> list[Rectangle]:
+    """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells."""
+    urgency, out = urgency.copy(), list[Rectangle]()
+    while most >= DEAR + SIDE**2 and urgency.max(initial=0.0) >= 1.0:
+        found = grown(urgency, away, (most - DEAR) / SIDE**2)
+        most -= found.blocks * SIDE**2 + DEAR
+        out.append(found)
+        urgency[found.top : found.bottom, found.left : found.right] = TAKEN
+    return out
 
-    Runs in a row, joined across gaps of one block; a run that continues the one above, or nearly, belongs to it.
+
+def grown(urgency: F64, away: F64, most: float) -> Rectangle:
+    """The rectangle of at most so many blocks that grows from the most urgent, nearest one while its rim is urgent too.
+
+    Few large rectangles cost less than many small ones, and what is refined together is urgent together again.
     """
-    open_, out = [], list[tuple[int, int, int, int]]()
-    for r in range(chosen.shape[0]):
-        runs = _runs(chosen[r])
-        still = []
-        for top, left, bottom, right in open_:
-            same = next((k for k, (a, z) in enumerate(runs) if a == left and z == right), None)
-            if same is None:
-                out.append((top, left, bottom, right))
-            else:
-                runs.pop(same)
-                still.append((top, left, bottom + 1, right))
-        open_ = still + [(r, a, r + 1, z) for a, z in runs]
-    return sorted(out + open_)
+    first = np.flatnonzero(urgency.ravel() == urgency.max())
+    row, col = np.unravel_index(first[np.argmin(away.ravel()[first])], urgency.shape)
+    out = Rectangle(int(row), int(col), int(row) + 1, int(col) + 1)
+    while True:
+        top, left, bottom, right = out
+        rims = (
+            Rectangle(top - 1, left, top, right), Rectangle(bottom, left, bottom + 1, right),
+            Rectangle(top, left - 1, bottom, left), Rectangle(top, right, bottom, right + 1),
+        )  # fmt: skip
+        worth = [_mean(urgency, r) if out.blocks + r.blocks <= most else -1.0 for r in rims]
+        k = int(np.argmax(worth))
+        if worth[k] < WORTH:
+            return out
+        a, b, c, d = rims[k]
+        out = Rectangle(min(top, a), min(left, b), max(bottom, c), max(right, d))
 
 
-def _runs(row: Mask) -> list[tuple[int, int]]:
-    at = np.flatnonzero(row)
-    if not len(at):
-        return []
-    cut = np.flatnonzero(np.diff(at) > 2)
-    return [(int(a), int(z) + 1) for a, z in zip(at[np.r_[0, cut + 1]], at[np.r_[cut, len(at) - 1]], strict=True)]
+def _mean(urgency: F64, of: Rectangle) -> float:
+    rows, cols = urgency.shape
+    inside = min(of.top, of.left) >= 0 and of.bottom <= rows and of.right <= cols
+    return float(urgency[of.top : of.bottom, of.left : of.right].mean()) if inside else -1.0

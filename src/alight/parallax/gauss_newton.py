@@ -18,7 +18,7 @@ from alight.geometry import Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Buffers, Prepared, centres_of, maps, pixels_on_ground, stack
+from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
@@ -51,7 +51,7 @@ def median_height(height: F32) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """Geometry of the views at each block of `SEEN_BLOCK` x `SEEN_BLOCK` cells."""
+    """Geometry of the views at each block of cells."""
 
     baseline: F32  # metres between the outermost views that see it
     count: NDArray[np.uint8]  # of these views
@@ -68,23 +68,14 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
     level = np.full(wide.shape, median_height(height), np.float32)
     inner = level[: known.shape[0], : known.shape[1]]
     np.copyto(inner, known, where=np.isfinite(known))
-    seen = np.array([maps(p, wide, level)[0] for p in prepared])
-    seen[seen < 0] = np.nan
-    centres = centres_of(prepared)
-    baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
-    view_kernels.baseline(seen, centres, baseline, count)
-    drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
-    per_px = np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop)
-    sees = np.isfinite(seen)
-    return ViewGeometry(baseline, count, per_px, _sampling(prepared, wide, level, sees, grid.cell), sees)
-
-
-def _sampling(prepared: list[Prepared], wide: Grid, level: F32, seen: NDArray[np.bool_], cell: float) -> F32:
-    """The second finest pixel on the ground of the views that see a block, metres: it takes two for a height."""
-    each = np.array([pixels_on_ground(p.centre, p.camera.fu, wide, level) for p in prepared])
-    pixels = np.where(seen, each, np.float32(np.inf))
-    second = np.partition(pixels, 1, axis=0)[1] if len(pixels) > 1 else pixels[0]
-    return np.where(np.isfinite(second), np.maximum(second, np.float32(cell)), np.float32(np.nan))
+    columns = np.empty((len(prepared), *wide.shape), np.float32)
+    for p, out in zip(prepared, columns, strict=True):
+        out[:] = maps(p, wide, level)[0]
+    centres, focal = centres_of(prepared), np.array([p.camera.fu for p in prepared])
+    baseline, per_px, sampling = (np.empty(wide.shape, np.float32) for _ in range(3))
+    count = np.empty(wide.shape, np.uint8)
+    view_kernels.seen_from(columns, centres, focal, *wide.xy(), level, grid.cell, baseline, count, per_px, sampling)
+    return ViewGeometry(baseline, count, per_px, sampling, columns >= 0)
 
 
 def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:

@@ -18,13 +18,12 @@ from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax.blocks import EFFORTS, Blocks, Box, Effort, Plan, SweepCost
 from alight.parallax.plane_sweep import plane_count, sweep_unseen
-from alight.parallax.pose_refinement.alignment import Alignment, Kept
-from alight.parallax.views import Buffers, Prepared, coarser, prepare_view
+from alight.parallax.pose_refinement.alignment import Alignment
+from alight.parallax.views import Buffers, Kept
 from alight.parallax.window import Refiner, Window, cells_of, first_of_twins
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
 
-HALF = 2  # cells of the map that a cell of a sweep spans
 
 
 class RecursiveParallax:
@@ -65,31 +64,27 @@ class RecursiveParallax:
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute what the sweep found
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
-            self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
+            self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
 
     def look_anew(self) -> None:
         """Sweep every cell again before its height is used."""
         self._ratio, self._unknown = None, np.float32(np.nan)
-
-    def _ready(self, view: View) -> Kept:
-        fine = prepare_view(view, self._cell, self._ground)
-        return view, fine, coarser(fine)
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
         """Take the images of one exposure, late or not; the keyframe that leaves the smallest gap is dropped.
 
         `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
-        if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
+        if any(exposure[0].view.t_ns == views[0].t_ns for exposure in self._kept):
             return  # a repeated time: the same picture twice would agree with itself
-        self._kept.append([self._ready(v) for v in views])
-        self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
-        centres = np.array([exposure[0][0].centre for exposure in self._kept])
+        self._kept.append([Kept.of(v, self._cell, self._ground) for v in views])
+        self._kept.sort(key=lambda exposure: exposure[0].view.t_ns)
+        centres = np.array([exposure[0].view.centre for exposure in self._kept])
         drop = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / drop
         self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span)]
         if poses is not None:
-            times = {exposure[0][0].t_ns for exposure in self._kept}
+            times = {exposure[0].view.t_ns for exposure in self._kept}
             self._alignment.update_posterior(poses, times, drop)
 
     def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
@@ -108,16 +103,16 @@ class RecursiveParallax:
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
         if self.plane.any():
             known = replace(known, height=known.height + self.plane_on(grid))
-        drop = float(self._kept[-1][0][0].centre[2]) - self._ground
+        drop = float(self._kept[-1][0].view.centre[2]) - self._ground
         views = [k for exposure in self._kept for k in exposure]
         single = [k for k, i in zip(views, first_of_twins(views, drop), strict=True) if k is views[i]]
         window = Window.of(views if chosen.twins else single, grid, known, (low, high), drop)
         plan = self._plan(window, ratio, drop, chosen)
-        start, wrong = self._swept(window, [coarse for _, _, coarse in single], ratio, plan.sweep, drop)
+        start, wrong = self._swept(window, self._some_of(single), ratio, plan.sweep, drop)
         self._ratio = (grid, ratio)
         if not plan.refine:
             return []
-        skyline = refine.Skyline.of(start, grid, np.array([f.centre for _, f, _ in window.kept]))
+        skyline = refine.Skyline.of(start, grid, np.array([k.fine.centre for k in window.kept]))
         gauge, out = self._alignment.gauge(grid), []
         for box in plan.refine:
             recolour = self._blocks.recolour and self._blocks.never_visited(box)
@@ -138,6 +133,13 @@ class RecursiveParallax:
                 out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
+    def _some_of(self, views: list[Kept]) -> list[Kept]:
+        """The views of a few exposures, the oldest and the newest among them: more blur the edges of a sweep."""
+        times = sorted({k.view.t_ns for k in views})
+        at = np.linspace(0, len(times) - 1, min(self._tuning.first_exposures, len(times)))
+        chosen = {times[round(float(i))] for i in at}
+        return [k for k in views if k.view.t_ns in chosen]
+
     def _asked(self, baseline: F32, count: NDArray[np.uint8], ratio: F32, drop: float) -> Mask:
         """Where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
@@ -154,15 +156,15 @@ class RecursiveParallax:
         new, enough = np.isnan(h) | np.isnan(r), self._asked(baseline, count, r, drop)
         kinds = np.array([new & enough, new & ~enough & (count > 0), ~new & (count >= 2)])
         self._blocks.move_to(window.grid)
-        counts, newest = self._blocks.counted(kinds, every), window.kept[-1][0].centre
+        counts, newest = self._blocks.counted(kinds, every), window.kept[-1].view.centre
         row, col = (float(v) for v in window.grid.index(newest[0], newest[1]))
         fresh = baseline[kinds[0]]
         slide = float(np.median(fresh)) / drop if fresh.size else 0.0
         low, high = window.searched
-        count = plane_count(slide, low, high, HALF * window.grid.cell, self._settings.sweep.most_planes)
+        count = plane_count(slide, low, high, window.grid.cell, self._settings.sweep.most_planes)
         up = float(newest[2])
         reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
-        sweep = SweepCost(len(set(window.nearly)) * count / HALF**2, reach)
+        sweep = SweepCost(self._tuning.first_exposures * count, reach)
         return self._blocks.plan(counts, (row, col), sweep, effort)
 
     def _changes(self, found: Heights, known: ElevationMap, box: Box) -> bool:
@@ -174,7 +176,7 @@ class RecursiveParallax:
         return bool((replaced | (is_trusted(f) != is_trusted(f0))).mean() > self._tuning.unsettled)
 
     def _swept(
-        self, window: Window, coarse: list[Prepared], ratio: F32, boxes: list[Box], drop: float
+        self, window: Window, views: list[Kept], ratio: F32, boxes: list[Box], drop: float
     ) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
@@ -192,19 +194,16 @@ class RecursiveParallax:
             )
             fresh = (np.isnan(before[box]) | anew[box]) & enough
             if fresh.any():
-                self._sweep(window, coarse, ratio, box, fresh, start, wrong)
+                self._sweep(window, views, ratio, box, fresh, start, wrong)
         return start, wrong
 
     def _sweep(
-        self, window: Window, coarse: list[Prepared], ratio: F32, box: Box, fresh: Mask, start: F32, wrong: Mask
+        self, window: Window, views: list[Kept], ratio: F32, box: Box, fresh: Mask, start: F32, wrong: Mask
     ) -> None:
-        """Sweep the `fresh` cells of a rectangle at half resolution; fills `start`, `ratio` and `wrong` there."""
-        grid, before, per_px = cells_of(window.grid, box), window.known.height[box], window.per_px[box]
+        """Sweep the `fresh` cells of a rectangle; fills `start`, `ratio` and `wrong` there."""
+        before, per_px, grid = window.known.height[box], window.per_px[box], cells_of(window.grid, box)
         ground = float(np.clip(self._ground, *window.searched))
-        swept = sweep_unseen(
-            coarse, grid.coarser(HALF), window.searched, ground, np.ascontiguousarray(fresh[::HALF, ::HALF]), self._settings.sweep
-        )
-        new, found = (refine.enlarged(v, grid, HALF) for v in swept)
+        new, found = sweep_unseen([v.fine for v in views], grid, window.searched, ground, fresh, self._settings.sweep)
         both = fresh & np.isfinite(before) & np.isfinite(new)
         shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
         new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)

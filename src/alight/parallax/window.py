@@ -16,8 +16,7 @@ from alight.parallax import uncertainty as trust
 from alight.parallax import uncertainty_kernels as kernels
 from alight.parallax.batch import judged, picture_at
 from alight.parallax.blocks import Box
-from alight.parallax.pose_refinement.alignment import Kept
-from alight.parallax.views import Buffers, Prepared, maps
+from alight.parallax.views import Buffers, Kept, maps, rgb_of
 from alight.raster import close_mask, weighted_gaussian
 from alight.records import ElevationMap, Heights
 from alight.settings import ParallaxSettings
@@ -40,14 +39,16 @@ class Window:
     seen: refine.ViewGeometry
     per_px: F32  # (R, C) metres a parallax pixel
     searched: tuple[float, float]  # metres
+    drop: float  # metres from the newest camera to the ground
+    picture: U8  # (H, W, 3) of the newest view
     nearly: NDArray[np.intp]  # (N,) of each view, the one of its exposure that sees the same from the same place
 
     @classmethod
     def of(cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float) -> Window:
         """The window as these views see it; `drop`: metres from the newest camera to the ground."""
-        seen = refine.view_geometry([f for _, f, _ in kept], grid, known.height)
+        seen = refine.view_geometry([k.fine for k in kept], grid, known.height)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-        return cls(grid, known, kept, seen, per_px, searched, first_of_twins(kept, drop))
+        return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), first_of_twins(kept, drop))
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
         """Those that see any of a rectangle."""
@@ -55,7 +56,7 @@ class Window:
         return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
 
     def part_of(self, values: NDArray[np.generic], where: Box) -> NDArray[np.generic]:
-        """A rectangle of values of blocks of `SEEN_BLOCK` cells, on its cells."""
+        """A rectangle of values of blocks of `refine.SEEN_BLOCK` cells, on its cells."""
         n = refine.SEEN_BLOCK
         r, c = (slice(s.start // n, -(-s.stop // n)) for s in where)
         part = np.ascontiguousarray(values[r, c])
@@ -93,13 +94,13 @@ def within(inner: Box, outer: Box) -> Box:
 def first_of_twins(kept: list[Kept], drop: float) -> NDArray[np.intp]:
     """For each view the first one of its exposure that sees nearly the same from nearly the same place, (N,)."""
     out = list[int]()
-    for i, (view, _, _) in enumerate(kept):
+    for i, (view, fine, _) in enumerate(kept):
         axis = view.world_from_cam.rotation[:, 2]
         same = (
             j for j in range(i)
-            if out[j] == j and kept[j][0].t_ns == view.t_ns and kept[j][0].camera == view.camera
-            and np.linalg.norm(kept[j][0].centre - view.centre) < BESIDE * drop
-            and float(axis @ kept[j][0].world_from_cam.rotation[:, 2]) > np.cos(ALIKE)
+            if out[j] == j and kept[j].view.t_ns == view.t_ns and kept[j].fine.camera == fine.camera
+            and np.linalg.norm(kept[j].view.centre - view.centre) < BESIDE * drop
+            and float(axis @ kept[j].view.world_from_cam.rotation[:, 2]) > np.cos(ALIKE)
         )  # fmt: skip
         out.append(next(same, i))
     return np.array(out, np.intp)
@@ -137,9 +138,9 @@ class Refiner:
         if len(chosen) < 2 or not np.isfinite(h[within(box, where)]).any():
             return None
         kept, per_px = [window.kept[i] for i in chosen], np.ascontiguousarray(window.per_px[where])
-        fine, tuning = [f for _, f, _ in kept], self.settings.refinement
+        fine, tuning = [k.fine for k in kept], self.settings.refinement
         first, owner = np.unique(window.nearly[chosen], return_inverse=True)
-        centres = np.array([window.kept[i][1].centre for i in first])
+        centres = np.array([window.kept[i].fine.centre for i in first])
         visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]
         fit = refine.gauss_newton(fine, grid, h, per_px, visible, self.settings.recursive.steps, tuning, self.buffers)
         known = part_of(window.known, where)
@@ -148,9 +149,9 @@ class Refiner:
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         sampling = window.part_of(window.seen.sampling, where)
-        found = judged([window.kept[-1][1]], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty)
+        found = judged([window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty)
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
-        pairs, consistency = witness.instants([v for v, _, _ in kept]), self.settings.consistency
+        pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
         found = replace(found, flags=found.flags | moves)
         return core(fused(found, known, self.settings.recursive.worse), within(box, where))
@@ -160,7 +161,7 @@ class Refiner:
         view, fine, _ = window.kept[-1]
         out = known.rgb.copy()
         row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
-        k = self.settings.recursive.renew_below * (view.centre[2] - np.float32(median(height))) / grid.cell
+        k = self.settings.recursive.renew_below * window.drop / grid.cell
         under = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
         fresh = (np.isnan(known.height) | recolour) & np.isfinite(height)
         for where, only in ((box_of(fresh), fresh), (under, None)):
@@ -172,12 +173,8 @@ class Refiner:
             take = mapx >= 0  # not where there is no height
             if only is not None:
                 take &= only[where]
-            cv2.copyTo(picture_at(view, fine, mapx, mapy), take.view(np.uint8), out[where])
+            cv2.copyTo(picture_at(window.picture, view.camera, fine, mapx, mapy), take.view(np.uint8), out[where])
         return out
-
-
-def median(height: F32) -> float:
-    return refine.median_height(height)
 
 
 def core(found: Heights, where: Box) -> Heights:
