@@ -26,7 +26,7 @@ DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
 WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
 TAKEN = -8.0
-SETTLED = 0.1  # of the urgency of a block that was refined often counts beside new ones
+MOST_NEW = 0.5  # of the blocks that are seen, from which a step may do twice as much: the map begins
 
 Box = tuple[slice, slice]  # rows and columns of the window
 
@@ -125,10 +125,12 @@ class Blocks:
             (self._row, self._col), self._count.shape, self._first, strict=True)]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
-        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells)
-        most = effort.share * self._tuning.share * cells
+        seen = counts.fresh + counts.known >= LEAST
+        begins = seen.any() and float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
+        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells) * (2 if begins else 1)
+        most = min(effort.share * self._tuning.share, 1.0) * cells
         swept = self._to_sweep(counts, costs, most, effort)
-        refined = self._to_refine(counts, away, swept, most, effort.share * self._tuning.rotation * cells)
+        refined = self._to_refine(counts, away, swept, most)
         new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
         self._count[swept] = np.rint(self._count * (1 - new))[swept]
         self._since[swept] = NEVER
@@ -145,21 +147,12 @@ class Blocks:
         order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
 
-    def _to_refine(self, counts: Counts, away: F64, swept: Mask, most: float, rotation: float) -> list[Rectangle]:
-        """Rectangles about the blocks that have waited long enough, new ones first.
-
-        Args:
-            most: cells that may be refined.
-            rotation: cells up to which blocks that have been refined often are.
-        """
+    def _to_refine(self, counts: Counts, away: F64, swept: Mask, most: float) -> list[Rectangle]:
+        """Rectangles of `most` cells about the blocks that have waited long enough, those just swept first."""
         wait = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait)
         urgency = np.where(counts.known >= LEAST, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
         urgency[swept] = MOST_URGENT + 1
-        settled = ~swept & (self._count > self._tuning.pace)
-        out = covered(np.where(settled, SETTLED * urgency, urgency), away, most)
-        for done in out:
-            urgency[done.top : done.bottom, done.left : done.right] = TAKEN
-        return out + covered(urgency, away, rotation - sum(r.blocks * SIDE**2 + DEAR for r in out))
+        return covered(urgency, away, most)
 
     def _box(self, of: Rectangle) -> Box:
         """The cells of the window in a rectangle of blocks."""
