@@ -26,6 +26,7 @@ DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
 WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
 TAKEN = -8.0
+ROUGH = 8  # times less work at half the resolution
 MOST_NEW = 0.5  # of the blocks that are seen, from which a step may do twice as much: the map begins
 
 Box = tuple[slice, slice]  # rows and columns of the window
@@ -75,6 +76,7 @@ class Plan(NamedTuple):
     """The work of one step."""
 
     sweep: list[Box]  # whose new cells are swept
+    rough: list[Box]  # the same, at half the resolution: they would cost more than a step may
     refine: list[Box]  # sharing no cell, among them all that are swept
 
 
@@ -88,6 +90,7 @@ class Blocks:
     def __init__(self, tuning: RecursiveTuning) -> None:
         self._tuning, self._step = tuning, 0
         self._row, self._col = 0, 0
+        self._begins = True
         self._rate = 0.0  # samples of first sweeps a step, until none is due
         self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
         self._shape = (0, 0)  # of the window
@@ -126,16 +129,22 @@ class Blocks:
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
         seen = counts.fresh + counts.known >= LEAST
-        begins = seen.any() and float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
-        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells) * (2 if begins else 1)
+        self._begins = not seen.any() or float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
+        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells) * (2 if self._begins else 1)
         most = min(effort.share * self._tuning.share, 1.0) * cells
-        swept = self._to_sweep(counts, costs, most, effort)
+        dear = costs > self._tuning.most_sweep
+        swept = self._to_sweep(counts, np.where(dear, costs / ROUGH, costs), most, effort)
         refined = self._to_refine(counts, away, swept, most)
         new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
         self._count[swept] = np.rint(self._count * (1 - new))[swept]
         self._since[swept] = NEVER
-        each = covered(np.where(swept, 1.0, TAKEN), away, np.inf)
-        return Plan([self._box(b) for b in each], [self._box(b) for b in refined])
+        fine, rough = (covered(np.where(swept & some, 1.0, TAKEN), away, np.inf) for some in (~dear, dear))
+        return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
+
+    @property
+    def beginning(self) -> bool:
+        """Most blocks of the last plan are new: heights of a part may not speak for the rest."""
+        return self._begins
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
         """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""

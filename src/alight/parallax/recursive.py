@@ -17,14 +17,14 @@ from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax.blocks import EFFORTS, Blocks, Box, Effort, Plan, SweepCost
-from alight.parallax.plane_sweep import plane_count, sweep_unseen
+from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.views import Buffers, Kept
 from alight.parallax.window import Refiner, Window, cells_of, first_of_twins
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
 
-
+HALF = 2  # cells of the map that a cell of a rough sweep spans
 
 class RecursiveParallax:
     """Keyframes at distances that grow with age, and the step that they allow."""
@@ -52,6 +52,11 @@ class RecursiveParallax:
     def plane_on(self, grid: Grid) -> F32:
         """`plane` at the cells of a grid, (R, C) metres."""
         return self._alignment.plane_on(grid)
+
+    @property
+    def beginning(self) -> bool:
+        """Most of the window was not refined often yet, or nothing was: heights of a part may not speak for the rest."""
+        return self._blocks.beginning
 
     def work_at(self, cell: float, ground: float) -> None:
         """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
@@ -108,7 +113,7 @@ class RecursiveParallax:
         single = [k for k, i in zip(views, first_of_twins(views, drop), strict=True) if k is views[i]]
         window = Window.of(views if chosen.twins else single, grid, known, (low, high), drop)
         plan = self._plan(window, ratio, drop, chosen)
-        start, wrong = self._swept(window, self._some_of(single), ratio, plan.sweep, drop)
+        start, wrong = self._swept(window, self._some_of(single), ratio, plan, drop)
         self._ratio = (grid, ratio)
         if not plan.refine:
             return []
@@ -176,7 +181,7 @@ class RecursiveParallax:
         return bool((replaced | (is_trusted(f) != is_trusted(f0))).mean() > self._tuning.unsettled)
 
     def _swept(
-        self, window: Window, views: list[Kept], ratio: F32, boxes: list[Box], drop: float
+        self, window: Window, views: list[Kept], ratio: F32, plan: Plan, drop: float
     ) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
@@ -188,29 +193,37 @@ class RecursiveParallax:
         """
         before, anew = window.known.height, np.isnan(ratio)
         start, wrong = np.where(anew, np.float32(np.nan), before), np.zeros(before.shape, np.bool_)
-        for box in boxes:
+        for box in plan.sweep + plan.rough:
             enough = self._asked(
                 window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box), ratio[box], drop
             )
             fresh = (np.isnan(before[box]) | anew[box]) & enough
             if fresh.any():
-                self._sweep(window, views, ratio, box, fresh, start, wrong)
+                new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else HALF)
+                self._take(window, box, fresh, new, found, ratio[box], start[box], wrong[box])
         return start, wrong
 
-    def _sweep(
-        self, window: Window, views: list[Kept], ratio: F32, box: Box, fresh: Mask, start: F32, wrong: Mask
+    def _sweep(self, window: Window, views: list[Kept], box: Box, fresh: Mask, coarser: int) -> Swept:
+        """Sweep the `fresh` cells of a rectangle, with cells `coarser` times as large."""
+        grid, ground = cells_of(window.grid, box), float(np.clip(self._ground, *window.searched))
+        ready = [v.fine if coarser == 1 else v.coarse for v in views]
+        wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
+        found = sweep_unseen(ready, grid.coarser(coarser), window.searched, ground, wanted, self._settings.sweep)
+        height, ratio = (refine.enlarged(v, grid, coarser) for v in found)
+        return height, ratio
+
+    def _take(
+        self, window: Window, box: Box, fresh: Mask, new: F32, found: F32, ratio: F32, start: F32, wrong: Mask
     ) -> None:
-        """Sweep the `fresh` cells of a rectangle; fills `start`, `ratio` and `wrong` there."""
-        before, per_px, grid = window.known.height[box], window.per_px[box], cells_of(window.grid, box)
-        ground = float(np.clip(self._ground, *window.searched))
-        new, found = sweep_unseen([v.fine for v in views], grid, window.searched, ground, fresh, self._settings.sweep)
+        """Fill what a sweep found in a rectangle into its `start`, `ratio` and `wrong`."""
+        before, per_px = window.known.height[box], window.per_px[box]
         both = fresh & np.isfinite(before) & np.isfinite(new)
         shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
         new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
-        wrong[box] = both & (new != before)
-        asked = np.where(ratio[box] >= 1, 2 * ratio[box], np.float32(1))
-        np.copyto(start[box], new, where=fresh)
-        np.copyto(ratio[box], np.where(np.isnan(new), asked, found), where=fresh)
+        np.copyto(wrong, both & (new != before))
+        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))
+        np.copyto(start, new, where=fresh)
+        np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
 
 
 def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

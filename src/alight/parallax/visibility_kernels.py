@@ -151,13 +151,12 @@ def visibility(
                 if length < 1e-6 or dz <= 0.0:
                     continue
                 rise = dz / length  # metres a cell of march
+                down, right = dy / length, dx / length
                 steps = int(min(length, (top - hc - spare) / rise))
                 for s in range(1, steps + 1):
-                    y = int(np.floor(r + dy * s / length + 0.5))
-                    x = int(np.floor(c + dx * s / length + 0.5))
-                    if y < 0 or y >= rows or x < 0 or x >= cols:
+                    y, x = r + 0.5 + down * s, c + 0.5 + right * s
+                    if not (0.0 <= y < rows and 0.0 <= x < cols):
                         break
-                    over = h[y, x]
-                    if not np.isnan(over) and over > hc + rise * s + spare:
+                    if h[int(y), int(x)] > hc + rise * s + spare:  # False for NaN
                         visible[i, p, q] = 0
                         break

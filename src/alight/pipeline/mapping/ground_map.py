@@ -17,7 +17,6 @@ from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
-HALF_KNOWN = 0.5  # of the window, from which the map alone gives the range: a part of it may miss a pit in the rest
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
 
 
@@ -85,19 +84,23 @@ class GroundMap:
             self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
 
-    def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
-        """Heights to search: what the map knows there already counts as points, beside those near it."""
+    def _range(
+        self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
+    ) -> tuple[float, float]:
+        """Heights to search: those of the map there, where it has enough, else of points near it.
+
+        Both where it knows a `part` of it only: that may miss a pit in the rest.
+        """
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
         near = (grid.east + 0.5 * wide, grid.north - 0.5 * tall, 1.2 * max(wide, tall))
         low, high = height_range(self._points, camera, near)
-        given = None if known is None else known.trusted
-        if known is None or given is None or given.sum() < self.settings.mapping.least_known:
+        heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
+        if len(heights) < self.settings.mapping.least_known:
             return low, high
-        heights = known.height[given][::7].astype(np.float64)
         below, above = height_range(np.column_stack([heights, heights, heights]), camera)
-        return (below, above) if given.mean() > HALF_KNOWN else (min(low, below), max(high, above))
+        return (min(low, below), max(high, above)) if part else (below, above)
 
     def _without_doubtful(self, heights: Heights, above: float, around: Surroundings | None = None) -> Heights:
         """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""

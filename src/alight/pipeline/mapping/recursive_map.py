@@ -90,7 +90,7 @@ class RecursiveMap(GroundMap):
         low, high = bounds(down, ground)
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self.level)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
-        parts = ring.step(grid, known, *self._range(grid, up, known), effort)
+        parts = ring.step(grid, known, *self._range(grid, up, known, ring.beginning), effort)
         if ring.plane.any():
             self.elevation.add_plane(ring.plane, ring.about)
             known = replace(known, height=known.height + ring.plane_on(grid))

@@ -121,7 +121,7 @@ class RecursiveTuning(FrozenModel):
     share: Fraction = Field(0.35, description="Largest share of the window's cells that a step refines; twice as much at the start")
     least_cells: int = Field(100_000, ge=1, description="Cells of the smallest window of which these are shares")
     least_sweep: int = Field(1_000_000, ge=1, description="Samples of first sweeps that a step may take in any case")
-    most_sweep: int = Field(12_000_000, ge=1, description="Most samples of the first sweeps of a step")
+    most_sweep: int = Field(6_000_000, ge=1, description="Most samples of the first sweeps of a step")
     backlog: Positive = Field(3.0, description="Keyframes over which sweeps are spread that are due together")
     patience: int = Field(4, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
     pace: Positive = Field(3.0, description="Refinements of a block for each keyframe that it then waits for the next")
