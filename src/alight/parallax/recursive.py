@@ -20,7 +20,7 @@ from alight.parallax.blocks import EFFORTS, Blocks, Box, Effort, Plan, SweepCost
 from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.views import Buffers, Kept
-from alight.parallax.window import Refiner, Window, cells_of, first_of_twins
+from alight.parallax.window import APART, Refiner, Window, cells_of, first_of_twins
 from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
 
@@ -31,6 +31,8 @@ class RecursiveParallax:
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
+        # what one view does not see may wait for the next keyframe
+        self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
         self._unswept = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
@@ -110,10 +112,11 @@ class RecursiveParallax:
             known = replace(known, height=known.height + self.plane_on(grid))
         drop = float(self._kept[-1][0].view.centre[2]) - self._ground
         views = [k for exposure in self._kept for k in exposure]
-        single = [k for k, i in zip(views, first_of_twins(views, drop), strict=True) if k is views[i]]
-        window = Window.of(views if chosen.twins else single, grid, known, (low, high), drop)
+        if not chosen.twins:
+            views = [k for k, i in zip(views, first_of_twins(views, APART * drop), strict=True) if k is views[i]]
+        window = Window.of(views, grid, known, (low, high), drop)
         plan = self._plan(window, ratio, drop, chosen)
-        start, wrong = self._swept(window, self._some_of(single), ratio, plan, drop)
+        start, wrong = self._swept(window, ratio, plan, drop)
         self._ratio = (grid, ratio)
         if not plan.refine:
             return []
@@ -138,18 +141,29 @@ class RecursiveParallax:
                 out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
-    def _some_of(self, views: list[Kept]) -> list[Kept]:
-        """The views of a few exposures, the oldest and the newest among them: more blur the edges of a sweep."""
-        times = sorted({k.view.t_ns for k in views})
+    def _views_of(self, window: Window, box: Box, ratio: F32, fresh: Mask, drop: float) -> list[Kept]:
+        """The views that sweep a rectangle: of a few exposures over about twice the baseline that this takes.
+
+        More exposures blur the edges of things. A longer baseline takes more planes, and the steps to come bring it.
+        """
+        seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
+        asked = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
+        span, newest = 2 * asked * self._tuning.first_baseline * drop, seen[-1].view.centre
+        near = [k for k in seen if np.linalg.norm(k.view.centre - newest) <= span]
+        times = sorted({k.view.t_ns for k in near})
         at = np.linspace(0, len(times) - 1, min(self._tuning.first_exposures, len(times)))
         chosen = {times[round(float(i))] for i in at}
-        return [k for k in views if k.view.t_ns in chosen]
+        return [k for k in near if k.view.t_ns in chosen]
+
+    @staticmethod
+    def _wanted(ratio: F32) -> F32:
+        """Baselines of a first sweep that a cell takes: after a sweep in vain, twice as many as before."""
+        return np.where(ratio >= 1, 2 * ratio, np.float32(1))
 
     def _asked(self, baseline: F32, count: NDArray[np.uint8], ratio: F32, drop: float) -> Mask:
         """Where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
         wide = baseline / np.float32(self._tuning.first_baseline * drop)
-        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a sweep in vain, twice the baseline
-        return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= asked
+        return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
 
     def _plan(self, window: Window, ratio: F32, drop: float, effort: Effort) -> Plan:
         """Count in a sample of the cells, and choose."""
@@ -163,10 +177,9 @@ class RecursiveParallax:
         self._blocks.move_to(window.grid)
         counts, newest = self._blocks.counted(kinds, every), window.kept[-1].view.centre
         row, col = (float(v) for v in window.grid.index(newest[0], newest[1]))
-        fresh = baseline[kinds[0]]
-        slide = float(np.median(fresh)) / drop if fresh.size else 0.0
         low, high = window.searched
-        count = plane_count(slide, low, high, window.grid.cell, self._settings.sweep.most_planes)
+        slide = 2 * self._tuning.first_baseline
+        count = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
         up = float(newest[2])
         reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
         sweep = SweepCost(self._tuning.first_exposures * count, reach)
@@ -181,7 +194,7 @@ class RecursiveParallax:
         return bool((replaced | (is_trusted(f) != is_trusted(f0))).mean() > self._tuning.unsettled)
 
     def _swept(
-        self, window: Window, views: list[Kept], ratio: F32, plan: Plan, drop: float
+        self, window: Window, ratio: F32, plan: Plan, drop: float
     ) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
@@ -199,6 +212,7 @@ class RecursiveParallax:
             )
             fresh = (np.isnan(before[box]) | anew[box]) & enough
             if fresh.any():
+                views = self._views_of(window, box, ratio[box], fresh, drop)
                 new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else HALF)
                 self._take(window, box, fresh, new, found, ratio[box], start[box], wrong[box])
         return start, wrong
@@ -208,7 +222,7 @@ class RecursiveParallax:
         grid, ground = cells_of(window.grid, box), float(np.clip(self._ground, *window.searched))
         ready = [v.fine if coarser == 1 else v.coarse for v in views]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
-        found = sweep_unseen(ready, grid.coarser(coarser), window.searched, ground, wanted, self._settings.sweep)
+        found = sweep_unseen(ready, grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
         height, ratio = (refine.enlarged(v, grid, coarser) for v in found)
         return height, ratio
 
@@ -221,9 +235,8 @@ class RecursiveParallax:
         shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
         new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
         np.copyto(wrong, both & (new != before))
-        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))
         np.copyto(start, new, where=fresh)
-        np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
+        np.copyto(ratio, np.where(np.isnan(new), self._wanted(ratio), found), where=fresh)
 
 
 def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

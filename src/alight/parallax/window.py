@@ -25,7 +25,8 @@ GAP = 4  # cells: a gap narrower than twice that, between heights, starts from t
 HALO = 8  # cells about a rectangle that are refined with it and thrown away: no seams
 FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
 FIELDS = (*FUSED, "rgb")
-BESIDE = 0.02  # of the height: cameras of one exposure that are nearer to each other see the same from the same place
+BESIDE = 0.02  # of the height: the same hides the ground from cameras of one exposure that are nearer to each other
+APART = 0.06  # of the height: such cameras see so much of the same that a sweep needs one of them
 ALIKE = 0.1  # rad between the axes of such cameras
 
 
@@ -41,14 +42,16 @@ class Window:
     searched: tuple[float, float]  # metres
     drop: float  # metres from the newest camera to the ground
     picture: U8  # (H, W, 3) of the newest view
-    nearly: NDArray[np.intp]  # (N,) of each view, the one of its exposure that sees the same from the same place
+    nearly: NDArray[np.intp]  # (N,) of each view, the first of its exposure within `BESIDE`
+    apart: NDArray[np.intp]  # (N,) and within `APART`
 
     @classmethod
     def of(cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float) -> Window:
         """The window as these views see it; `drop`: metres from the newest camera to the ground."""
         seen = refine.view_geometry([k.fine for k in kept], grid, known.height)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-        return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), first_of_twins(kept, drop))
+        near, far = (first_of_twins(kept, share * drop) for share in (BESIDE, APART))
+        return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), near, far)
 
     def views_of(self, where: Box) -> NDArray[np.intp]:
         """Those that see any of a rectangle."""
@@ -91,15 +94,15 @@ def within(inner: Box, outer: Box) -> Box:
     return r, c
 
 
-def first_of_twins(kept: list[Kept], drop: float) -> NDArray[np.intp]:
-    """For each view the first one of its exposure that sees nearly the same from nearly the same place, (N,)."""
+def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
+    """For each view (N,) the first one of its exposure that looks the same way from a place `within` so many metres."""
     out = list[int]()
     for i, (view, fine, _) in enumerate(kept):
         axis = view.world_from_cam.rotation[:, 2]
         same = (
             j for j in range(i)
             if out[j] == j and kept[j].view.t_ns == view.t_ns and kept[j].fine.camera == fine.camera
-            and np.linalg.norm(kept[j].view.centre - view.centre) < BESIDE * drop
+            and np.linalg.norm(kept[j].view.centre - view.centre) < within
             and float(axis @ kept[j].view.world_from_cam.rotation[:, 2]) > np.cos(ALIKE)
         )  # fmt: skip
         out.append(next(same, i))
