@@ -125,7 +125,7 @@ class RecursiveParallax:
         for box in plan.refine:
             recolour = self._blocks.recolour and self._blocks.never_visited(box)
             found = self._refiner.refined(window, skyline, start, ratio, wrong, box, recolour)
-            self._blocks.visited(box, found is None or self._changes(found, known, box))
+            self._settle(found, known, box)
             if found is not None:
                 out.append(replace(found, gauge=gauge))
         return out
@@ -185,13 +185,16 @@ class RecursiveParallax:
         sweep = SweepCost(self._tuning.first_exposures * count, reach)
         return self._blocks.plan(counts, (row, col), sweep, effort)
 
-    def _changes(self, found: Heights, known: ElevationMap, box: Box) -> bool:
-        """Whether many heights were replaced, or are trusted that were not, or the other way round."""
-        some = slice(None, None, refine.SEEN_BLOCK)
-        h, s, f = (getattr(found, k)[some, some] for k in ("height", "sigma", "flags"))
-        h0, s0, f0 = (getattr(known, k)[box][some, some] for k in ("height", "sigma", "flags"))
-        replaced = (h - h0) ** 2 > 9 * (s**2 + s0**2)
-        return bool((replaced | (is_trusted(f) != is_trusted(f0))).mean() > self._tuning.unsettled)
+    def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
+        """Tell the blocks of a rectangle which heights were replaced, or lost or gained trust; all, without a result."""
+        every = refine.SEEN_BLOCK
+        h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
+        before = np.isfinite(h0)
+        if found is None:
+            return self._blocks.visited(box, before, before, every)
+        h, s, f = (getattr(found, k)[::every, ::every] for k in ("height", "sigma", "flags"))
+        changed = ((h - h0) ** 2 > 9 * (s**2 + s0**2)) | (is_trusted(f) != is_trusted(f0))
+        return self._blocks.visited(box, before, changed, every)
 
     def _swept(
         self, window: Window, ratio: F32, plan: Plan, drop: float

@@ -118,7 +118,7 @@ class RecursiveTuning(FrozenModel):
         2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
     )
     shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
-    share: Fraction = Field(0.35, description="Largest share of the window's cells that a step refines; twice as much at the start")
+    share: Fraction = Field(0.3, description="Largest share of the window's cells that a step refines; twice as much at the start")
     least_cells: int = Field(100_000, ge=1, description="Cells of the smallest window of which these are shares")
     least_sweep: int = Field(1_000_000, ge=1, description="Samples of first sweeps that a step may take in any case")
     most_sweep: int = Field(6_000_000, ge=1, description="Most samples of the first sweeps of a step")
