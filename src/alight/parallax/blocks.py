@@ -6,7 +6,6 @@ waits the longer the more it has had. First sweeps are put off until the step's 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ from alight.settings.tuning.parallax import RecursiveTuning
 SIDE = 64  # cells of a block
 LEAST = 8  # samples of known cells from which a block is refined: one in 32
 ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
-PART = 0.25  # of the cells of a block that are seen, the least that is swept: not what a sweep at the rim left
+PART = 0.25  # of the cells of a block that are seen, the least that is swept at once: less is what a sweep left
 NEVER = -(1 << 30)
 DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
@@ -41,6 +40,11 @@ class Effort:
 
 
 EFFORTS = (Effort(1.0, True), Effort(0.8, False), Effort(0.5, False), Effort(0.25, False))  # full, ..., least
+
+
+def effort_of(level: int) -> Effort:
+    """The effort of a level from 0 (full) to 3 (least); what is beyond is as the nearest."""
+    return EFFORTS[min(max(level, 0), len(EFFORTS) - 1)]
 
 
 class Rectangle(NamedTuple):
@@ -115,17 +119,21 @@ class Blocks:
         self._row, self._col, self._first, self._shape = row, col, first, grid.shape
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
-        """Sums of masks (3, R / every, C / every) of every so manieth cell, rounded up, over each block."""
+        """Sums of masks (3, R / every, C / every), a sample of the cells, over each block."""
         rows, cols = (
             _members(n, every, int(f) - SIDE * b, blocks)
-            for n, f, b, blocks in zip(kinds.shape[1:], self._first, (self._row, self._col), self._count.shape, strict=True)
+            for n, f, b, blocks in zip(
+                kinds.shape[1:], self._first, (self._row, self._col), self._count.shape, strict=True
+            )
         )
         return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
 
     def plan(self, counts: Counts, below: tuple[float, float], sweep: SweepCost, effort: Effort) -> Plan:
         """Choose what to do; `below`: row and column of the window under the newest view."""
-        middle = [SIDE * (b + np.arange(n) + 0.5) - f for b, n, f in zip(
-            (self._row, self._col), self._count.shape, self._first, strict=True)]
+        middle = [
+            SIDE * (b + np.arange(n) + 0.5) - f
+            for b, n, f in zip((self._row, self._col), self._count.shape, self._first, strict=True)
+        ]
         dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
         seen = counts.fresh + counts.known >= LEAST
@@ -148,9 +156,13 @@ class Blocks:
 
     def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
         """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""
-        some = (counts.fresh >= ENOUGH) & (counts.fresh >= PART * (counts.fresh + counts.waiting + counts.known))
+        some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
-        ready = some & ((counts.fresh >= counts.waiting) | (self._step - self._since >= self._tuning.patience))
+        waited = self._step - self._since
+        ready = (counts.fresh >= PART * (counts.fresh + counts.waiting + counts.known)) & (
+            (counts.fresh >= counts.waiting) | (waited >= self._tuning.patience)
+        )
+        ready = some & (ready | (waited >= 2 * self._tuning.patience))
         self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
         most_samples = self._tuning.most_sweep * (2 if self._begins else 1)
         budget = effort.share * min(max(self._rate, self._tuning.least_sweep), most_samples)
@@ -166,8 +178,10 @@ class Blocks:
 
     def _box(self, of: Rectangle) -> Box:
         """The cells of the window in a rectangle of blocks."""
-        edges = zip((of.top, of.left), (of.bottom, of.right), (self._row, self._col), self._first, self._shape, strict=True)
-        r, c = (slice(int(max(SIDE * (a + b) - f, 0)), int(min(SIDE * (z + b) - f, n))) for a, z, b, f, n in edges)
+        edges = zip(
+            (of.top, of.left), (of.bottom, of.right), (self._row, self._col), self._first, self._shape, strict=True
+        )
+        r, c = (slice(max(SIDE * (a + b) - int(f), 0), min(SIDE * (z + b) - int(f), n)) for a, z, b, f, n in edges)
         return r, c
 
     def never_visited(self, box: Box) -> bool:
@@ -178,7 +192,7 @@ class Blocks:
         """A rectangle was refined; its blocks of which much `changed` are looked at again soon.
 
         Args:
-            known, changed: of every so manieth cell of the rectangle, had a height before, and has another one now.
+            known, changed: of a sample of its cells, `every` cells apart: had a height before, and has another one now.
         """
         inside = self._inside(box)
         blocks = [s.stop - s.start for s in inside]
@@ -206,9 +220,9 @@ def _moved(old: I64, by: tuple[int, int], shape: tuple[int, int], empty: int) ->
 
 
 def _members(count: int, every: int, first: int, blocks: int) -> F32:
-    """(blocks, count) 1 where a sample, every so many cells, lies in a block."""
+    """(blocks, count) 1 where a sample lies in a block; they are `every` cells apart."""
     at = (first + every // 2 + every * np.arange(count)) // SIDE
-    return (at[None, :] == np.arange(blocks)[:, None]).astype(np.float32)
+    return np.asarray(at[None, :] == np.arange(blocks)[:, None], np.float32)
 
 
 def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
@@ -221,9 +235,12 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
 
 
 def covered(urgency: F64, away: F64, most: float) -> list[Rectangle]:
-    """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells."""
+    """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells.
+
+    Those above `MOST_URGENT` are covered in any case.
+    """
     urgency, out = urgency.copy(), list[Rectangle]()
-    while most >= DEAR + SIDE**2 and urgency.max(initial=0.0) >= 1.0:
+    while (top := urgency.max(initial=0.0)) > MOST_URGENT or (top >= 1.0 and most >= DEAR + SIDE**2):
         found = grown(urgency, away, (most - DEAR) / SIDE**2)
         most -= found.blocks * SIDE**2 + DEAR
         out.append(found)
@@ -240,8 +257,8 @@ def grown(urgency: F64, away: F64, most: float) -> Rectangle:
     total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
     sums = total.tolist()  # plain numbers: a tenth of the time for one at a time
     first = np.flatnonzero(urgency.ravel() == urgency.max())
-    row, col = np.unravel_index(first[np.argmin(away.ravel()[first])], urgency.shape)
-    out = Rectangle(int(row), int(col), int(row) + 1, int(col) + 1)
+    row, col = divmod(int(first[np.argmin(away.ravel()[first])]), urgency.shape[1])
+    out = Rectangle(row, col, row + 1, col + 1)
     while True:
         top, left, bottom, right = out
         rims = (

@@ -54,13 +54,14 @@ class Registered:
     guide: F32  # (R, C) the picture of the reference
 
     def at(self, cells: Grid, heights: F32, about: F64) -> tuple[F64, F64]:
-        """Scale (D, N) and shift (D, N, 2) from row and column of `cells` that go to `heights` (D,) along rays to `about`.
-        """
+        """Scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to these, at `heights` (D,) along rays to `about`."""
         z = heights.astype(np.float64)[:, None]
         s = (about[2] - z) / (about[2] - self.ground)
         t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - z)
         first = np.array([cells.east, cells.north])
-        place = self.centres[:, :2] + t[..., None] * (about[:2] + s[..., None] * (first - about[:2]) - self.centres[:, :2])
+        place = self.centres[:, :2] + t[..., None] * (
+            about[:2] + s[..., None] * (first - about[:2]) - self.centres[:, :2]
+        )
         row, col = self.grid.index(place[..., 0], place[..., 1])
         return s * t * (cells.cell / self.grid.cell), np.stack([row, col], axis=-1)
 

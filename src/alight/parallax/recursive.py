@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from alight.arrays import F32, F64, Mask
 from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
-from alight.parallax.blocks import EFFORTS, Blocks, Box, Effort, Plan, SweepCost
+from alight.parallax.blocks import Blocks, Box, Effort, Plan, SweepCost, effort_of
 from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
 from alight.parallax.pose_refinement.alignment import Alignment
 from alight.parallax.views import Buffers, Kept
@@ -25,6 +25,7 @@ from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_tr
 from alight.settings import ParallaxSettings
 
 HALF = 2  # cells of the map that a cell of a rough sweep spans
+
 
 class RecursiveParallax:
     """Keyframes at distances that grow with age, and the step that they allow."""
@@ -57,7 +58,7 @@ class RecursiveParallax:
 
     @property
     def beginning(self) -> bool:
-        """Most of the window was not refined often yet, or nothing was: heights of a part may not speak for the rest."""
+        """Most of the window was not refined often yet: heights of a part may not speak for the rest."""
         return self._blocks.beginning
 
     def work_at(self, cell: float, ground: float) -> None:
@@ -106,7 +107,7 @@ class RecursiveParallax:
         Returns:
             The rectangles that were refined, as they are now; none while no cell has seen enough parallax.
         """
-        ratio, chosen = self._carried(grid), EFFORTS[effort]
+        ratio, chosen = self._carried(grid), effort_of(effort)
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
         if self.plane.any():
             known = replace(known, height=known.height + self.plane_on(grid))
@@ -179,26 +180,24 @@ class RecursiveParallax:
         row, col = (float(v) for v in window.grid.index(newest[0], newest[1]))
         low, high = window.searched
         slide = 2 * self._tuning.first_baseline
-        count = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
+        planes = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
         up = float(newest[2])
         reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
-        sweep = SweepCost(self._tuning.first_exposures * count, reach)
+        sweep = SweepCost(self._tuning.first_exposures * planes, reach)
         return self._blocks.plan(counts, (row, col), sweep, effort)
 
     def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
-        """Tell the blocks of a rectangle which heights were replaced, or lost or gained trust; all, without a result."""
+        """Note which heights of a rectangle were replaced, or lost or gained trust."""
         every = refine.SEEN_BLOCK
         h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
         before = np.isfinite(h0)
         if found is None:
-            return self._blocks.visited(box, before, before, every)
+            return self._blocks.visited(box, before, ~before, every)
         h, s, f = (getattr(found, k)[::every, ::every] for k in ("height", "sigma", "flags"))
         changed = ((h - h0) ** 2 > 9 * (s**2 + s0**2)) | (is_trusted(f) != is_trusted(f0))
         return self._blocks.visited(box, before, changed, every)
 
-    def _swept(
-        self, window: Window, ratio: F32, plan: Plan, drop: float
-    ) -> tuple[F32, Mask]:
+    def _swept(self, window: Window, ratio: F32, plan: Plan, drop: float) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
         The map is shifted to the sweep as a whole and keeps its shape, except where they differ by more than

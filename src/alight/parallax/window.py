@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8, Mask
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Grid, box_of
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
@@ -30,6 +31,9 @@ APART = 0.06  # of the height: such cameras see so much of the same that a sweep
 ALIKE = 0.1  # rad between the axes of such cameras
 
 
+T = TypeVar("T", bound=np.generic)
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """What all rectangles of one step have in common."""
@@ -46,7 +50,9 @@ class Window:
     apart: NDArray[np.intp]  # (N,) and within `APART`
 
     @classmethod
-    def of(cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float) -> Window:
+    def of(
+        cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float
+    ) -> Window:
         """The window as these views see it; `drop`: metres from the newest camera to the ground."""
         seen = refine.view_geometry([k.fine for k in kept], grid, known.height)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
@@ -58,7 +64,7 @@ class Window:
         r, c = (slice(s.start // refine.SEEN_BLOCK, -(-s.stop // refine.SEEN_BLOCK)) for s in where)
         return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
 
-    def part_of(self, values: NDArray[np.generic], where: Box) -> NDArray[np.generic]:
+    def part_of(self, values: NDArray[T], where: Box) -> NDArray[T]:
         """A rectangle of values of blocks of `refine.SEEN_BLOCK` cells, on its cells."""
         n = refine.SEEN_BLOCK
         r, c = (slice(s.start // n, -(-s.stop // n)) for s in where)
@@ -71,9 +77,8 @@ class Window:
 
 def part_of(known: ElevationMap, where: Box) -> ElevationMap:
     """A rectangle of a map, copied."""
-    return ElevationMap(
-        cells_of(known.grid, where), **{k: np.ascontiguousarray(getattr(known, k)[where]) for k in FIELDS}
-    )
+    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(known, k)[where]) for k in FIELDS}
+    return ElevationMap(cells_of(known.grid, where), **fields)
 
 
 def cells_of(grid: Grid, where: Box) -> Grid:
@@ -148,11 +153,15 @@ class Refiner:
         fit = refine.gauss_newton(fine, grid, h, per_px, visible, self.settings.recursive.steps, tuning, self.buffers)
         known = part_of(window.known, where)
         rgb = self._coloured(window, grid, fit.height, known, recolour)
-        cost = trust.half_resolution(np.where(np.isnan(cost) | np.isnan(h), np.float32(self.settings.recursive.unknown_ratio), cost))
+        cost = trust.half_resolution(
+            np.where(np.isnan(cost) | np.isnan(h), np.float32(self.settings.recursive.unknown_ratio), cost)
+        )
         if (off := wrong[where]).any():
             known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
         sampling = window.part_of(window.seen.sampling, where)
-        found = judged([window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty)
+        found = judged(
+            [window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty
+        )
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
         pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
@@ -182,7 +191,7 @@ class Refiner:
 
 def core(found: Heights, where: Box) -> Heights:
     """The heights without their halo."""
-    fields = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
+    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
     return Heights(cells_of(found.grid, where), **fields)
 
 

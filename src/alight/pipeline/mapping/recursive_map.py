@@ -97,14 +97,15 @@ class RecursiveMap(GroundMap):
         if not parts:
             return False
         self.gauge = parts[0].gauge
-        height, flags = (v[::COARSE, ::COARSE].copy() for v in (known.height, known.flags))
+        height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags[::COARSE, ::COARSE].copy()
         given = is_trusted(known.flags)
         for part in parts:
             where = box_in(grid, part.grid)
             found = self._without_doubtful(part, up - ground, Surroundings(given, where))
             rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
             at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
-            height[at], flags[at] = found.height[rows, cols], found.flags[rows, cols]
+            height[at] = found.height[rows, cols]
+            flags[at] = found.flags[rows, cols]
             self.elevation.add(changed(found, known, where), replace_all=True)
         self.out_of_range = bool(((flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
         heights = height[np.isfinite(height)]
@@ -130,7 +131,7 @@ class RecursiveMap(GroundMap):
 
 def box_in(grid: Grid, part: Grid) -> tuple[slice, slice]:
     """Rows and columns of a grid that another one is."""
-    row, col = (round(float(v)) for v in grid.index(np.float64(part.east), np.float64(part.north)))
+    row, col = (round(float(v)) for v in grid.index(np.array(part.east), np.array(part.north)))
     return slice(row, row + part.rows), slice(col, col + part.cols)
 
 

@@ -118,7 +118,9 @@ class RecursiveTuning(FrozenModel):
         2.0, description="Difference of sweep and map, less their common shift, that keeps the map's shape, parallax px"
     )
     shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
-    share: Fraction = Field(0.3, description="Largest share of the window's cells that a step refines; twice as much at the start")
+    share: Fraction = Field(
+        0.3, description="Largest share of the window's cells that a step refines; twice as much at the start"
+    )
     least_cells: int = Field(100_000, ge=1, description="Cells of the smallest window of which these are shares")
     least_sweep: int = Field(1_000_000, ge=1, description="Samples of first sweeps that a step may take in any case")
     most_sweep: int = Field(6_000_000, ge=1, description="Most samples of the first sweeps of a step")
@@ -138,7 +140,9 @@ class PoseRefinementTuning(FrozenModel):
     """Poses of the keyframes refined together with the map."""
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
-    taken_share: Fraction = Field(0.25, description="Share of the heights that a step takes from its own views (eq. 16)")
+    taken_share: Fraction = Field(
+        0.25, description="Share of the heights that a step takes from its own views (eq. 16)"
+    )
     residual_scale: Positive = Field(
         0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
     )
