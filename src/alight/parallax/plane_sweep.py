@@ -54,7 +54,7 @@ class Registered:
     guide: F32  # (R, C) the picture of the reference
 
     def at(self, cells: Grid, heights: F32, about: F64) -> tuple[F64, F64]:
-        """Scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to these, at `heights` (D,) along rays to `about`."""
+        """Scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to `heights` (D,) along rays to `about`."""
         z = heights.astype(np.float64)[:, None]
         s = (about[2] - z) / (about[2] - self.ground)
         t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - z)
