@@ -28,7 +28,7 @@ class SweepTuning(FrozenModel):
     references: int = Field(2, ge=1, description="Views along whose rays a tile is swept (batch)")
     views: int = Field(10, ge=2, description="Most views of such a sweep (batch)")
     max_tangent: Positive = Field(0.4, description="Horizontal over vertical distance of a preferred view (batch)")
-    keep_share: Fraction = Field(0.25, description="Share of the views of a cell that has to agree on a plane")
+    keep_share: Fraction = Field(0.7, description="Share of the views of a cell that has to agree on a plane")
     truncation: Positive = Field(1.5, description="Largest matching cost of a view, normalised grey")
     penalty_one_plane: Positive = Field(0.1, description="Penalty P1 for neighbours one plane apart, normalised grey")
     penalty_more_planes: Positive = Field(1.0, description="Penalty P2 for neighbours further apart, normalised grey")
@@ -125,7 +125,7 @@ class RecursiveTuning(FrozenModel):
     least_sweep: int = Field(1_000_000, ge=1, description="Samples of first sweeps that a step may take in any case")
     most_sweep: int = Field(6_000_000, ge=1, description="Most samples of the first sweeps of a step")
     backlog: Positive = Field(3.0, description="Keyframes over which sweeps are spread that are due together")
-    patience: int = Field(4, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
+    patience: int = Field(2, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
     pace: Positive = Field(3.0, description="Refinements of a block for each keyframe that it then waits for the next")
     longest_wait: Positive = Field(8.0, description="Keyframes that it waits at most")
     unsettled: Fraction = Field(
@@ -140,9 +140,7 @@ class PoseRefinementTuning(FrozenModel):
     """Poses of the keyframes refined together with the map."""
 
     cells: int = Field(1500, ge=100, description="Cells that take part")
-    taken_share: Fraction = Field(
-        0.25, description="Share of the heights that a step takes from its own views (eq. 16)"
-    )
+    taken_share: Fraction = Field(0.5, description="Share of the heights that a step takes from its own views (eq. 16)")
     residual_scale: Positive = Field(
         0.35, description="Scale of the robust weight, normalised grey; from four times this the weight is 0"
     )
