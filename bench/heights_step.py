@@ -106,9 +106,8 @@ class Flight:
         """One exposure into the ring, one step, its heights into the map."""
         grid = self.window()
         self._ring.push([self._next])
-        found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
-        if found is not None:
-            self._map.add(found, replace_all=True)
+        for part in self._ring.step(grid, self._map.read(grid), -1.5, 1.5):
+            self._map.add(part, replace_all=True)
 
 
 def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap, buffers: Buffers) -> None:
@@ -120,7 +119,8 @@ def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap
     visible = refine.visible_from(fine, grid, known.height, per_px, t.refinement.occlusion_px)
     fit = refine.gauss_newton(fine, grid, known.height, per_px, visible, t.recursive.steps, t.refinement, buffers)
     ratio = np.full((grid.rows // 2, grid.cols // 2), t.recursive.unknown_ratio, np.float32)
-    judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), seen, known.rgb, t.uncertainty)
+    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
+    judged(fine[-1:], grid, fit, ratio, (-1.5, 1.5), sampling, known.rgb, t.uncertainty)
 
 
 def lone_step(flight: Flight) -> Callable[[], None]:

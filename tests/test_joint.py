@@ -246,11 +246,11 @@ def flown(
         seen.append(motion)
         poses = told(seen) if told else KeyframePosterior((motion,), motion.covariance)
         ring.push([view], poses if refine else None)
-        found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
+        parts = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
         elevation.add_plane(ring.plane, ring.about)
-        if found is not None:
-            elevation.add(found, replace_all=True)
-            gauge = found.gauge
+        for part in parts:
+            elevation.add(part, replace_all=True)
+            gauge = part.gauge
     return replace(elevation.read(GRID), gauge=gauge)
 
 
@@ -352,10 +352,10 @@ def test_pictures_of_nothing_change_nothing() -> None:
         ring, elevation = RecursiveParallax(ParallaxSettings(), CELL, 0.1), TiledElevation(CELL, 64)
         for view, motion in off(white(6)):
             ring.push([replace(view, image=paint())], KeyframePosterior((motion,), motion.covariance))
-            found = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
+            parts = ring.step(GRID, elevation.read(GRID), -4.0, 4.0)
             assert np.isfinite(ring.plane).all()
-            if found is not None:
-                elevation.add(found, replace_all=True)
+            for part in parts:
+                elevation.add(part, replace_all=True)
         left = elevation.read(GRID)
         assert left.trusted.mean() < 0.01
         assert (left.sigma[left.trusted] > 0.01 * UP).all()

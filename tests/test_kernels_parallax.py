@@ -23,6 +23,7 @@ N, ROWS, COLS, DEPTH = 6, 17, 19, 12
 WIDE = 35, 131  # more than what a thread takes at once
 CELL = 0.1
 XS, YS = 3.0 + CELL * np.arange(COLS), -2.0 - CELL * np.arange(ROWS)
+FOCAL = np.array([90.0, 110.0, 100.0, 130.0, 95.0, 120.0])  # px
 CENTRES = np.array([[x, y, 20.0 + 0.1 * x] for x, y in [(0, 0), (2, 0.5), (4, -2), (6, -4), (3.5, -3), (9, 1)]], float)
 KINDS = ("random", "planar", "step", "holes", "nothing")
 kinds = pytest.mark.parametrize("kind", KINDS)
@@ -152,19 +153,27 @@ def run_block_tops(h: np.ndarray) -> tuple[np.ndarray, ...]:
     return (out,)
 
 
-def run_visibility(h: np.ndarray, margin: float = 0.02) -> tuple[np.ndarray, ...]:
+def run_visibility(h: np.ndarray, margin: float = 0.02, top_row: int = 0, left: int = 0) -> tuple[np.ndarray, ...]:
     low = CENTRES * [1, 1, 0.2]  # four metres up: walls hide something
-    out = np.full((N, *h.shape), 9, np.uint8)
+    part = h.shape[0] - top_row, h.shape[1] - left
+    out = np.full((N, *part), 9, np.uint8)
     top = np.float32(np.nanmax(h)) if np.isfinite(h).any() else np.float32(0)
     tops = np.full((-(-ROWS // 8), -(-COLS // 8)), top, np.float32)
-    surface.visibility(h, tops, 8, low, XS, YS, CELL, np.full(h.shape, margin, np.float32), out)
+    surface.visibility(h, tops, 8, low, XS, YS, CELL, np.full(part, margin, np.float32), top_row, left, out)
     return (out,)
 
 
-def run_baseline(s: np.ndarray) -> tuple[np.ndarray, ...]:
-    out, seen = np.full(s.shape[1:], -9, np.float32), np.full(s.shape[1:], 99, np.uint8)
-    sight.baseline(s, CENTRES, out, seen)
-    return out, seen
+def run_seen_from(columns: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, ...]:
+    baseline, per_px, sampling = (np.full(level.shape, -9, np.float32) for _ in range(3))
+    count, n = np.full(level.shape, 99, np.uint8), len(columns)
+    sight.seen_from(columns, CENTRES[:n], FOCAL[:n], XS, YS, level, CELL, baseline, count, per_px, sampling)
+    return baseline, count, per_px, sampling
+
+
+def columns_of(kind: str) -> np.ndarray:
+    """Columns of the pictures, some cells outside of each."""
+    s = stack(kind)
+    return np.where(np.isfinite(s), np.abs(s), np.float32(-1e4))
 
 
 def volume(kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -303,13 +312,20 @@ def test_template(kind: str) -> None:
 
 
 @kinds
-def test_baseline(kind: str) -> None:
-    s = stack(kind)
-    got, seen = run_baseline(s)
-    assert_array_equal(seen, np.isfinite(s).sum(axis=0))
+@pytest.mark.parametrize("views", [1, N])
+def test_seen_from(kind: str, views: int) -> None:
+    columns, level = columns_of(kind)[:views], np.nan_to_num(heights(kind))
+    baseline, count, per_px, sampling = run_seen_from(columns, level)
+    seen = columns >= 0
+    assert_array_equal(count, seen.sum(axis=0))
     for r, c in np.ndindex(ROWS, COLS):
-        who = CENTRES[np.isfinite(s[:, r, c]), :2]
-        assert got[r, c] == pytest.approx(np.linalg.norm(np.ptp(who, axis=0)) if len(who) else 0.0, rel=1e-6)
+        who, drop = CENTRES[:views][seen[:, r, c]], CENTRES[:views, 2].mean() - level[r, c]
+        b = np.linalg.norm(np.ptp(who[:, :2], axis=0)) if len(who) else 0.0
+        assert baseline[r, c] == pytest.approx(b, rel=1e-6)
+        assert per_px[r, c] == pytest.approx(CELL * drop / max(b, 0.01 * drop), rel=1e-5)
+        pixels = np.linalg.norm(who - [XS[c], YS[r], level[r, c]], axis=1) / FOCAL[:views][seen[:, r, c]]
+        second = np.sort(pixels)[min(1, views - 1) :][:1]
+        assert sampling[r, c] == pytest.approx(max(second[0], CELL) if len(second) else np.nan, rel=1e-5, nan_ok=True)
 
 
 @kinds
@@ -373,6 +389,7 @@ def test_visibility(kind: str) -> None:
     got = run_visibility(h)[0]
     assert_array_equal(got, twins.visibility(h, CENTRES * [1, 1, 0.2], XS, YS, CELL, 0.02))
     assert (got == 0).any() == (kind in ("random", "step"))
+    assert_array_equal(run_visibility(h, top_row=5, left=3)[0], got[:, 5:, 3:])
 
 
 # -- projection
@@ -452,7 +469,7 @@ CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
     "normalise": lambda: run_normalise(2),
     "template": lambda: run_template(stack("holes", WIDE)),
     "normal_equations": lambda: run_normal_equations(stack("random", WIDE), heights("step", WIDE)),
-    "baseline": lambda: run_baseline(stack("holes")),
+    "seen_from": lambda: run_seen_from(columns_of("holes"), heights("step")),
     "solve_window": lambda: run_solve(heights("holes", WIDE)),
     "plane_prior": lambda: run_prior(heights("holes", WIDE)),
     "block_tops": lambda: run_block_tops(heights("step", WIDE)),

@@ -11,7 +11,7 @@ import pytest
 from ground_views import DOWN, UP, Scene, Texture, box, plane
 from numpy.testing import assert_allclose, assert_array_equal
 
-from alight.elevation import TiledElevation
+from alight.elevation import FIELDS, TiledElevation
 from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.parallax.plane_sweep import parallax_per_metre
@@ -230,6 +230,16 @@ def nothing_known(grid: Grid) -> ElevationMap:
     return TiledElevation(grid.cell, 64).read(grid)
 
 
+def with_parts(known: ElevationMap, parts: list[Heights]) -> ElevationMap:
+    """The map with the rectangles that a step refined."""
+    fields = {k: getattr(known, k).copy() for k in FIELDS}
+    for part in parts:
+        row, col = (round(float(v)) for v in known.grid.index(np.array(part.grid.east), np.array(part.grid.north)))
+        for k, values in fields.items():
+            values[row : row + part.grid.rows, col : col + part.grid.cols] = getattr(part, k)
+    return replace(known, **fields)
+
+
 def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     """Flat ground from nothing, first look at the first baseline, every later keyframe starts from the map."""
     s = scene(surface=plane(0.05, 0.03, 0.4), top=1.2)
@@ -237,14 +247,14 @@ def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:
     ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     views, known = s.views(COUNT), nothing_known(GRID)
     ring.push([views[0]])
-    assert ring.step(GRID, known, LOW, HIGH) is None  # one view sees no parallax
+    assert not ring.step(GRID, known, LOW, HIGH)  # one view sees no parallax
     spread = []
     for v in views[1:]:
         ring.push([v])
-        found = ring.step(GRID, known, LOW, HIGH)
-        if found is not None:  # None while the baseline is too short
-            known = ElevationMap(**vars(found))
-            spread.append(nmad(found.height - truth))
+        parts = ring.step(GRID, known, LOW, HIGH)
+        if parts:  # none while the baseline is too short
+            known = with_parts(known, parts)
+            spread.append(nmad(known.height - truth))
     assert len(spread) >= 4
     height = known.height
     assert trusted(known).mean() > 0.95
@@ -258,8 +268,10 @@ def test_the_ring_never_fills_what_it_does_not_see() -> None:
     ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
     for v in level_views():
         ring.push([v])
-    found = ring.step(wide, nothing_known(wide), LOW, HIGH)
-    assert found is not None
+    known = nothing_known(wide)
+    parts = ring.step(wide, known, LOW, HIGH)
+    found = with_parts(known, parts)
+    assert parts
     assert np.isnan(found.height[:, :60]).all()
     assert ((found.flags[:, :60] & np.uint16(Flag.UNSEEN)) != 0).all()
 
@@ -278,8 +290,8 @@ def test_a_seam_starts_from_the_heights_beside_it_and_a_wide_hole_does_not() -> 
     ring = RecursiveParallax(ParallaxSettings().model_copy(update={"recursive": never}), CELL, 0.0)
     for v in s.views(COUNT)[:3]:
         ring.push([v])
-    found = ring.step(GRID, replace(known, rgb=rgb, **fields), LOW, HIGH)
-    assert found is not None
+    before = replace(known, rgb=rgb, **fields)
+    found = with_parts(before, ring.step(GRID, before, LOW, HIGH))
     inner = seam & (np.arange(GRID.rows)[:, None] > 5) & (np.arange(GRID.rows)[:, None] < GRID.rows - 6)
     assert np.isfinite(found.height[inner]).all()
     assert np.abs(found.height - truth)[inner].max() < 0.25 * PX

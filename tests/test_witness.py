@@ -119,8 +119,10 @@ def found(method: str, moving: bool) -> Heights:
         known = ElevationMap(GRID, h, s, f, v, np.zeros((*GRID.shape, 3), np.uint8), e, g)
         for shot in shots:
             ring.push(shot)
-            heights = ring.step(GRID, known, -1.5, 2.5)
-            known = known if heights is None else ElevationMap(**vars(heights))
+            for part in ring.step(GRID, known, -1.5, 2.5):
+                assert part.grid == GRID  # so small a window is one rectangle
+                heights = part
+                known = ElevationMap(**vars(heights))
     assert heights is not None
     return heights
 

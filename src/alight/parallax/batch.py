@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, U8, U16
-from alight.geometry import Grid
+from alight.geometry import Camera, Grid
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
@@ -96,7 +96,8 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)
     rgb = colour(views, fine, grid, fit.height, visible)
     ratio = trust.half_resolution(np.where(np.isnan(ratio), np.float32(1), ratio))
-    heights = judged(fine, grid, fit, ratio, (low, high), seen, rgb, settings.uncertainty)
+    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
+    heights = judged(fine, grid, fit, ratio, (low, high), sampling, rgb, settings.uncertainty)
     flags = heights.flags | _moves(images, chosen, fit, grid, settings.consistency)
     return Match(replace(heights, flags=flags), views)
 
@@ -119,13 +120,12 @@ def judged(
     fit: refine.Fit,
     ratio: F32,
     searched: tuple[float, float],
-    seen: refine.ViewGeometry,
+    sampling: F32,
     rgb: U8,
     tuning: UncertaintyTuning,
 ) -> Heights:
     """Heights with sigma and flags of a fit; the brightness is that of the views `fine`."""
     sigma, flags, residual = trust.sigma_and_flags(fit, grid, ratio, fine, searched, tuning)
-    sampling = refine.enlarged(seen.sampling, grid, refine.SEEN_BLOCK)
     return Heights(grid, fit.height, sigma, flags, fit.seen, rgb, residual, sampling)
 
 
@@ -148,14 +148,14 @@ def colour(
             mx, my = maps(fine[i], grid, height)
             ok = left & (mx >= 0) & ((refine.enlarged(visible[i], grid, 2) > 0) | (not strict))
             if ok.any():
-                seen = picture_at(views[i], fine[i], mx, my)
+                seen = picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my)
                 out[ok] = seen[ok]
                 left &= ~ok
     return out
 
 
-def picture_at(view: View, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
-    """The view's own picture at maps of its prepared image, (R, C, 3)."""
-    scale = np.float32(view.camera.width / prepared.camera.width)
+def picture_at(picture: U8, camera: Camera, prepared: Prepared, mapx: F32, mapy: F32) -> U8:
+    """The picture (H, W, 3) of a view's camera at maps of its prepared image, (R, C, 3)."""
+    scale = np.float32(camera.width / prepared.camera.width)
     offset = np.float32(0.5) * scale - np.float32(0.5)
-    return np.asarray(cv2.remap(rgb_of(view.image), mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(picture, mapx * scale + offset, mapy * scale + offset, cv2.INTER_LINEAR))

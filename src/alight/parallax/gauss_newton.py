@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid
 from alight.parallax import gauss_newton_kernels as kernels
 from alight.parallax import uncertainty_kernels, view_kernels, visibility_kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Buffers, Prepared, centres_of, maps, pixels_on_ground, stack
+from alight.parallax.views import Buffers, Prepared, centres_of, maps, stack
 from alight.settings.tuning.parallax import RefinementTuning
 
 SEEN_BLOCK = 4  # cells
@@ -51,12 +51,13 @@ def median_height(height: F32) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ViewGeometry:
-    """Geometry of the views at each block of `SEEN_BLOCK` x `SEEN_BLOCK` cells."""
+    """Geometry of the views at each block of cells."""
 
     baseline: F32  # metres between the outermost views that see it
     count: NDArray[np.uint8]  # of these views
     metres_per_px: F32  # height that moves the outermost of them apart by one cell (eq. 3b)
     sampling: F32  # metres of ground that a sample covers: the second finest pixel of these views, the cell at least
+    views: Mask  # (N, ...) which these are
 
 
 def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
@@ -67,22 +68,14 @@ def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeom
     level = np.full(wide.shape, median_height(height), np.float32)
     inner = level[: known.shape[0], : known.shape[1]]
     np.copyto(inner, known, where=np.isfinite(known))
-    seen = np.array([maps(p, wide, level)[0] for p in prepared])
-    seen[seen < 0] = np.nan
-    centres = centres_of(prepared)
-    baseline, count = np.empty(wide.shape, np.float32), np.empty(wide.shape, np.uint8)
-    view_kernels.baseline(seen, centres, baseline, count)
-    drop = np.maximum(np.float32(centres[:, 2].mean()) - level, np.float32(1e-2))
-    per_px = np.float32(grid.cell) * drop / np.maximum(baseline, np.float32(0.01) * drop)
-    return ViewGeometry(baseline, count, per_px, _sampling(prepared, wide, level, np.isfinite(seen), grid.cell))
-
-
-def _sampling(prepared: list[Prepared], wide: Grid, level: F32, seen: NDArray[np.bool_], cell: float) -> F32:
-    """The second finest pixel on the ground of the views that see a block, metres: it takes two for a height."""
-    each = np.array([pixels_on_ground(p.centre, p.camera.fu, wide, level) for p in prepared])
-    pixels = np.where(seen, each, np.float32(np.inf))
-    second = np.partition(pixels, 1, axis=0)[1] if len(pixels) > 1 else pixels[0]
-    return np.where(np.isfinite(second), np.maximum(second, np.float32(cell)), np.float32(np.nan))
+    columns = np.empty((len(prepared), *wide.shape), np.float32)
+    for p, out in zip(prepared, columns, strict=True):
+        out[:] = maps(p, wide, level)[0]
+    centres, focal = centres_of(prepared), np.array([p.camera.fu for p in prepared])
+    baseline, per_px, sampling = (np.empty(wide.shape, np.float32) for _ in range(3))
+    count = np.empty(wide.shape, np.uint8)
+    view_kernels.seen_from(columns, centres, focal, *wide.xy(), level, grid.cell, baseline, count, per_px, sampling)
+    return ViewGeometry(baseline, count, per_px, sampling, columns >= 0)
 
 
 def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
@@ -91,20 +84,44 @@ def enlarged(values: NDArray[Any], grid: Grid, factor: int) -> NDArray[Any]:
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST))[: grid.rows, : grid.cols]
 
 
-def visible_from(
-    prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float
-) -> NDArray[np.uint8]:
+@dataclass(frozen=True, eq=False)
+class Skyline:
+    """A height map at half resolution, as rays to the cameras meet it."""
+
+    grid: Grid  # of 2 x 2 cells
+    solid: F32  # (R / 2, C / 2) metres, single spikes taken out
+    tops: F32  # of each block of `BLOCK` x `BLOCK` of these, the highest within reach of its rays
+
+    @classmethod
+    def of(cls, height: F32, grid: Grid, centres: F64) -> Skyline:
+        """Of a map (R, C) and the cameras (N, 3)."""
+        wide = grid.coarser(2)
+        height = np.ascontiguousarray(height[::2, ::2])
+        solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
+        tops = _tops(solid, wide, centres)
+        solid[solid <= LOWEST] = np.nan
+        return cls(wide, solid, tops)
+
+    def visible(self, centres: F64, where: tuple[slice, slice], metres_per_px: F32, rise_px: float) -> U8:
+        """(N, R / 2, C / 2) of a part of the map: 0 where it rises `rise_px` over a ray to the camera (eq. 13).
+
+        Args:
+            centres: (N, 3) metres.
+            where: rows and columns of the map, from even ones on; `metres_per_px` (R, C) there.
+        """
+        margin = np.ascontiguousarray(np.float32(rise_px) * metres_per_px[::2, ::2])
+        out = np.empty((len(centres), *margin.shape), np.uint8)
+        top, left = (s.start // 2 for s in where)
+        visibility_kernels.visibility(
+            self.solid, self.tops, BLOCK, centres, *self.grid.xy(), self.grid.cell, margin, top, left, out
+        )
+        return out
+
+
+def visible_from(prepared: list[Prepared], grid: Grid, height: F32, metres_per_px: F32, rise_px: float) -> U8:
     """(N, R / 2, C / 2): 0 where the map rises `rise_px` over a ray to the camera (eq. 13); no single spike does."""
-    wide = grid.coarser(2)
-    height = np.ascontiguousarray(height[::2, ::2])
-    centres = centres_of(prepared)
-    out = np.empty((len(prepared), *wide.shape), np.uint8)
-    solid = cv2.medianBlur(np.where(np.isfinite(height), height, LOWEST), 3)
-    tops = _tops(solid, wide, centres)
-    solid[solid <= LOWEST] = np.nan
-    margin = np.float32(rise_px) * metres_per_px[::2, ::2]
-    visibility_kernels.visibility(solid, tops, BLOCK, centres, *wide.xy(), wide.cell, margin, out)
-    return out
+    centres, whole = centres_of(prepared), (slice(0, grid.rows), slice(0, grid.cols))
+    return Skyline.of(height, grid, centres).visible(centres, whole, metres_per_px, rise_px)
 
 
 def _tops(solid: F32, grid: Grid, centres: F64) -> F32:

@@ -34,9 +34,13 @@ def parallax_per_metre(centres: F64, height: float) -> float:
 
 def planes(centres: F64, low: float, high: float, cell: float, most: int) -> F32:
     """The heights to try: 0.7 cells of parallax apart between the outermost `centres`, at most `most`."""
-    slide = max(parallax_per_metre(centres, 0.5 * (low + high)), 1e-3)
-    count = int(np.clip(np.ceil((high - low) * slide / (0.7 * cell)) + 1, 5, most))
+    count = plane_count(parallax_per_metre(centres, 0.5 * (low + high)), low, high, cell, most)
     return np.linspace(low, high, count).astype(np.float32)
+
+
+def plane_count(slide: float, low: float, high: float, cell: float, most: int) -> int:
+    """How many these are for a `slide` of the outermost views, metres a metre of height."""
+    return int(np.clip(np.ceil((high - low) * max(slide, 1e-3) / (0.7 * cell)) + 1, 5, most))
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +53,17 @@ class Registered:
     centres: F64  # (N, 3) metres
     guide: F32  # (R, C) the picture of the reference
 
-    def at(self, cells: Grid, height: float, about: F64) -> tuple[F64, F64]:
-        """Scale (N,) and shift (N, 2) from row and column of `cells` that go to `height` along the rays to `about`."""
-        s = (about[2] - height) / (about[2] - self.ground)
-        t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - height)
+    def at(self, cells: Grid, heights: F32, about: F64) -> tuple[F64, F64]:
+        """Scale (D, N) and shift (D, N, 2) from rows and columns of `cells` to `heights` (D,) along rays to `about`."""
+        z = heights.astype(np.float64)[:, None]
+        s = (about[2] - z) / (about[2] - self.ground)
+        t = (self.centres[:, 2] - self.ground) / (self.centres[:, 2] - z)
         first = np.array([cells.east, cells.north])
-        place = self.centres[:, :2] + t[:, None] * (about[:2] + s * (first - about[:2]) - self.centres[:, :2])
-        row, col = self.grid.index(place[:, 0], place[:, 1])
-        return s * t * (cells.cell / self.grid.cell), np.column_stack([row, col])
+        place = self.centres[:, :2] + t[..., None] * (
+            about[:2] + s[..., None] * (first - about[:2]) - self.centres[:, :2]
+        )
+        row, col = self.grid.index(place[..., 0], place[..., 1])
+        return s * t * (cells.cell / self.grid.cell), np.stack([row, col], axis=-1)
 
 
 def register(prepared: list[Prepared], grid: Grid, ground: float, searched: Span, reference: int) -> Registered:
@@ -163,8 +170,8 @@ def sweep(
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
     pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
     seen, truncation = np.zeros(rays.shape, np.int32), np.float32(tuning.truncation)
-    for k, z in enumerate(levels):
-        scale, shift = views.at(rays, float(z), about)
+    scales, shifts = views.at(rays, levels, about)
+    for k, (scale, shift) in enumerate(zip(scales, shifts, strict=True)):
         kernels.sweep_cost(views.pictures, scale, shift, pairs, tuning.keep_share, truncation, plane, count)
         cost[:, :, k] = cv2.blur(plane, (3, 3))
         if k == usual:  # beyond the border only a wrong height brings a second view in

@@ -10,26 +10,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8
-from alight.geometry import Grid, box_of
+from alight.arrays import F32, F64, Mask
+from alight.geometry import Grid
 from alight.parallax import gauss_newton as refine
-from alight.parallax import temporal_consistency as witness
-from alight.parallax import uncertainty as trust
-from alight.parallax import uncertainty_kernels as kernels
-from alight.parallax.batch import judged, picture_at
-from alight.parallax.plane_sweep import sweep_unseen
-from alight.parallax.pose_refinement.alignment import Alignment, Kept
-from alight.parallax.views import Buffers, Prepared, coarser, maps, prepare_view
-from alight.raster import close_mask, weighted_gaussian
-from alight.records import ElevationMap, Heights, KeyframePosterior, View
+from alight.parallax.blocks import Blocks, Box, Effort, Plan, SweepCost, effort_of
+from alight.parallax.plane_sweep import Swept, plane_count, sweep_unseen
+from alight.parallax.pose_refinement.alignment import Alignment
+from alight.parallax.views import Buffers, Kept
+from alight.parallax.window import APART, Refiner, Window, cells_of, first_of_twins
+from alight.records import ElevationMap, Heights, KeyframePosterior, View, is_trusted
 from alight.settings import ParallaxSettings
 
-GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
-FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
+HALF = 2  # cells of the map that a cell of a rough sweep spans
 
 
 class RecursiveParallax:
@@ -37,13 +32,14 @@ class RecursiveParallax:
 
     def __init__(self, settings: ParallaxSettings, cell: float, ground: float) -> None:
         self._settings, self._tuning = settings, settings.recursive
+        # what one view does not see may wait for the next keyframe
+        self._sweep_tuning = settings.sweep.model_copy(update={"most_references": 1})
         self._unswept = np.float32(settings.recursive.unknown_ratio)
         self._cell, self._ground = cell, ground
         self._kept: list[list[Kept]] = []
         self._unknown = self._unswept
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
-        self._sharper = False  # the cells became smaller: the colours of the map are coarse
-        self._buffers = Buffers()
+        self._blocks, self._refiner = Blocks(settings.recursive), Refiner(settings, Buffers())
         self._alignment = Alignment(settings.ring, settings.poses)
 
     @property
@@ -60,6 +56,11 @@ class RecursiveParallax:
         """`plane` at the cells of a grid, (R, C) metres."""
         return self._alignment.plane_on(grid)
 
+    @property
+    def beginning(self) -> bool:
+        """Most of the window was not refined often yet: heights of a part may not speak for the rest."""
+        return self._blocks.beginning
+
     def work_at(self, cell: float, ground: float) -> None:
         """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
 
@@ -67,75 +68,68 @@ class RecursiveParallax:
         """
         self._ground = ground
         if cell != self._cell:
-            self._sharper = cell < self._cell
+            self._blocks.forget(sharper=cell < self._cell)
             self._cell = cell
             if self._ratio is not None:  # the other cells confirm or refute what the sweep found
                 self._ratio = self._ratio[0], np.sqrt(self._ratio[1] * self._unswept)
-            self._kept = [[self._ready(v) for v, _, _ in exposure] for exposure in self._kept]
+            self._kept = [[Kept.of(k.view, cell, ground) for k in exposure] for exposure in self._kept]
 
     def look_anew(self) -> None:
         """Sweep every cell again before its height is used."""
         self._ratio, self._unknown = None, np.float32(np.nan)
-
-    def _ready(self, view: View) -> Kept:
-        fine = prepare_view(view, self._cell, self._ground)
-        return view, fine, coarser(fine)
 
     def push(self, views: list[View], poses: KeyframePosterior | None = None) -> None:
         """Take the images of one exposure, late or not; the keyframe that leaves the smallest gap is dropped.
 
         `poses`: posterior of the keyframes, this one among them; None: the poses of the views are used as given.
         """
-        if any(exposure[0][0].t_ns == views[0].t_ns for exposure in self._kept):
+        if any(exposure[0].view.t_ns == views[0].t_ns for exposure in self._kept):
             return  # a repeated time: the same picture twice would agree with itself
-        self._kept.append([self._ready(v) for v in views])
-        self._kept.sort(key=lambda exposure: exposure[0][0].t_ns)
-        centres = np.array([exposure[0][0].centre for exposure in self._kept])
+        self._kept.append([Kept.of(v, self._cell, self._ground) for v in views])
+        self._kept.sort(key=lambda exposure: exposure[0].view.t_ns)
+        centres = np.array([exposure[0].view.centre for exposure in self._kept])
         drop = max(centres[-1][2] - self._ground, 1e-2)
         away = np.linalg.norm(centres - centres[-1], axis=1) / drop
         self._kept = [self._kept[i] for i in spread_baselines(away, self._settings.ring, self._tuning.span)]
         if poses is not None:
-            times = {exposure[0][0].t_ns for exposure in self._kept}
+            times = {exposure[0].view.t_ns for exposure in self._kept}
             self._alignment.update_posterior(poses, times, drop)
 
-    def step(self, grid: Grid, known: ElevationMap, low: float, high: float) -> Heights | None:
-        """Improve the heights of a window with the ring as it is now (docs/method/recursive.md).
+    def step(self, grid: Grid, known: ElevationMap, low: float, high: float, effort: int = 0) -> list[Heights]:
+        """Improve the heights of a part of a window with the ring as it is now (docs/method/recursive.md).
 
         Args:
             grid: the window, cells on the map's raster.
             known: what the map has there.
             low, high: heights searched where nothing is known.
+            effort: how much to do, from 0 (all) to 3 (least).
 
         Returns:
-            The window after the step, or None while no cell has seen enough parallax.
+            The rectangles that were refined, as they are now; none while no cell has seen enough parallax.
         """
-        ratio = self._carried(grid)
+        ratio, chosen = self._carried(grid), effort_of(effort)
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
         if self.plane.any():
             known = replace(known, height=known.height + self.plane_on(grid))
+        drop = float(self._kept[-1][0].view.centre[2]) - self._ground
         views = [k for exposure in self._kept for k in exposure]
-        fine = [f for _, f, _ in views]
-        seen = refine.view_geometry(fine, grid, known.height)
-        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
-        start, wrong = self._sweep_new(fine, grid, known.height, ratio, seen, per_px, (low, high))
+        if not chosen.twins:
+            views = [k for k, i in zip(views, first_of_twins(views, APART * drop), strict=True) if k is views[i]]
+        window = Window.of(views, grid, known, (low, high), drop)
+        plan = self._plan(window, ratio, drop, chosen)
+        start, wrong = self._swept(window, ratio, plan, drop)
         self._ratio = (grid, ratio)
-        enough = (seen.count >= self._tuning.first_views).astype(np.float32)
-        start = _bridged(start, ~np.isnan(ratio) & (refine.enlarged(enough, grid, refine.SEEN_BLOCK) > 0.5))
-        if not np.isfinite(start).any():
-            return None
-        tuning = self._settings.refinement
-        visible = refine.visible_from(fine, grid, start, per_px, tuning.occlusion_px)
-        fit = refine.gauss_newton(fine, grid, start, per_px, visible, self._tuning.steps, tuning, self._buffers)
-        rgb = self._coloured(views[-1], grid, fit.height, known)
-        ratio = trust.half_resolution(np.where(np.isnan(ratio) | np.isnan(start), self._unswept, ratio))
-        if wrong.any():
-            known = replace(known, height=np.where(wrong, np.float32(np.nan), known.height))
-        found = judged(fine[-1:], grid, fit, ratio, (low, high), seen, rgb, self._settings.uncertainty)
-        samples = self._buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
-        pairs, consistency = witness.instants([v for v, _, _ in views]), self._settings.consistency
-        moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
-        found = replace(found, flags=found.flags | moves)
-        return replace(fused(found, known, self._tuning.worse), gauge=self._alignment.gauge(grid))
+        if not plan.refine:
+            return []
+        skyline = refine.Skyline.of(start, grid, np.array([k.fine.centre for k in window.kept]))
+        gauge, out = self._alignment.gauge(grid), []
+        for box in plan.refine:
+            recolour = self._blocks.recolour and self._blocks.never_visited(box)
+            found = self._refiner.refined(window, skyline, start, ratio, wrong, box, recolour)
+            self._settle(found, known, box)
+            if found is not None:
+                out.append(replace(found, gauge=gauge))
+        return out
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, self._unknown, np.float32)
@@ -148,16 +142,62 @@ class RecursiveParallax:
                 out[r[0] : r[-1] + 1, c[0] : c[-1] + 1] = there
         return out
 
-    def _sweep_new(
-        self,
-        fine: list[Prepared],
-        grid: Grid,
-        before: F32,
-        ratio: F32,
-        seen: refine.ViewGeometry,
-        per_px: F32,
-        searched: tuple[float, float],
-    ) -> tuple[F32, NDArray[np.bool_]]:
+    def _views_of(self, window: Window, box: Box, ratio: F32, fresh: Mask, drop: float) -> list[Kept]:
+        """The views that sweep a rectangle: of a few exposures over about twice the baseline that this takes.
+
+        More exposures blur the edges of things. A longer baseline takes more planes, and the steps to come bring it.
+        """
+        seen = [window.kept[i] for i in np.unique(window.apart[window.views_of(box)])]
+        asked = max(1.0, float(np.median(self._wanted(ratio)[fresh])))
+        span, newest = 2 * asked * self._tuning.first_baseline * drop, seen[-1].view.centre
+        near = [k for k in seen if np.linalg.norm(k.view.centre - newest) <= span]
+        times = sorted({k.view.t_ns for k in near})
+        at = np.linspace(0, len(times) - 1, min(self._tuning.first_exposures, len(times)))
+        chosen = {times[round(float(i))] for i in at}
+        return [k for k in near if k.view.t_ns in chosen]
+
+    @staticmethod
+    def _wanted(ratio: F32) -> F32:
+        """Baselines of a first sweep that a cell takes: after a sweep in vain, twice as many as before."""
+        return np.where(ratio >= 1, 2 * ratio, np.float32(1))
+
+    def _asked(self, baseline: F32, count: NDArray[np.uint8], ratio: F32, drop: float) -> Mask:
+        """Where the baseline (metres) of `count` views is enough for a sweep of a cell of this ambiguity."""
+        wide = baseline / np.float32(self._tuning.first_baseline * drop)
+        return np.where(count >= self._tuning.first_views, wide, np.float32(0)) >= self._wanted(ratio)
+
+    def _plan(self, window: Window, ratio: F32, drop: float, effort: Effort) -> Plan:
+        """Count in a sample of the cells, and choose."""
+        every = refine.SEEN_BLOCK
+        k = min(every // 2, *(n - 1 for n in window.grid.shape))
+        h, r = window.known.height[k::every, k::every], ratio[k::every, k::every]
+        rows, cols = h.shape
+        baseline, count = window.seen.baseline[:rows, :cols], window.seen.count[:rows, :cols]
+        new, enough = np.isnan(h) | np.isnan(r), self._asked(baseline, count, r, drop)
+        kinds = np.array([new & enough, new & ~enough & (count > 0), ~new & (count >= 2)])
+        self._blocks.move_to(window.grid)
+        counts, newest = self._blocks.counted(kinds, every), window.kept[-1].view.centre
+        row, col = (float(v) for v in window.grid.index(newest[0], newest[1]))
+        low, high = window.searched
+        slide = 2 * self._tuning.first_baseline
+        planes = plane_count(slide, low, high, window.grid.cell, self._sweep_tuning.most_planes)
+        up = float(newest[2])
+        reach = drop / max(up - high, 0.1 * drop) - drop / max(up - low, 0.1 * drop)
+        sweep = SweepCost(self._tuning.first_exposures * planes, reach)
+        return self._blocks.plan(counts, (row, col), sweep, effort)
+
+    def _settle(self, found: Heights | None, known: ElevationMap, box: Box) -> None:
+        """Note which heights of a rectangle were replaced, or lost or gained trust."""
+        every = refine.SEEN_BLOCK
+        h0, s0, f0 = (getattr(known, k)[box][::every, ::every] for k in ("height", "sigma", "flags"))
+        before = np.isfinite(h0)
+        if found is None:
+            return self._blocks.visited(box, before, ~before, every)
+        h, s, f = (getattr(found, k)[::every, ::every] for k in ("height", "sigma", "flags"))
+        changed = ((h - h0) ** 2 > 9 * (s**2 + s0**2)) | (is_trusted(f) != is_trusted(f0))
+        return self._blocks.visited(box, before, changed, every)
+
+    def _swept(self, window: Window, ratio: F32, plan: Plan, drop: float) -> tuple[F32, Mask]:
         """Sweep the cells that have enough baseline for the first time since the restart; `ratio` gets their ambiguity.
 
         The map is shifted to the sweep as a whole and keeps its shape, except where they differ by more than
@@ -166,43 +206,39 @@ class RecursiveParallax:
         Returns:
             Initial heights (R, C) metres, and the mask of cells whose height in the map is wrong.
         """
-        drop, anew = fine[-1].centre[2] - self._ground, np.isnan(ratio)
-        wide = seen.baseline / np.float32(self._tuning.first_baseline * drop)
-        base = np.where(seen.count >= self._tuning.first_views, wide, np.float32(0))
-        asked = np.where(ratio >= 1, 2 * ratio, np.float32(1))  # after a sweep in vain, twice the baseline
-        fresh = (np.isnan(before) | anew) & (refine.enlarged(base, grid, refine.SEEN_BLOCK) >= asked)
-        start = np.where(anew, np.float32(np.nan), before)
-        if not fresh.any():
-            return start, fresh
-        ground = float(np.clip(self._ground, *searched))
-        new, found = sweep_unseen(fine, grid, searched, ground, fresh, self._settings.sweep)
-        shifted = before + shift_of((new - before)[fresh], per_px[fresh], self._tuning.shift_px)
-        new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
-        wrong = fresh & np.isfinite(before) & np.isfinite(new) & (new != before)
-        np.copyto(start, new, where=fresh)
-        np.copyto(ratio, np.where(np.isnan(new), asked, found), where=fresh)
+        before, anew = window.known.height, np.isnan(ratio)
+        start, wrong = np.where(anew, np.float32(np.nan), before), np.zeros(before.shape, np.bool_)
+        for box in plan.sweep + plan.rough:
+            enough = self._asked(
+                window.part_of(window.seen.baseline, box), window.part_of(window.seen.count, box), ratio[box], drop
+            )
+            fresh = (np.isnan(before[box]) | anew[box]) & enough
+            if fresh.any():
+                views = self._views_of(window, box, ratio[box], fresh, drop)
+                new, found = self._sweep(window, views, box, fresh, 1 if box in plan.sweep else HALF)
+                self._take(window, box, fresh, new, found, ratio[box], start[box], wrong[box])
         return start, wrong
 
-    def _coloured(self, newest: Kept, grid: Grid, height: F32, known: ElevationMap) -> U8:
-        """The map's colour, renewed by the newest view just below it and where there was none."""
-        view, fine, _ = newest
-        out = known.rgb.copy()
-        row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
-        k = self._tuning.renew_below * (view.centre[2] - self._ground) / grid.cell
-        under = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
-        fresh = (np.isnan(known.height) | self._sharper) & np.isfinite(height)
-        self._sharper = False
-        for where, only in ((box_of(fresh), fresh), (under, None)):
-            r, c = where
-            part = grid.window(r.start, c.start, *height[where].shape)
-            if not part.rows * part.cols:
-                continue
-            mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
-            take = mapx >= 0  # not where there is no height
-            if only is not None:
-                take &= only[where]
-            cv2.copyTo(picture_at(view, fine, mapx, mapy), take.view(np.uint8), out[where])
-        return out
+    def _sweep(self, window: Window, views: list[Kept], box: Box, fresh: Mask, coarser: int) -> Swept:
+        """Sweep the `fresh` cells of a rectangle, with cells `coarser` times as large."""
+        grid, ground = cells_of(window.grid, box), float(np.clip(self._ground, *window.searched))
+        ready = [v.fine if coarser == 1 else v.coarse for v in views]
+        wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
+        found = sweep_unseen(ready, grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
+        height, ratio = (refine.enlarged(v, grid, coarser) for v in found)
+        return height, ratio
+
+    def _take(
+        self, window: Window, box: Box, fresh: Mask, new: F32, found: F32, ratio: F32, start: F32, wrong: Mask
+    ) -> None:
+        """Fill what a sweep found in a rectangle into its `start`, `ratio` and `wrong`."""
+        before, per_px = window.known.height[box], window.per_px[box]
+        both = fresh & np.isfinite(before) & np.isfinite(new)
+        shifted = before + shift_of((new - before)[both], per_px[both], self._tuning.shift_px)
+        new = np.where(np.abs(new - shifted) < self._tuning.same_px * per_px, shifted, new)
+        np.copyto(wrong, both & (new != before))
+        np.copyto(start, new, where=fresh)
+        np.copyto(ratio, np.where(np.isnan(new), self._wanted(ratio), found), where=fresh)
 
 
 def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -210,19 +246,6 @@ def _shared(index: F64, size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     nearest = np.rint(index).astype(np.intp)
     has = np.flatnonzero((nearest >= 0) & (nearest < size))
     return nearest[has], has
-
-
-def _bridged(start: F32, wanted: NDArray[np.bool_]) -> F32:
-    """Narrow gaps that are `wanted` start from the heights beside them.
-
-    A sweep at the rim of the pictures is often in vain, and the next one has to wait for twice the baseline. Without
-    this, the rims of earlier steps stay in the map as seams, one cell wide, that no touchdown may cross.
-    """
-    known = np.isfinite(start)
-    gaps = wanted & ~known & close_mask(known, GAP)
-    if not gaps.any():
-        return start
-    return np.where(gaps, weighted_gaussian(start, known.astype(np.float32), GAP).mean, start)
 
 
 def shift_of(apart: F32, per_px: F32, least_px: float) -> np.float32:
@@ -247,14 +270,3 @@ def spread_baselines(away: NDArray[np.float64], count: int, span: float) -> list
         ]  # what would be left open, in proportion
         kept.pop(1 + int(np.argmin(gaps)))
     return kept
-
-
-def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
-    """Weigh a step against the map (eq. 16).
-
-    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Where the new sigma
-    is much larger than the old, at the edge of the pictures, the map stays as it is.
-    """
-    out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
-    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), worse)
-    return out

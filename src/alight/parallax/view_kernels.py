@@ -54,30 +54,48 @@ def normalise(grey: F32, reach: int, floor: float, norm: F32) -> None:
 
 
 @kernel
-def _reach_row(s: F32, east: np.float32, north: np.float32, box: F32) -> None:
-    """Widen the box (east, west, north, south, number) of the centres that see each cell."""
-    for c in range(s.size):
-        seen = s[c] == s[c]
-        box[0, c] = east if seen & (east > box[0, c]) else box[0, c]
-        box[1, c] = east if seen & (east < box[1, c]) else box[1, c]
-        box[2, c] = north if seen & (north > box[2, c]) else box[2, c]
-        box[3, c] = north if seen & (north < box[3, c]) else box[3, c]
+def _reach_row(u: F32, place: F32, focal: np.float32, x: F32, north: np.float32, level: F32, box: F32) -> None:
+    """Take a view into the box (east, west, north, south, number, two finest pixels) of those that see each cell."""
+    for c in range(u.size):
+        seen = u[c] >= ZERO
+        box[0, c] = place[0] if seen & (place[0] > box[0, c]) else box[0, c]
+        box[1, c] = place[0] if seen & (place[0] < box[1, c]) else box[1, c]
+        box[2, c] = place[1] if seen & (place[1] > box[2, c]) else box[2, c]
+        box[3, c] = place[1] if seen & (place[1] < box[3, c]) else box[3, c]
         box[4, c] += ONE if seen else ZERO
+        e, n, z = x[c] - place[0], north - place[1], level[c] - place[2]
+        pixel = np.sqrt(e * e + n * n + z * z) / focal if seen else FAR
+        finest = box[5, c]
+        box[5, c] = pixel if pixel < finest else finest
+        other = finest if pixel < finest else pixel
+        box[6, c] = other if other < box[6, c] else box[6, c]
 
 
 @parallel_kernel
-def baseline(samples: F32, centres: F64, out: F32, seen: U8) -> None:
-    """Fill `out` (R, C) with the diagonal of the box, level with the ground, of the cameras that see each cell.
+def seen_from(
+    columns: F32, centres: F64, focal: F64, xs: F64, ys: F64, level: F32, cell: float,
+    baseline: F32, count: U8, per_px: F32, sampling: F32,
+) -> None:  # fmt: skip
+    """Fill (R, C) rasters with the geometry of the views of each cell, at `level` (R, C) metres.
 
-    `seen` gets their number.
+    The view i sees a cell where its column `columns` (N, R, C), pixels, is not negative; `focal` (N,) pixels.
+    `baseline`: the diagonal of the box about their `centres`, level with the ground; `count`: how many they are;
+    `per_px`: the height that moves the outermost apart by one `cell` (eq. 3b); `sampling`: the second finest of their
+    pixels on the ground (it takes two for a height), the cell at least, NaN where there are not two. All metres.
     """
-    n, rows, cols = samples.shape
+    n, rows, cols = columns.shape
+    mean = np.float32(centres[:, 2].mean())
+    places, x = centres.astype(np.float32), xs.astype(np.float32)
     for r in prange(rows):
-        box = np.zeros((5, cols), np.float32)
-        box[0], box[1], box[2], box[3] = -FAR, FAR, -FAR, FAR
+        box = np.zeros((7, cols), np.float32)
+        box[0], box[1], box[2], box[3], box[5], box[6] = -FAR, FAR, -FAR, FAR, FAR, FAR
         for i in range(n):
-            _reach_row(samples[i, r], np.float32(centres[i, 0]), np.float32(centres[i, 1]), box)
+            _reach_row(columns[i, r], places[i], np.float32(focal[i]), x, np.float32(ys[r]), level[r], box)
         for c in range(cols):
             de, dn = box[0, c] - box[1, c], box[2, c] - box[3, c]
-            out[r, c] = np.sqrt(de * de + dn * dn) if de >= ZERO else ZERO
-            seen[r, c] = np.uint8(box[4, c])
+            b = np.sqrt(de * de + dn * dn) if de >= ZERO else ZERO
+            drop = max(mean - level[r, c], np.float32(1e-2))
+            baseline[r, c], count[r, c] = b, np.uint8(box[4, c])
+            per_px[r, c] = np.float32(cell) * drop / max(b, np.float32(0.01) * drop)
+            second = box[5, c] if n == 1 else box[6, c]
+            sampling[r, c] = max(second, np.float32(cell)) if second < FAR else np.float32(np.nan)

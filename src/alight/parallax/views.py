@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -106,6 +106,26 @@ def coarser(fine: Prepared) -> Prepared:
     """Return the same view for cells of twice the size, at half the pixels."""
     grey = cv2.resize(fine.grey, (fine.grey.shape[1] // 2, fine.grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
     return replace(fine, grey=grey, norm=_normalised(grey, fine.ratio), camera=fine.camera.scaled(0.5))
+
+
+class Kept(NamedTuple):
+    """A view of the window, ready for matching."""
+
+    view: View
+    fine: Prepared  # at the cells of the map
+    half: list[Prepared]  # at twice their size, made when it is first asked for
+
+    @classmethod
+    def of(cls, view: View, cell: float, height: float) -> Kept:
+        """A view made ready for cells of this size (metres) above a ground at this height."""
+        return cls(view, prepare_view(view, cell, height), [])
+
+    @property
+    def coarse(self) -> Prepared:
+        """At half the resolution."""
+        if not self.half:
+            self.half.append(coarser(self.fine))
+        return replace(self.half[0], H=self.fine.H, b=self.fine.b, centre=self.fine.centre)
 
 
 class Buffers:

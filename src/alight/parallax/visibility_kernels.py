@@ -122,19 +122,25 @@ def block_tops(h: F32, side: int, lowest: float, out: F32) -> None:
 
 @parallel_kernel
 def visibility(
-    h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, visible: U8
-) -> None:
-    """Fill `visible` (N, R, C) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+    h: F32, tops: F32, block: int, centres: F64, xs: F64, ys: F64, cell: float, margin: F32, top_row: int,
+    left_col: int, visible: U8,
+) -> None:  # fmt: skip
+    """Fill `visible` (N, P, Q) with 1 where the ray from the cell to camera i stays above the map (eq. 13).
+
+    It is asked of the P x Q cells of the map from `top_row` and `left_col` on.
 
     `tops`: for each block of `block` x `block` cells the highest height that a ray from it can meet: the march ends
-    once the ray is above it, and on open ground it does not begin. `margin` (R, C) metres are forgiven.
+    once the ray is above it, and on open ground it does not begin. `margin` (P, Q) metres are forgiven.
     """
-    n, rows, cols = visible.shape
-    for r in prange(rows):
+    n, high, wide = visible.shape
+    rows, cols = h.shape
+    for p in prange(high):
+        r = top_row + p
         for i in range(n):
-            visible[i, r] = 1
-        for c in range(cols):
-            hc, top, spare = h[r, c], tops[r // block, c // block], margin[r, c]
+            visible[i, p] = 1
+        for q in range(wide):
+            c = left_col + q
+            hc, top, spare = h[r, c], tops[r // block, c // block], margin[p, q]
             if not top > hc + spare:  # NaN too
                 continue
             for i in range(n):
@@ -145,13 +151,12 @@ def visibility(
                 if length < 1e-6 or dz <= 0.0:
                     continue
                 rise = dz / length  # metres a cell of march
+                down, right = dy / length, dx / length
                 steps = int(min(length, (top - hc - spare) / rise))
                 for s in range(1, steps + 1):
-                    y = int(np.floor(r + dy * s / length + 0.5))
-                    x = int(np.floor(c + dx * s / length + 0.5))
-                    if y < 0 or y >= rows or x < 0 or x >= cols:
+                    y, x = r + 0.5 + down * s, c + 0.5 + right * s
+                    if not (0.0 <= y < rows and 0.0 <= x < cols):
                         break
-                    over = h[y, x]
-                    if not np.isnan(over) and over > hc + rise * s + spare:
-                        visible[i, r, c] = 0
+                    if h[int(y), int(x)] > hc + rise * s + spare:  # False for NaN
+                        visible[i, p, q] = 0
                         break

@@ -17,11 +17,9 @@ from alight.parallax.pose_refinement.solve import (
     refine_poses,
     thinning,
 )
-from alight.parallax.views import Prepared
+from alight.parallax.views import Kept, Prepared
 from alight.records import REFUSED, Datum, ElevationMap, Flag, KeyframePosterior, View
 from alight.settings.tuning.parallax import PoseRefinementTuning
-
-Kept = tuple[View, Prepared, Prepared]  # at the cells of the map, and of the sweep
 
 
 @dataclass(eq=False)
@@ -59,10 +57,10 @@ class Alignment:
 
         `old` (R, C): cells that belong to other poses, and are taken as unknown.
         """
-        newest = exposures[-1][0][0]
+        newest = exposures[-1][0].view
         self.plane = np.zeros(PLANE)
         drop = max(float(newest.centre[2]) - ground, 1e-2)
-        if self.state is None or any(k[0][0].t_ns not in self.state.times for k in exposures):
+        if self.state is None or any(k[0].view.t_ns not in self.state.times for k in exposures):
             return exposures
         prior = self._prior(drop)
         linearisations = self._linearisations(exposures, prior, self._ground(grid, known, old, ground, drop), drop)
@@ -71,7 +69,7 @@ class Alignment:
         if self._mapped:
             self.plane = plane
         poses = dict(zip(self.state.times, self.state.poses, strict=True))
-        return [[self._moved(k, poses[k[0].t_ns]) for k in e] for e in exposures]
+        return [[self._moved(k, poses[k.view.t_ns]) for k in e] for e in exposures]
 
     def _prior(self, drop: float) -> PoseGaussian:
         assert self.state is not None
@@ -83,21 +81,20 @@ class Alignment:
         return replace(self.state, covariance=P)
 
     def _moved(self, kept: Kept, world_from_body: Pose) -> Kept:
-        view, fine, coarse = kept
+        view = kept.view
         pose = world_from_body @ self._mounts[view.t_ns, view.cam]
-        return replace(view, world_from_cam=pose), posed(fine, pose), posed(coarse, pose)
+        return Kept(replace(view, world_from_cam=pose), posed(kept.fine, pose), kept.half)
 
     def _linearisations(
         self, exposures: list[list[Kept]], prior: PoseGaussian, cells: RefinementCells, drop: float
     ) -> list[ViewPair]:
         """Pictures and cells of each linearisation, coarse to fine; more where the newest exposure is less certain."""
         all_of = [k for e in exposures for k in e]
-        fine = [self._refinement_view(view, ready) for view, ready, _ in all_of]
-        coarse = [self._refinement_view(view, ready) for view, _, ready in all_of]
+        fine = [self._refinement_view(k.view, k.fine) for k in all_of]
         uncertainty = ground_uncertainty(prior, drop) / cells.arm
-        wide = cells.coarser()
         if uncertainty > self.tuning.far_cells:
-            return [(coarse, wide)] * 2 + [(fine, cells)] * 2
+            coarse = [self._refinement_view(k.view, k.coarse) for k in all_of]
+            return [(coarse, cells.coarser())] * 2 + [(fine, cells)] * 2
         return [(fine, cells)] * (2 if uncertainty > self.tuning.near_cells else 1)
 
     def _refinement_view(self, view: View, prepared: Prepared) -> RefinementView:

@@ -28,8 +28,8 @@ class BatchMapper:
         self._map = BatchMap(settings, far)
         self.store = FrameStore(settings.mapping.turn)
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
-        """Keep the exposure if it is a keyframe; the map comes at the end."""
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
+        """Keep the exposure if it is a keyframe; the map comes at the end, with all effort."""
         motion = navigation.motion
         if motion is None or motion.state is MotionState.LOST:
             return None
@@ -91,7 +91,7 @@ class BatchMapper:
 class PhotoMapper(BatchMapper):
     """The same where all motions come at the end: every photo is kept."""
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Keep the photo."""
         self.store.keep(navigation.frame)
         return None

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.arrays import F64
+from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
 from alight.parallax import find_points, ground_sampling, height_range
@@ -21,10 +20,26 @@ from alight.settings.tuning import MappingTuning
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
 
 
-def lone(given: NDArray[np.bool_], tuning: MappingTuning) -> NDArray[np.bool_]:
+def lone(given: Mask, tuning: MappingTuning) -> Mask:
     """Which of the heights that are given out, (R, C), have too few about them that are."""
     window = (tuning.given_cells, tuning.given_cells)
     return np.asarray(given & (cv2.blur(given.astype(np.float32), window) < tuning.least_given))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """A rectangle of a window of which it is known which heights are given out."""
+
+    given: Mask  # (R, C) of the window
+    where: tuple[slice, slice]
+
+    def lone(self, given: Mask, tuning: MappingTuning) -> Mask:
+        """Which heights of the rectangle are alone; the window takes over which of them are given out."""
+        self.given[self.where] = given
+        reach = tuning.given_cells // 2
+        r, c = (slice(max(0, s.start - reach), s.stop + reach) for s in self.where)
+        rows, cols = (slice(s.start - w.start, s.stop - w.start) for s, w in zip(self.where, (r, c), strict=True))
+        return lone(self.given[r, c], tuning)[rows, cols]
 
 
 @dataclass(eq=False)
@@ -69,8 +84,13 @@ class GroundMap:
             self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
 
-    def _range(self, grid: Grid, camera: float, known: ElevationMap | None = None) -> tuple[float, float]:
-        """Heights to search: what the map knows there already counts as points, beside those near it."""
+    def _range(
+        self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
+    ) -> tuple[float, float]:
+        """Heights to search: those of the map there, where it has enough, else of points near it.
+
+        Both where it knows a `part` of it only: that may miss a pit in the rest.
+        """
         if self.settings.parallax.height_range:
             return self.settings.parallax.height_range
         wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
@@ -79,17 +99,16 @@ class GroundMap:
         heights = np.empty(0) if known is None else known.height[known.trusted][::7].astype(np.float64)
         if len(heights) < self.settings.mapping.least_known:
             return low, high
-        return height_range(np.column_stack([heights, heights, heights]), camera)
+        below, above = height_range(np.column_stack([heights, heights, heights]), camera)
+        return (min(low, below), max(high, above)) if part else (below, above)
 
-    def _without_doubtful(self, heights: Heights, above: float) -> Heights:
+    def _without_doubtful(self, heights: Heights, above: float, around: Surroundings | None = None) -> Heights:
         """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""
         limit = self.settings.elevation.max_sigma or self.settings.mapping.max_sigma * max(above, 1.0)
         vague = heights.sigma > limit
-        unsure = np.where(
-            vague | lone(is_trusted(heights.flags) & ~vague, self.settings.mapping),
-            np.uint16(Flag.UNSURE),
-            np.uint16(0),
-        )
+        given = is_trusted(heights.flags) & ~vague
+        alone = lone(given, self.settings.mapping) if around is None else around.lone(given, self.settings.mapping)
+        unsure = (vague | alone).astype(np.uint16) * np.uint16(Flag.UNSURE)
         return replace(heights, flags=heights.flags | unsure)
 
     def snapshot(self) -> ElevationMap | None:

@@ -55,8 +55,12 @@ class FinishedMap:
 class MappingLane(Protocol):
     """One way to map, with all its policy: keyframes, when the ground is looked for, what is forgotten."""
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
-        """Take one exposure; None where the map has not changed."""
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
+        """Take one exposure; None where the map has not changed.
+
+        `effort`: how much to do with it in flight, from 0 (all) to 3 (least). It is the caller's decision and belongs
+        in the schedule: the same exposures with the same efforts give the same bits.
+        """
 
     def snapshot(self) -> MapSnapshot | None:
         """The map under the newest keyframe as it is now; None without one there."""

@@ -42,7 +42,7 @@ class RecursiveMapper:
         self._step = 0  # keyframes that the map was improved with
         self._warnings: list[str] = []
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Keep the exposure if it is a keyframe, and improve the map with it."""
         motion = navigation.motion
         if motion is None or motion.state is MotionState.LOST:
@@ -54,7 +54,7 @@ class RecursiveMapper:
         if not self.store.offer(navigation.frame, motion, step):
             return None
         self._newest = navigation
-        steps = self._grow(navigation)
+        steps = self._grow(navigation, effort)
         self.store.drop_oldest(max(0, len(self.store) - self._most))
         while self.store.bytes > self._settings.store_mb * 1_000_000:
             self.store.drop_oldest(1)
@@ -83,16 +83,16 @@ class RecursiveMapper:
             log.warning(warning)
             self._warnings.append(warning)
 
-    def _grow(self, navigation: Navigation) -> int:
+    def _grow(self, navigation: Navigation, effort: int) -> int:
         """Find the ground, or take the newest keyframe into the map; how many steps that were."""
         look = self.store.taken % self._tuning.find_every == 0
         if self._map.ground is not None:
-            steps = self._advance(self.store.keyframes[-1:], navigation)
+            steps = self._advance(self.store.keyframes[-1:], navigation, effort)
             if self._map.out_of_range and look:
                 self._map.find_ground_again(self._views_now(), self._tuning.find_baseline)
             return steps
         if look and self._map.find_ground(self._views_now(), self._tuning.find_baseline):
-            return self._advance(self.store.keyframes, navigation)
+            return self._advance(self.store.keyframes, navigation, effort)
         if (
             len(self.store) >= self._tuning.kept_by_ring
         ):  # the height is not known, so the baseline that it takes is not
@@ -100,13 +100,13 @@ class RecursiveMapper:
             self._first_step *= 2
         return 0
 
-    def _advance(self, keyframes: Sequence[Keyframe], navigation: Navigation) -> int:
+    def _advance(self, keyframes: Sequence[Keyframe], navigation: Navigation, effort: int) -> int:
         before = self._step
         for k in keyframes:
             assert k.motion is not None
             with self._timings.of("heights"):
                 poses = _posterior_with(k.motion, navigation.posterior)
-                self._step += self._map.step(views_of([k], self._rig), poses)
+                self._step += self._map.step(views_of([k], self._rig), poses, effort)
         return self._step - before
 
     def _views_now(self, most: int | None = None) -> list[View]:

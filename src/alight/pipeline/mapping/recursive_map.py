@@ -9,10 +9,13 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.elevation import TiledElevation
+from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
-from alight.pipeline.mapping.ground_map import GroundMap
+from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View
+from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
+
+COARSE = 4  # cells: every so manieth shows where the ground is
 
 
 @dataclass(eq=False)
@@ -59,10 +62,11 @@ class RecursiveMap(GroundMap):
         self._ring, self.gauge, self.out_of_range = None, None, False
         return mapped
 
-    def step(self, views: Sequence[View], poses: KeyframePosterior | None = None) -> bool:
+    def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
         """Take a keyframe into the window and improve the map; False without a baseline yet.
 
         `poses`: what is known of the last keyframes' poses; they are refined with the map. None: they are exact.
+        `effort`: how much to do, from 0 (all) to 3 (least).
         """
         down = looking_down(views)
         if self.elevation is None or self.ground is None or not down:
@@ -79,26 +83,34 @@ class RecursiveMap(GroundMap):
             self._ring = RecursiveParallax(self.settings.parallax, cell, self.ground_here)
         self._ring.work_at(cell, self.ground_here)
         self._ring.push(down, poses)
-        return self._improve(down, self._ring, self.ground_here)
+        return self._improve(down, self._ring, self.ground_here, effort)
 
-    def _improve(self, down: list[View], ring: RecursiveParallax, ground: float) -> bool:
+    def _improve(self, down: list[View], ring: RecursiveParallax, ground: float, effort: int) -> bool:
         assert self.elevation is not None
         low, high = bounds(down, ground)
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self.level)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
-        found = ring.step(grid, known, *self._range(grid, up, known))
+        parts = ring.step(grid, known, *self._range(grid, up, known, ring.beginning), effort)
         if ring.plane.any():
             self.elevation.add_plane(ring.plane, ring.about)
             known = replace(known, height=known.height + ring.plane_on(grid))
-        if found is None:
+        if not parts:
             return False
-        self.gauge = found.gauge
-        found = self._without_doubtful(found, up - ground)
-        self.out_of_range = bool(((found.flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
-        heights = found.height[::4, ::4][np.isfinite(found.height[::4, ::4])]
+        self.gauge = parts[0].gauge
+        height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags[::COARSE, ::COARSE].copy()
+        given = is_trusted(known.flags)
+        for part in parts:
+            where = box_in(grid, part.grid)
+            found = self._without_doubtful(part, up - ground, Surroundings(given, where))
+            rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
+            at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
+            height[at] = found.height[rows, cols]
+            flags[at] = found.flags[rows, cols]
+            self.elevation.add(changed(found, known, where), replace_all=True)
+        self.out_of_range = bool(((flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
+        heights = height[np.isfinite(height)]
         if len(heights) >= self.settings.mapping.least_known // 4:
             self.ground_here = float(np.median(heights))
-        self.elevation.add(changed(found, known), replace_all=True)
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
@@ -117,8 +129,15 @@ class RecursiveMap(GroundMap):
         return replace(found, gauge=self.gauge) if found.trusted.any() else None
 
 
-def changed(found: Heights, known: ElevationMap) -> Heights:
-    """What a step changed; what it left as it was need not be written, and is not taken for seen at this cell size."""
-    same = (found.height == known.height) & (found.sigma == known.sigma) & (found.flags == known.flags)
-    same &= (found.rgb == known.rgb).all(axis=2)
+def box_in(grid: Grid, part: Grid) -> tuple[slice, slice]:
+    """Rows and columns of a grid that another one is."""
+    row, col = (round(float(v)) for v in grid.index(np.array(part.east), np.array(part.north)))
+    return slice(row, row + part.rows), slice(col, col + part.cols)
+
+
+def changed(found: Heights, known: ElevationMap, where: tuple[slice, slice]) -> Heights:
+    """What a step changed in a part of the map; what it left as it was is not taken for seen at this cell size."""
+    height, sigma, flags, rgb = (getattr(known, k)[where] for k in ("height", "sigma", "flags", "rgb"))
+    same = (found.height == height) & (found.sigma == sigma) & (found.flags == flags)
+    same &= (found.rgb == rgb).all(axis=2)
     return replace(found, flags=np.where(same, np.uint16(Flag.UNSEEN), found.flags).astype(np.uint16))

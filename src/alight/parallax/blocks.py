@@ -1,0 +1,281 @@
+"""Which blocks of the window a step works on, so that steps cost alike (docs/method/recursive.md).
+
+A new block is refined with every keyframe. What a further one adds falls with their number, so that the block then
+waits the longer the more it has had. First sweeps are put off until the step's share of sweeping suffices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F32, F64, I64, Mask
+from alight.geometry import Grid
+from alight.settings.tuning.parallax import RecursiveTuning
+
+SIDE = 64  # cells of a block
+LEAST = 8  # samples of known cells from which a block is refined: one in 32
+ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
+PART = 0.25  # of the cells of a block that are seen, the least that is swept at once: less is what a sweep left
+NEVER = -(1 << 30)
+DEAR = 8192  # cells whose refinement costs as much as one rectangle more
+MOST_URGENT = 4.0
+WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
+TAKEN = -8.0
+ROUGH = 8  # times less work at half the resolution
+MOST_NEW = 0.5  # of the blocks that are seen, from which a step may do twice as much: the map begins
+
+Box = tuple[slice, slice]  # rows and columns of the window
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What a step may cost: a row of `EFFORTS`."""
+
+    share: float  # of the cells and of the sweeping that a full step may do
+    twins: bool  # cameras that see what another of their exposure sees from beside it take part
+
+
+EFFORTS = (Effort(1.0, True), Effort(0.8, False), Effort(0.5, False), Effort(0.25, False))  # full, ..., least
+
+
+def effort_of(level: int) -> Effort:
+    """The effort of a level from 0 (full) to 3 (least); what is beyond is as the nearest."""
+    return EFFORTS[min(max(level, 0), len(EFFORTS) - 1)]
+
+
+class Rectangle(NamedTuple):
+    """Of blocks."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @property
+    def blocks(self) -> int:
+        """How many."""
+        return (self.bottom - self.top) * (self.right - self.left)
+
+
+class Counts(NamedTuple):
+    """Samples of each kind in every block, (BR, BC)."""
+
+    fresh: F32  # that a sweep may look at for the first time
+    waiting: F32  # that will be, once seen over a longer baseline
+    known: F32  # with a height, that two views see
+
+
+class SweepCost(NamedTuple):
+    """What the sweep of a block takes."""
+
+    layers: float  # samples a cell: planes times views, at the sweep's cells
+    reach: float  # cells about a block that rays through it cross as well, a cell of distance from below the camera
+
+
+class Plan(NamedTuple):
+    """The work of one step."""
+
+    sweep: list[Box]  # whose new cells are swept
+    rough: list[Box]  # the same, at half the resolution: they would cost more than a step may
+    refine: list[Box]  # sharing no cell, among them all that are swept
+
+
+class Blocks:
+    """The blocks under a window, in numbers of the map's raster, and what was done to each.
+
+    Args:
+        tuning: of the recursive step.
+    """
+
+    def __init__(self, tuning: RecursiveTuning) -> None:
+        self._tuning, self._step = tuning, 0
+        self._row, self._col = 0, 0
+        self._begins = True
+        self._rate = 0.0  # samples of first sweeps a step, until none is due
+        self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
+        self._shape = (0, 0)  # of the window
+        self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
+        self.recolour = False  # blocks that were never visited have coarse colours
+
+    def forget(self, sharper: bool) -> None:
+        """All blocks are new; their colours are coarse where the cells became smaller (`sharper`)."""
+        self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
+        self.recolour = sharper
+
+    def move_to(self, grid: Grid) -> None:
+        """Begin a step over this window."""
+        self._step += 1
+        first = np.array([round(-grid.north / grid.cell - 0.5), round(grid.east / grid.cell - 0.5)])
+        row, col = (int(v) for v in first // SIDE)
+        rows, cols = (int(v) for v in (first + grid.shape - 1) // SIDE - (row, col) + 1)
+        self._count, self._last, self._since = (
+            _moved(old, (row - self._row, col - self._col), (rows, cols), empty)
+            for old, empty in ((self._count, 0), (self._last, NEVER), (self._since, NEVER))
+        )
+        self._row, self._col, self._first, self._shape = row, col, first, grid.shape
+
+    def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
+        """Sums of masks (3, R / every, C / every), a sample of the cells, over each block."""
+        rows, cols = (
+            _members(n, every, int(f) - SIDE * b, blocks)
+            for n, f, b, blocks in zip(
+                kinds.shape[1:], self._first, (self._row, self._col), self._count.shape, strict=True
+            )
+        )
+        return Counts(*(rows @ kinds.astype(np.float32) @ cols.T))
+
+    def plan(self, counts: Counts, below: tuple[float, float], sweep: SweepCost, effort: Effort) -> Plan:
+        """Choose what to do; `below`: row and column of the window under the newest view."""
+        middle = [
+            SIDE * (b + np.arange(n) + 0.5) - f
+            for b, n, f in zip((self._row, self._col), self._count.shape, self._first, strict=True)
+        ]
+        dr, dc = np.abs(middle[0][:, None] - below[0]), np.abs(middle[1][None, :] - below[1])
+        away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
+        seen = counts.fresh + counts.known >= LEAST
+        self._begins = not seen.any() or float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
+        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells) * (2 if self._begins else 1)
+        most = min(effort.share * self._tuning.share, 1.0) * cells
+        dear = costs > self._tuning.most_sweep
+        swept = self._to_sweep(counts, np.where(dear, costs / ROUGH, costs), most, effort)
+        refined = self._to_refine(counts, away, swept, most)
+        new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
+        self._count[swept] = np.rint(self._count * (1 - new))[swept]
+        self._since[swept] = NEVER
+        fine, rough = (covered(np.where(swept & some, 1.0, TAKEN), away, np.inf) for some in (~dear, dear))
+        return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
+
+    @property
+    def beginning(self) -> bool:
+        """Most blocks of the last plan are new: heights of a part may not speak for the rest."""
+        return self._begins
+
+    def _to_sweep(self, counts: Counts, costs: F64, most: float, effort: Effort) -> Mask:
+        """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""
+        some = counts.fresh >= ENOUGH
+        self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
+        waited = self._step - self._since
+        ready = (counts.fresh >= PART * (counts.fresh + counts.waiting + counts.known)) & (
+            (counts.fresh >= counts.waiting) | (waited >= self._tuning.patience)
+        )
+        ready = some & (ready | (waited >= 2 * self._tuning.patience))
+        self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
+        most_samples = self._tuning.most_sweep * (2 if self._begins else 1)
+        budget = effort.share * min(max(self._rate, self._tuning.least_sweep), most_samples)
+        order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
+        return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
+
+    def _to_refine(self, counts: Counts, away: F64, swept: Mask, most: float) -> list[Rectangle]:
+        """Rectangles of `most` cells about the blocks that have waited long enough, those just swept first."""
+        wait = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait)
+        urgency = np.where(counts.known >= LEAST, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
+        urgency[swept] = MOST_URGENT + 1
+        return covered(urgency, away, most)
+
+    def _box(self, of: Rectangle) -> Box:
+        """The cells of the window in a rectangle of blocks."""
+        edges = zip(
+            (of.top, of.left), (of.bottom, of.right), (self._row, self._col), self._first, self._shape, strict=True
+        )
+        r, c = (slice(max(SIDE * (a + b) - int(f), 0), min(SIDE * (z + b) - int(f), n)) for a, z, b, f, n in edges)
+        return r, c
+
+    def never_visited(self, box: Box) -> bool:
+        """Whether some block of a rectangle was never refined."""
+        return bool((self._last[self._inside(box)] == NEVER).any())
+
+    def visited(self, box: Box, known: Mask, changed: Mask, every: int) -> None:
+        """A rectangle was refined; its blocks of which much `changed` are looked at again soon.
+
+        Args:
+            known, changed: of a sample of its cells, `every` cells apart: had a height before, and has another one now.
+        """
+        inside = self._inside(box)
+        blocks = [s.stop - s.start for s in inside]
+        starts = (s.start + int(f) for s, f in zip(box, self._first, strict=True))
+        rows, cols = (_members(n, every, at % SIDE, b) for n, at, b in zip(known.shape, starts, blocks, strict=True))
+        had, moved = (rows @ m.astype(np.float32) @ cols.T for m in (known, known & changed))
+        self._count[inside] = np.where(moved > self._tuning.unsettled * had, 0, self._count[inside] + 1)
+        self._last[inside] = self._step
+
+    def _inside(self, box: Box) -> Box:
+        numbers = zip(box, (self._row, self._col), self._first, strict=True)
+        r, c = (slice((s.start + int(f)) // SIDE - b, (s.stop - 1 + int(f)) // SIDE - b + 1) for s, b, f in numbers)
+        return r, c
+
+
+def _moved(old: I64, by: tuple[int, int], shape: tuple[int, int], empty: int) -> I64:
+    """The values of a raster of blocks on one that begins `by` blocks further and has another shape."""
+    out = np.full(shape, empty, np.int64)
+    there = [slice(max(b, 0), max(min(b + n, m), 0)) for b, n, m in zip(by, shape, old.shape, strict=True)]
+    here = [slice(s.start - b, s.start - b + max(s.stop - s.start, 0)) for s, b in zip(there, by, strict=True)]
+    part = old[there[0], there[1]]
+    if part.size:
+        out[here[0], here[1]] = part
+    return out
+
+
+def _members(count: int, every: int, first: int, blocks: int) -> F32:
+    """(blocks, count) 1 where a sample lies in a block; they are `every` cells apart."""
+    at = (first + every // 2 + every * np.arange(count)) // SIDE
+    return np.asarray(at[None, :] == np.arange(blocks)[:, None], np.float32)
+
+
+def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
+    """The first of the wanted in an order whose costs are within a budget; one of them in any case."""
+    ranked = order[wanted.ravel()[order]]
+    spent = np.cumsum(costs.ravel()[ranked])
+    out = np.zeros(wanted.size, np.bool_)
+    out[ranked[: max(1, int(np.searchsorted(spent, budget, side="right")))]] = True
+    return out.reshape(wanted.shape)
+
+
+def covered(urgency: F64, away: F64, most: float) -> list[Rectangle]:
+    """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells.
+
+    Those above `MOST_URGENT` are covered in any case.
+    """
+    urgency, out = urgency.copy(), list[Rectangle]()
+    while (top := urgency.max(initial=0.0)) > MOST_URGENT or (top >= 1.0 and most >= DEAR + SIDE**2):
+        found = grown(urgency, away, (most - DEAR) / SIDE**2)
+        most -= found.blocks * SIDE**2 + DEAR
+        out.append(found)
+        urgency[found.top : found.bottom, found.left : found.right] = TAKEN
+    return out
+
+
+def grown(urgency: F64, away: F64, most: float) -> Rectangle:
+    """The rectangle of at most so many blocks that grows from the most urgent, nearest one while its rim is urgent too.
+
+    Few large rectangles cost less than many small ones, and what is refined together is urgent together again.
+    """
+    total = np.zeros((urgency.shape[0] + 1, urgency.shape[1] + 1))
+    total[1:, 1:] = urgency.cumsum(axis=0).cumsum(axis=1)
+    sums = total.tolist()  # plain numbers: a tenth of the time for one at a time
+    first = np.flatnonzero(urgency.ravel() == urgency.max())
+    row, col = divmod(int(first[np.argmin(away.ravel()[first])]), urgency.shape[1])
+    out = Rectangle(row, col, row + 1, col + 1)
+    while True:
+        top, left, bottom, right = out
+        rims = (
+            Rectangle(top - 1, left, top, right), Rectangle(bottom, left, bottom + 1, right),
+            Rectangle(top, left - 1, bottom, left), Rectangle(top, right, bottom, right + 1),
+        )  # fmt: skip
+        worth = [_mean(sums, r) if out.blocks + r.blocks <= most else -1.0 for r in rims]
+        k = int(np.argmax(worth))
+        if worth[k] < WORTH:
+            return out
+        a, b, c, d = rims[k]
+        out = Rectangle(min(top, a), min(left, b), max(bottom, c), max(right, d))
+
+
+def _mean(sums: list[list[float]], of: Rectangle) -> float:
+    """Of a rectangle, from sums over all that is above and to the left; -1 outside."""
+    top, left, bottom, right = of
+    if min(top, left) < 0 or bottom >= len(sums) or right >= len(sums[0]):
+        return -1.0
+    return (sums[bottom][right] - sums[top][right] - sums[bottom][left] + sums[top][left]) / of.blocks

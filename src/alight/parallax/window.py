@@ -1,0 +1,222 @@
+"""One rectangle of a recursive step: its views, refinement, sigma, flags, colour, and the weighing against the map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F32, U8, Mask
+from alight.geometry import Grid, box_of
+from alight.parallax import gauss_newton as refine
+from alight.parallax import temporal_consistency as witness
+from alight.parallax import uncertainty as trust
+from alight.parallax import uncertainty_kernels as kernels
+from alight.parallax.batch import judged, picture_at
+from alight.parallax.blocks import Box
+from alight.parallax.views import Buffers, Kept, maps, rgb_of
+from alight.raster import close_mask, weighted_gaussian
+from alight.records import ElevationMap, Heights
+from alight.settings import ParallaxSettings
+
+GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
+HALO = 8  # cells about a rectangle that are refined with it and thrown away: no seams
+FUSED = ("height", "sigma", "flags", "views", "residual", "sampling")
+FIELDS = (*FUSED, "rgb")
+BESIDE = 0.02  # of the height: the same hides the ground from cameras of one exposure that are nearer to each other
+APART = 0.06  # of the height: such cameras see so much of the same that a sweep needs one of them
+ALIKE = 0.1  # rad between the axes of such cameras
+
+
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """What all rectangles of one step have in common."""
+
+    grid: Grid
+    known: ElevationMap  # the map before the step
+    kept: list[Kept]  # the views that take part
+    seen: refine.ViewGeometry
+    per_px: F32  # (R, C) metres a parallax pixel
+    searched: tuple[float, float]  # metres
+    drop: float  # metres from the newest camera to the ground
+    picture: U8  # (H, W, 3) of the newest view
+    nearly: NDArray[np.intp]  # (N,) of each view, the first of its exposure within `BESIDE`
+    apart: NDArray[np.intp]  # (N,) and within `APART`
+
+    @classmethod
+    def of(
+        cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float
+    ) -> Window:
+        """The window as these views see it; `drop`: metres from the newest camera to the ground."""
+        seen = refine.view_geometry([k.fine for k in kept], grid, known.height)
+        per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
+        near, far = (first_of_twins(kept, share * drop) for share in (BESIDE, APART))
+        return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), near, far)
+
+    def views_of(self, where: Box) -> NDArray[np.intp]:
+        """Those that see any of a rectangle."""
+        r, c = (slice(s.start // refine.SEEN_BLOCK, -(-s.stop // refine.SEEN_BLOCK)) for s in where)
+        return np.flatnonzero(self.seen.views[:, r, c].any(axis=(1, 2)))
+
+    def part_of(self, values: NDArray[T], where: Box) -> NDArray[T]:
+        """A rectangle of values of blocks of `refine.SEEN_BLOCK` cells, on its cells."""
+        n = refine.SEEN_BLOCK
+        r, c = (slice(s.start // n, -(-s.stop // n)) for s in where)
+        part = np.ascontiguousarray(values[r, c])
+        wide = cv2.resize(part, (part.shape[1] * n, part.shape[0] * n), interpolation=cv2.INTER_NEAREST)
+        a, b = (s.start - n * (s.start // n) for s in where)
+        rows, cols = (s.stop - s.start for s in where)
+        return np.ascontiguousarray(wide[a : a + rows, b : b + cols])
+
+
+def part_of(known: ElevationMap, where: Box) -> ElevationMap:
+    """A rectangle of a map, copied."""
+    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(known, k)[where]) for k in FIELDS}
+    return ElevationMap(cells_of(known.grid, where), **fields)
+
+
+def cells_of(grid: Grid, where: Box) -> Grid:
+    """The rectangle as a grid."""
+    rows, cols = where
+    return grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
+
+
+def wider(where: Box, shape: tuple[int, int]) -> Box:
+    """The rectangle with its halo, as far as the window goes, from even cells on."""
+    r, c = (slice(max(0, s.start - HALO) & ~1, min(n, s.stop + HALO)) for s, n in zip(where, shape, strict=True))
+    return r, c
+
+
+def within(inner: Box, outer: Box) -> Box:
+    """A rectangle in the numbers of another that holds it."""
+    r, c = (slice(i.start - o.start, i.stop - o.start) for i, o in zip(inner, outer, strict=True))
+    return r, c
+
+
+def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
+    """For each view (N,) the first one of its exposure that looks the same way from a place `within` so many metres."""
+    out = list[int]()
+    for i, (view, fine, _) in enumerate(kept):
+        axis = view.world_from_cam.rotation[:, 2]
+        same = (
+            j for j in range(i)
+            if out[j] == j and kept[j].view.t_ns == view.t_ns and kept[j].fine.camera == fine.camera
+            and np.linalg.norm(kept[j].view.centre - view.centre) < within
+            and float(axis @ kept[j].view.world_from_cam.rotation[:, 2]) > np.cos(ALIKE)
+        )  # fmt: skip
+        out.append(next(same, i))
+    return np.array(out, np.intp)
+
+
+@dataclass(eq=False)
+class Refiner:
+    """Refines rectangles of a window with its views.
+
+    Args:
+        settings: of parallax.
+        buffers: arrays that are used again.
+    """
+
+    settings: ParallaxSettings
+    buffers: Buffers
+
+    def refined(
+        self, window: Window, skyline: refine.Skyline, start: F32, ratio: F32, wrong: Mask, box: Box, recolour: bool
+    ) -> Heights | None:
+        """The heights of a rectangle after a Gauss-Newton step, weighed against the map; None where nothing is known.
+
+        Args:
+            skyline: of `start`, for the rays that the map stops.
+            start, ratio: (R, C) of the window, heights to start from, and best over second-best cost.
+            wrong: (R, C) cells whose height in the map counts for nothing.
+            box: the rectangle.
+            recolour: the map's colours there are coarse.
+        """
+        where = wider(box, window.grid.shape)
+        grid, chosen = cells_of(window.grid, where), window.views_of(where)
+        h, cost = (np.ascontiguousarray(v[where]) for v in (start, ratio))
+        count = window.part_of(window.seen.count, where)
+        h = bridged(h, ~np.isnan(cost) & (count >= self.settings.recursive.first_views))
+        if len(chosen) < 2 or not np.isfinite(h[within(box, where)]).any():
+            return None
+        kept, per_px = [window.kept[i] for i in chosen], np.ascontiguousarray(window.per_px[where])
+        fine, tuning = [k.fine for k in kept], self.settings.refinement
+        first, owner = np.unique(window.nearly[chosen], return_inverse=True)
+        centres = np.array([window.kept[i].fine.centre for i in first])
+        visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]
+        fit = refine.gauss_newton(fine, grid, h, per_px, visible, self.settings.recursive.steps, tuning, self.buffers)
+        known = part_of(window.known, where)
+        rgb = self._coloured(window, grid, fit.height, known, recolour)
+        cost = trust.half_resolution(
+            np.where(np.isnan(cost) | np.isnan(h), np.float32(self.settings.recursive.unknown_ratio), cost)
+        )
+        if (off := wrong[where]).any():
+            known = replace(known, height=np.where(off, np.float32(np.nan), known.height))
+        sampling = window.part_of(window.seen.sampling, where)
+        found = judged(
+            [window.kept[-1].fine], grid, fit, cost, window.searched, sampling, rgb, self.settings.uncertainty
+        )
+        samples = self.buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
+        pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
+        moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
+        found = replace(found, flags=found.flags | moves)
+        return core(fused(found, known, self.settings.recursive.worse), within(box, where))
+
+    def _coloured(self, window: Window, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
+        """The map's colour, renewed by the newest view just below it and where there was none."""
+        view, fine, _ = window.kept[-1]
+        out = known.rgb.copy()
+        row, col = (float(v) for v in grid.index(view.centre[0], view.centre[1]))
+        k = self.settings.recursive.renew_below * window.drop / grid.cell
+        under = (slice(max(0, int(row - k)), max(0, int(row + k))), slice(max(0, int(col - k)), max(0, int(col + k))))
+        fresh = (np.isnan(known.height) | recolour) & np.isfinite(height)
+        for where, only in ((box_of(fresh), fresh), (under, None)):
+            r, c = where
+            part = grid.window(r.start, c.start, *height[where].shape)
+            if not part.rows * part.cols:
+                continue
+            mapx, mapy = maps(fine, part, np.ascontiguousarray(height[where]))
+            take = mapx >= 0  # not where there is no height
+            if only is not None:
+                take &= only[where]
+            cv2.copyTo(picture_at(window.picture, view.camera, fine, mapx, mapy), take.view(np.uint8), out[where])
+        return out
+
+
+def core(found: Heights, where: Box) -> Heights:
+    """The heights without their halo."""
+    fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
+    return Heights(cells_of(found.grid, where), **fields)
+
+
+def bridged(start: F32, wanted: Mask) -> F32:
+    """Narrow gaps that are `wanted` start from the heights beside them.
+
+    A sweep at the rim of the pictures is often in vain, and the next one has to wait for twice the baseline. Without
+    this, the rims of earlier steps stay in the map as seams, one cell wide, that no touchdown may cross.
+    """
+    known = np.isfinite(start)
+    gaps = wanted & ~known
+    if not gaps.any():
+        return start
+    gaps &= close_mask(known, GAP)
+    if not gaps.any():
+        return start
+    return np.where(gaps, weighted_gaussian(start, known.astype(np.float32), GAP).mean, start)
+
+
+def fused(new: Heights, old: ElevationMap, worse: float) -> Heights:
+    """Weigh a step against the map (eq. 16).
+
+    Heights that disagree by more than three sigma are not averaged: the new one replaces the old. Where the new sigma
+    is much larger than the old, at the edge of the pictures, the map stays as it is.
+    """
+    out = replace(new, height=new.height.copy(), views=new.views.copy())  # the rest is not held in buffers
+    kernels.fuse(*(getattr(out, f) for f in FUSED), *(getattr(old, f) for f in FUSED), worse)
+    return out
