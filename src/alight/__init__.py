@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from alight.api import (
+        check,
         demo,
         evaluate,
         evaluate_appearance,
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 _HOME = {
     "run": "api",
     "simulate": "api",
+    "check": "api",
     "evaluate": "api",
     "demo": "api",
     "warmup": "api",
@@ -55,6 +57,7 @@ __all__ = [
     "Pipeline",
     "Result",
     "Settings",
+    "check",
     "demo",
     "evaluate",
     "evaluate_appearance",

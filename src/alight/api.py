@@ -13,6 +13,7 @@ from alight.result import Result
 from alight.settings import Lander, Settings, load_settings
 
 if TYPE_CHECKING:
+    from alight.checks import CheckResult
     from alight.evaluation import Evaluation
     from alight.sources import Source
     from alight.training.confusion import Confusion
@@ -160,6 +161,24 @@ def evaluate(out: str | Path | Result, truth: str | Path) -> Evaluation:
     with tempfile.TemporaryDirectory(prefix="alight-") as folder:
         out.save(folder)
         return compare(Path(folder), Path(truth))
+
+
+def check(source: str | Path | Source, *, seconds: float = 10.0, start: float = 0.0) -> list[CheckResult]:
+    """Check the rig of a flight log or a recording: each result has a name, a verdict, the evidence and the mend.
+
+    Args:
+        source: a flight log, a recording (.mcap), an opened source, or a simulated flight.
+        seconds: how much of it is read.
+        start: s from the first exposure at which to begin.
+
+    Raises:
+        InputError: the input cannot be used, or has no exposure there.
+    """
+    from alight.checks import check_source
+    from alight.sources import open_source
+
+    with single_threaded_algebra():
+        return check_source(open_source(source) if isinstance(source, str | Path) else source, seconds, start)
 
 
 def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet) -> Result:

@@ -1,0 +1,56 @@
+"""All checks of one recording, in the order in which they rest on each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import chain
+
+from alight.checks.evidence import RigEvidence, gather_evidence
+from alight.checks.motion import check_motion
+from alight.checks.navigation import check_navigation
+from alight.checks.pictures import check_exposure, check_intrinsics, check_lens, check_sharpness
+from alight.checks.result import CheckResult, Judged, unknown
+from alight.checks.stamps import check_frames, check_rows
+from alight.checks.stereo import check_stereo
+from alight.records import InputError
+from alight.sources import Source
+
+
+def check_source(
+    source: Source, seconds: float = 10.0, start: float = 0.0, progress: Callable[[float], None] = lambda share: None
+) -> list[CheckResult]:
+    """Check the rig of a flight log or a recording.
+
+    Args:
+        seconds: how much of it is read, from `start`; both count from the first exposure.
+        progress: called with the share that is done.
+
+    Raises:
+        InputError: photos, or nothing in that part of the recording.
+    """
+    if source.kind == "photos":
+        raise InputError("check: photos have no stream to check; give a flight log or a recording (.mcap)")
+    events = source.events()
+    found = gather_evidence(source.rig, events, seconds, start, progress)
+    return check_evidence(replace(found, warnings=tuple(source.warnings), promised=_promised(source)))
+
+
+def _promised(source: Source) -> tuple[str, ...]:
+    """Streams that the source says it has."""
+    return tuple(name for key, name in (("nav", "GPS/INS"), ("imu", "IMU")) if source.notes.get(key))
+
+
+def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
+    """Run every check on what was read."""
+    pictures = [check_exposure(evidence), check_sharpness(evidence), check_lens(evidence), check_intrinsics(evidence)]
+    navigation = check_navigation(evidence)
+    wrong = next((r.name for r in navigation if r.verdict is Judged.BAD), "")
+    motion, flow = check_motion(evidence, wrong)
+    if motion[0].verdict is Judged.BAD:
+        rig = [unknown("stereo", "first mend the mounting")] if evidence.matches else []
+    else:
+        rig = [check_stereo(evidence.rig, m, flow) for m in evidence.matches]
+    if not evidence.matches:
+        rig = [unknown("stereo", "one camera only")]
+    return list(chain([check_frames(evidence)], check_rows(evidence), pictures, rig, navigation, motion))

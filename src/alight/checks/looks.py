@@ -1,0 +1,155 @@
+"""What the pictures of one camera look like: brightness, sharpness, and what stands still while the ground moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from alight.arrays import F32, F64, U8, Mask
+from alight.checks.flow import LEAST_FEATURES, followed
+
+BRIGHT, DARK = 250, 5  # grey values at which a pixel counts as saturated, and as black
+SMALL = 320  # px, longer side of the pictures in which dirt is sought
+STEP = 0.12  # of the longer side: the ground has moved by as much between two pictures that are compared
+FAR = 0.45  # of the longer side: too little overlap
+BLOCK = 40  # blocks along the longer side
+REACH = 17  # px, length of the line on which the width of an edge is measured
+
+
+@dataclass(frozen=True)
+class Brightness:
+    """Grey values of one picture."""
+
+    mean: float
+    saturated: float  # share of the pixels
+    black: float  # share of the pixels
+    contrast: float  # 95th less 5th percentile
+
+
+def brightness_of(image: U8) -> Brightness:
+    """Measure one picture, grey or colour, on a part of its pixels."""
+    k = max(1, max(image.shape[:2]) // 400)
+    part = image[::k, ::k]
+    grey = part.mean(axis=2) if part.ndim == 3 else part.astype(np.float64)
+    low, high = np.percentile(grey, [5.0, 95.0])
+    return Brightness(
+        float(grey.mean()), float((grey >= BRIGHT).mean()), float((grey <= DARK).mean()), float(high - low)
+    )
+
+
+def edge_widths(image: U8) -> F64:
+    """Return the (2,) widths of the sharpest edges across x and across y, px; NaN where there is none.
+
+    The width of an edge is its height over its steepest slope: 1 for an ideal step, 2.5 sigma for one that a Gaussian
+    blurs. Of the edges with most contrast the sharpest tenth shows what the lens can do; the rest is what the ground is
+    (docs/lab/check.md).
+    """
+    grey = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image).astype(np.float32)
+    grey = cv2.GaussianBlur(grey, (0, 0), 0.6)
+    return np.array([_width(grey), _width(np.ascontiguousarray(grey.T))])
+
+
+def _width(grey: F32) -> float:
+    slope = cv2.dilate(np.abs(grey[:, 1:] - grey[:, :-1]), np.ones((1, REACH - 1), np.uint8))
+    line = np.ones((1, REACH), np.uint8)
+    height = (cv2.dilate(grey, line) - cv2.erode(grey, line))[:, :-1]
+    strong = height > max(20.0, float(np.percentile(height[::4, ::4], 99.0)))
+    return float(np.percentile(height[strong] / slope[strong], 10.0)) if strong.sum() > 50 else float("nan")
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A part of the picture that does not show the ground; its sides as shares of the picture's width and height."""
+
+    left: float
+    top: float
+    right: float
+    bottom: float
+    what: str
+
+    def words(self, width: int, height: int) -> str:
+        """Where it is, in pixels of a picture of that size."""
+        u, v = (f"{a * n:.0f} to {b * n:.0f}" for a, b, n in (
+            (self.left, self.right, width), (self.top, self.bottom, height)
+        ))  # fmt: skip
+        return f"u {u}, v {v} px {self.what}"
+
+
+@dataclass
+class StaticMap:
+    """Compares pictures between which the ground has moved: once at the same pixels, once at the same ground.
+
+    What is on the lens, or hangs before it, agrees at the same pixels and not at the same ground. A drop of water that
+    only blurs shows less contrast than the same ground shows elsewhere in the picture.
+    """
+
+    pairs: int = 0
+    _then: U8 | None = None
+    _shape: tuple[int, int] = (0, 0)
+    _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
+
+    def take(self, small: U8) -> None:
+        """Take the next picture, grey."""
+        k = -(-max(small.shape) // SMALL)
+        now = cv2.resize(small, (small.shape[1] // k, small.shape[0] // k), interpolation=cv2.INTER_AREA)
+        if self._then is None:
+            self._then, self._shape = now, now.shape
+            self._sums = [np.zeros(now.shape) for _ in range(5)]
+            return
+        a, b = followed(self._then, now)
+        if len(a) < LEAST_FEATURES:
+            self._then = now
+            return
+        move = float(np.linalg.norm(np.median(b - a, axis=0))) / max(now.shape)
+        if move < STEP:
+            return
+        H, inside = cv2.findHomography(a, b, cv2.RANSAC, 1.5)
+        if H is not None and inside.mean() > 0.5 and move < FAR:
+            self._compare(self._then, now, H)
+        self._then = now
+
+    def _compare(self, then: U8, now: U8, H: F64) -> None:
+        size = (now.shape[1], now.shape[0])
+        a, b = _fine(then), _fine(now)
+        for first, other, M in ((a, b, H), (b, a, np.linalg.inv(H))):
+            moved = cv2.warpPerspective(first, M, size, flags=cv2.INTER_LINEAR)
+            valid = cv2.warpPerspective(np.ones_like(first), M, size, flags=cv2.INTER_NEAREST) > 0
+            parts = np.abs(other - first), np.abs(other - moved), np.abs(other), np.abs(moved), np.ones_like(first)
+            for total, part in zip(self._sums, parts, strict=True):
+                total[valid] += part[valid]
+        self.pairs += 1
+
+    def spots(self) -> list[Spot]:
+        """What stands still, or is blurred at one place."""
+        if not self.pairs:
+            return []
+        side = max(2, max(self._shape) // BLOCK)
+        same, ground, here, elsewhere, weight = (cv2.boxFilter(s, -1, (side, side))[::side, ::side] for s in self._sums)
+        seen = weight >= 3.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            same, ground, here, elsewhere = (x / weight for x in (same, ground, here, elsewhere))
+            still = seen & (ground > 5.0) & (same < 0.55 * ground)
+            dull = seen & (elsewhere > 4.0) & (here < 0.42 * elsewhere)
+        return [
+            *_boxes(still, side, self._shape, "stands still"),
+            *_boxes(dull & ~still, side, self._shape, "is blurred or covered"),
+        ]
+
+
+def _fine(image: U8) -> F32:
+    """The picture without its slow changes of brightness: vignetting stands still, too, and is no dirt."""
+    x = image.astype(np.float32)
+    return np.asarray(x - cv2.GaussianBlur(x, (0, 0), max(image.shape) / 40.0), dtype=np.float32)
+
+
+def _boxes(mask: Mask, side: int, shape: tuple[int, int], what: str) -> list[Spot]:
+    count, _, found, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    out = []
+    for left, top, width, height, area in found[1:count].tolist():
+        if area >= 3:
+            u, v = (np.array([[left, left + width], [top, top + height]]) * side).tolist()
+            across, down = shape[1], shape[0]
+            out.append(Spot(u[0] / across, v[0] / down, min(u[1] / across, 1.0), min(v[1] / down, 1.0), what))
+    return out

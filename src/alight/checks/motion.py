@@ -1,0 +1,180 @@
+"""What the pictures show of the motion against GPS/INS and gyroscope: mounting, time offset, focal length."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.checks.evidence import RigEvidence
+from alight.checks.navigation import quarter_turns
+from alight.checks.predicted_flow import (
+    FOCAL,
+    LEAST_PAIRS,
+    MOUNTING,
+    OFFSET,
+    BodyMotion,
+    FlowFit,
+    PredictedFlow,
+    body_motion,
+)
+from alight.checks.result import CheckResult, Judged, bad, good, unknown
+from alight.checks.stereo import turn_words
+from alight.geometry import Pose
+
+FINE = np.arange(-0.5, 0.501, 0.05)  # s, time offsets that are tried
+COARSE = np.arange(-0.5, 0.501, 0.1)
+LEAST_FLOW = 2.0  # px, median between two pictures
+UNEXPLAINED = 0.35  # of the flow: with more left, nothing is said
+LOOKS_DOWN = 0.17  # cosine; a camera nearer to the horizon sees little ground
+TILTED = np.radians(5.0)  # by which a mounting may be off: the attitude of GPS/INS is no better
+OFFSET_LIMIT, OFFSET_SIGMA = 0.02, 0.01  # s
+ATTITUDE_OFFSET_LIMIT = 0.03  # s, without a gyroscope
+FOCAL_LIMIT, FOCAL_SIGMA = 0.045, 0.02
+NAMES = ("mounting", "time offset", "focal length")
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMotion:
+    """What the flow of one camera gave."""
+
+    name: str
+    predicted: PredictedFlow
+    fit: FlowFit
+
+
+def check_motion(evidence: RigEvidence, blocked: str) -> tuple[list[CheckResult], FlowFit | None]:
+    """Compare the flow of all cameras with GPS/INS and gyroscope.
+
+    Args:
+        blocked: name of a check of GPS/INS or IMU that failed; nothing is told from a stream that is wrong.
+
+    Returns:
+        the results, and the fit of camera 0 where its mounting is right.
+    """
+    if blocked:
+        return [unknown(n, f"first mend the {blocked}") for n in NAMES], None
+    motion = body_motion(evidence.nav, evidence.imu, int(evidence.frames_ns[0]))
+    if motion is None:
+        return [
+            unknown(n, "neither gyroscope nor attitude of GPS/INS at the time of the pictures") for n in NAMES
+        ], None
+    seen = {
+        cam.name: PredictedFlow(c, cam.body_from_cam, motion)
+        for c, cam in zip(evidence.cameras, evidence.rig.cameras, strict=True)
+    }
+    usable = {n: p for n, p in seen.items() if p.pairs >= LEAST_PAIRS and np.median(p.flow) > LEAST_FLOW}
+    if not usable:
+        most = max(p.pairs for p in seen.values())
+        return [
+            unknown(n, f"the pictures hardly move, or show no texture ({most} pairs with flow)") for n in NAMES
+        ], None
+    mounting = _mounting(usable, motion, evidence)
+    if mounting.verdict is Judged.BAD:
+        return [mounting, *(unknown(n, "first mend the mounting") for n in NAMES[1:])], None
+    fits = [CameraMotion(n, p, p.fit(p.scan(FINE)[1])) for n, p in usable.items()]
+    left = max(f.fit.unexplained for f in fits)
+    if left > UNEXPLAINED:
+        why = f"{100 * left:.0f} % of the flow is left: the pictures do not show level ground that stands still"
+        return [mounting, *(unknown(n, why) for n in NAMES[1:])], None
+    first = fits[0].fit if fits[0].name == evidence.rig.cameras[0].name else None
+    return [_tilt(mounting, fits, motion), _offset(fits, motion), _focal(fits, motion)], first
+
+
+def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: RigEvidence) -> CheckResult:
+    """A quarter or a half turn off: which of the 24 turns explains the flow."""
+    if motion.velocity_world is None:
+        return unknown(NAMES[0], "needs velocity and attitude of GPS/INS")
+    words, doubt, turned = list[str](), list[str](), list[str]()
+    poses = {c.name: c.body_from_cam for c in evidence.rig.cameras}
+    for name, flow in usable.items():
+        down, size = flow.looks_down() or 0.0, float(np.median(flow.flow))
+        own = flow.scan(FINE)[0]
+        words.append(f"{name} looks {np.degrees(np.arccos(np.clip(down, -1, 1))):.0f} degrees off straight down, "
+                     f"{100 * own / size:.0f} % of its flow of {size:.1f} px is left")  # fmt: skip
+        others = []
+        for turn in quarter_turns()[1:] if own > 0.25 * size else []:
+            other = flow.turned(Pose(poses[name].rotation @ turn, poses[name].translation))
+            if (other.looks_down() or 0.0) > LOOKS_DOWN:
+                others.append((other.scan(COARSE)[0], turn))
+        others.sort(key=lambda pair: pair[0])
+        if others and others[0][0] < 0.5 * own and others[0][0] < 0.4 * size:
+            near = [t for c, t in others if c < 1.3 * others[0][0]]
+            turned.append(" or ".join(turn_words(name, t) for t in near))
+        elif own > UNEXPLAINED * size:
+            doubt.append(name)
+    evidence_words = "; ".join(words)
+    if turned:
+        return bad(
+            NAMES[0], f"{evidence_words}; {'; '.join(turned)}", "write the true mounting into T_BS of that camera"
+        )
+    if doubt:
+        return unknown(NAMES[0], f"{evidence_words}; no quarter turn explains it")
+    return good(NAMES[0], evidence_words)
+
+
+def _tilt(mounting: CheckResult, fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+    """A mounting that is off by degrees."""
+    if mounting.verdict is not Judged.GOOD:
+        return mounting
+    words, tilted, vague = list[str](), False, False
+    for f in fits:
+        turn, sigma = f.fit.parameters[MOUNTING], f.fit.sigma[MOUNTING]
+        pitch, yaw, roll = np.degrees(turn)
+        off = np.abs(turn) > np.maximum(TILTED, 5.0 * sigma)
+        tilted |= bool(off.any())
+        vague |= bool((sigma > TILTED / 2).any())
+        words.append(
+            f"{f.name} fits turned by pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} degrees about its x, y, z "
+            f"(1-sigma {np.degrees(sigma.max()):.1f})"
+        )
+    evidence = f"{mounting.evidence}; {'; '.join(words)}"
+    if tilted:
+        return bad(
+            NAMES[0], evidence, "correct T_BS of the camera by this turn (T_BS times the turn), or calibrate it again"
+        )
+    if vague:
+        return good(NAMES[0], f"{evidence}; a few degrees cannot be seen: the aircraft turned too little")
+    return good(NAMES[0], evidence)
+
+
+def _weighted(fits: list[CameraMotion], index: int) -> tuple[float, float]:
+    """Mean over the cameras; they share most of their errors, so more cameras are not surer."""
+    values, sigma = (np.array([getattr(f.fit, k)[index] for f in fits]) for k in ("parameters", "sigma"))
+    w = 1.0 / sigma**2
+    return float((w * values).sum() / w.sum()), float(max(sigma.min(), np.ptp(values) / 2))
+
+
+def _offset(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+    name = NAMES[1]
+    offset, sigma = _weighted(fits, OFFSET)
+    evidence = (
+        f"camera stamps are {1e3 * offset:+.1f} +- {1e3 * sigma:.1f} ms (1-sigma) ahead of the {motion.turned_by}, "
+        f"from the flow of {sum(f.predicted.pairs for f in fits)} pairs of pictures"
+    )
+    if sigma > OFFSET_SIGMA:
+        return unknown(name, f"{evidence}: the aircraft turned too little")
+    if abs(offset) > 0.48:
+        return unknown(name, f"{evidence}: at the border of what is searched")
+    limit = OFFSET_LIMIT if motion.turned_by == "gyroscope" else ATTITUDE_OFFSET_LIMIT
+    if abs(offset) > max(limit, 4.0 * sigma):
+        return bad(
+            name,
+            evidence,
+            f"set motion.filter.time_offset={offset:.3f}, or stamp the middle of the exposure on one clock",
+        )
+    return good(name, evidence)
+
+
+def _focal(fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:
+    name = NAMES[2]
+    parts = [(f.name, f.fit.parameters[FOCAL], f.fit.sigma[FOCAL], f.predicted.focal) for f in fits]
+    evidence = "; ".join(
+        f"{n} {f:.1f} px, the flow asks for {100 * s:+.1f} +- {100 * e:.1f} % (1-sigma)" for n, s, e, f in parts
+    )
+    off = [n for n, s, e, _ in parts if e < FOCAL_SIGMA and abs(s) > max(FOCAL_LIMIT, 4.0 * e)]
+    if off:
+        return bad(name, evidence, f"calibrate {' and '.join(off)} at the image size and focus of the flight")
+    if any(e > FOCAL_SIGMA for _, _, e, _ in parts):
+        return unknown(name, f"{evidence}: the aircraft turned too little")
+    return good(name, evidence)

@@ -1,0 +1,273 @@
+"""Flow of the picture as gyroscope and GPS/INS let expect it, compared with the flow that the pictures show.
+
+A point of the picture with the inverse depth rho moves between two exposures by
+
+    x1 ~ R (x0 - rho w(x0) t),     w(x0) = (n . x0) / (n . z)
+
+with the rotation R of the camera (gyroscope), its way t (velocity of GPS/INS) and the normal n of level ground. rho is
+free for each pair of exposures and not negative. What remains of the flow tells whether the time offset, the mounting
+and the focal length are right: all three act on many pairs in the same manner, rho only on one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from alight.arrays import F64, I64, Mask
+from alight.checks.evidence import CameraEvidence, ImuTable, NavTable
+from alight.checks.flow import grid_of, moved
+from alight.geometry import Pose
+
+LEAST_PAIRS = 8
+STEEP = 0.3  # of n . z: a camera whose axis is nearer to the horizon sees no level ground
+BIAS_SIGMA, FREE_BIAS = 1.5e-3, 0.03  # rad/s: known from the attitude, or not
+_PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, FREE_BIAS, FREE_BIAS, FREE_BIAS])  # sigma: s, rad, 1, rad/s
+_STEPS = np.array([2e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
+OFFSET, MOUNTING, FOCAL, BIAS = 0, slice(1, 4), 4, slice(5, 8)
+BLOCKS = 10  # of the recording; the spread of what they say gives the sigma
+NOISE_PX = 0.15  # of the flow, at least
+
+
+@dataclass(frozen=True, eq=False)
+class BodyMotion:
+    """How the body moves, as functions of the time of the GPS/INS and IMU clock (s)."""
+
+    turning: Slerp  # orientation; only differences count
+    turned_by: str  # what measured it
+    attitude: Slerp | None  # world_from_body
+    seconds: F64  # (N,) of the velocity
+    velocity_world: F64 | None  # (N, 3) m/s
+    origin_ns: int
+    span: tuple[float, float]  # s, in which all of it is known
+    bias: F64  # (3,) rad/s of `turning`, from the attitude
+    bias_sigma: float  # rad/s
+
+    def inside(self, seconds: F64) -> F64:
+        """The times, moved into what is known."""
+        return np.clip(seconds, *self.span)
+
+
+def body_motion(nav: NavTable, imu: ImuTable, origin_ns: int) -> BodyMotion | None:
+    """Gather gyroscope and GPS/INS; None where nothing tells how the body turns."""
+    known = nav.known("world_from_body")
+    known = known.where(increasing(known.t_ns))
+    t = seconds_since(known.t_ns, origin_ns)
+    attitude = Slerp(t, Rotation.from_matrix(known.world_from_body)) if len(t) > 2 else None
+    at = increasing(imu.t_ns)
+    s = seconds_since(imu.t_ns[at], origin_ns)
+    if len(s) > 20:
+        turning, by = Slerp(s, integrated(s, imu.angular_velocity_body[at])), "gyroscope"
+    elif attitude is not None:
+        s, turning, by = t, attitude, "attitude of GPS/INS"
+    else:
+        return None
+    span = (float(s[0]), float(s[-1]))
+    bias, sigma = _bias(turning, attitude, s, t) if attitude is not None else (np.zeros(3), FREE_BIAS)
+    moving = nav.known("velocity_world")
+    if len(moving.t_ns) < 3 or attitude is None:
+        return BodyMotion(turning, by, attitude, s, None, origin_ns, span, bias, sigma)
+    v = seconds_since(moving.t_ns, origin_ns)
+    span = max(span[0], v[0], t[0]), min(span[1], v[-1], t[-1])
+    return BodyMotion(turning, by, attitude, v, moving.velocity_world, origin_ns, span, bias, sigma)
+
+
+def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
+    """Bias of the rates against the attitude, rad/s, and its sigma: windows of a second."""
+    begin = np.arange(max(s[0], t[0]), min(s[-1], t[-1]) - 1.0, 0.5)
+    if len(begin) < 4:
+        return np.zeros(3), FREE_BIAS
+    one, two = ((f(begin).inv() * f(begin + 1.0)).as_rotvec() for f in (turning, attitude))
+    spread = 1.4826 * np.median(np.abs(one - two - np.median(one - two, axis=0)))
+    return np.median(one - two, axis=0), float(np.clip(spread / np.sqrt(len(begin) / 2), BIAS_SIGMA, FREE_BIAS))
+
+
+def seconds_since(t_ns: I64, origin_ns: int) -> F64:
+    """(N,) s."""
+    return np.asarray((t_ns - origin_ns).astype(np.float64) * 1e-9)
+
+
+def increasing(t_ns: I64) -> Mask:
+    """Mark the times that are later than all before."""
+    top = np.maximum.accumulate(t_ns) if len(t_ns) else t_ns
+    return np.asarray(np.concatenate([np.ones(min(len(t_ns), 1), bool), t_ns[1:] > top[:-1]]), dtype=bool)
+
+
+def integrated(seconds: F64, rates: F64) -> Rotation:
+    """Return the (N,) orientations that a gyroscope's (N, 3) rates add up to."""
+    steps = Rotation.from_rotvec(0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None])
+    quaternions = np.empty((len(seconds), 4))
+    quaternions[0] = [0.0, 0.0, 0.0, 1.0]
+    now = Rotation.identity()
+    for i, step in enumerate(steps, 1):
+        now = now * step
+        quaternions[i] = now.as_quat()
+    return Rotation.from_quat(quaternions)
+
+
+@dataclass(frozen=True, eq=False)
+class FlowFit:
+    """What the flow of one camera says of its mounting, clock and lens."""
+
+    parameters: F64  # (8,) time offset [s], mounting [rad, 3], log of the focal length, bias of the rates [rad/s, 3]
+    sigma: F64  # (8,)
+    residual: float  # px, median over the pairs
+    flow: float  # px, median over the pairs
+    unexplained: float  # of the flow that is left by the calibration with these parameters
+    depth_seconds: F64  # (K,)
+    inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
+    origin_ns: int
+
+    @property
+    def depth_error(self) -> float:
+        """1-sigma share by which all inverse depths may be wrong: the focal length enters them."""
+        return float(self.sigma[FOCAL])
+
+
+class PredictedFlow:
+    """The flow of one camera and what is expected of it.
+
+    Args:
+        camera: what its pictures gave.
+        body_from_cam: its mounting.
+    """
+
+    def __init__(self, camera: CameraEvidence, body_from_cam: Pose, motion: BodyMotion) -> None:
+        self._motion, self._mounting, self.focal = motion, body_from_cam, camera.lens.fu
+        self._spots = grid_of(camera.lens)
+        flows = [f for f in camera.flows if f.share > 0.4]
+        self._begin = np.array([(f.begin_ns - motion.origin_ns) * 1e-9 for f in flows])
+        self._end = np.array([(f.end_ns - motion.origin_ns) * 1e-9 for f in flows])
+        self._seen = moved(np.array([f.homography for f in flows]).reshape(-1, 3, 3), self._spots[None])
+        keep = (self._begin >= motion.span[0]) & (self._end <= motion.span[1])
+        self._begin, self._end, self._seen = self._begin[keep], self._end[keep], self._seen[keep]
+        self.pairs = len(self._begin)
+        self._centre, self._priors = np.zeros(8), _PRIORS.copy()
+        self._centre[BIAS], self._priors[BIAS] = motion.bias, motion.bias_sigma
+        self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
+
+    def turned(self, mounting: Pose) -> PredictedFlow:
+        """The same flow under another mounting."""
+        out = object.__new__(PredictedFlow)
+        out.__dict__ |= self.__dict__ | {"_mounting": mounting}
+        return out
+
+    def looks_down(self) -> float | None:
+        """How far the optical axis points down: 1 straight down, 0 to the horizon; None without attitude."""
+        if self._motion.attitude is None or not self.pairs:
+            return None
+        down = -self._motion.attitude(self._motion.inside(self._begin)).as_matrix()[:, 2, :]
+        return float(np.median(down @ self._mounting.rotation[:, 2]))
+
+    def residuals(self, parameters: F64) -> tuple[F64, F64]:
+        """Return (K, 18) px of the flow that is not explained, and the (K,) inverse depths."""
+        m = self._motion
+        offset, focal = parameters[OFFSET], np.exp(parameters[FOCAL])
+        body_from_cam = self._mounting.rotation @ Rotation.from_rotvec(parameters[MOUNTING]).as_matrix()
+        t0, t1 = m.inside(self._begin - offset), m.inside(self._end - offset)
+        span = np.maximum(t1 - t0, 1e-3)[:, None]
+        turn = m.turning(t0).inv() * m.turning(t1) * Rotation.from_rotvec(-parameters[BIAS] * span)
+        cam_from_later = body_from_cam.T @ turn.as_matrix() @ body_from_cam  # (K, 3, 3)
+        x0 = np.concatenate([self._spots / focal, np.ones((len(self._spots), 1))], axis=1)  # (9, 3)
+        x1 = np.concatenate([self._seen / focal, np.ones_like(self._seen[..., :1])], axis=-1)
+        y = x1 @ np.swapaxes(cam_from_later, 1, 2)
+        y = y[..., :2] / np.maximum(y[..., 2:], 1e-3)
+        off = y - x0[None, :, :2]  # (K, 9, 2): what rotation does not explain
+        arms = self._arms(y, x0, t0, t1, body_from_cam)
+        left, depth = _least_squares(off, arms)
+        return left.reshape(len(left), -1) * self.focal * focal, depth
+
+    def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64) -> F64:
+        """(K, 9, 2, P) flow for each unit of what is free: the inverse depth, or the three parts of the way over it."""
+        m = self._motion
+        if m.velocity_world is None or m.attitude is None:
+            free = np.zeros((len(y), x0.shape[0], 2, 3))
+            free[..., 0, 0] = free[..., 1, 1] = 1.0
+            free[..., 2] = -y
+            return free
+        middle = 0.5 * (t0 + t1)
+        v = np.stack([np.interp(middle, m.seconds, m.velocity_world[:, k]) for k in range(3)], axis=-1)
+        world_from_cam = m.attitude(m.inside(middle)).as_matrix() @ body_from_cam
+        way = np.einsum("kij,ki->kj", world_from_cam, v) * (t1 - t0)[:, None]
+        turn = (m.turning(t0).inv() * m.turning(t1)).as_matrix() - np.eye(3)
+        way = way + (turn @ self._mounting.translation) @ body_from_cam
+        normal = world_from_cam[:, 2, :]  # (K, 3) world up in the camera
+        slant = normal[:, 2:]
+        ratio = (normal @ x0.T) / np.where(np.abs(slant) < 1e-6, 1e-6, slant)
+        weight = np.where(-slant > STEEP, np.clip(ratio, 0.0, 3.0), 1.0)
+        flow = -weight[..., None] * (way[:, None, :2] - y * way[:, None, 2:])
+        return np.asarray(flow[..., None])
+
+    def cost(self, parameters: F64) -> float:
+        """Median over the pairs of the unexplained flow, px."""
+        return float(np.median(_length(self.residuals(parameters)[0])))
+
+    def scan(self, offsets: F64) -> tuple[float, float]:
+        """Return the least cost [px] over time offsets [s], and the offset."""
+        costs = []
+        for offset in offsets:
+            p = self._centre.copy()
+            p[OFFSET] = offset
+            costs.append(self.cost(p))
+        k = int(np.argmin(costs))
+        return costs[k], float(offsets[k])
+
+    def fit(self, start: float) -> FlowFit:
+        """Refine all parameters together by Gauss-Newton with robust weights, from a time offset (s)."""
+        p = self._centre.copy()
+        p[OFFSET] = start
+        for _ in range(8):
+            r, A, g, _ = self._normal(p)
+            step = np.clip(np.linalg.solve(A, g), -0.2, 0.2)
+            p = p - step
+            if np.abs(step / np.array([1e-3, *[1e-3] * 3, 1e-3, *[1e-3] * 3])).max() < 0.1:
+                break
+        r, A, g, scores = self._normal(p)
+        inverse = np.linalg.inv(A)
+        blocks = np.array_split(scores, min(BLOCKS, len(scores)))
+        G = np.array([b.sum(axis=0) for b in blocks])
+        spread = inverse @ (G.T @ G) @ inverse
+        sigma = np.sqrt(np.maximum(np.diag(spread), np.diag(inverse)))
+        lengths = _length(r)
+        calibrated = self._centre.copy()
+        calibrated[OFFSET] = p[OFFSET]
+        depth = self.residuals(calibrated)[1]
+        flow = float(np.median(self.flow))
+        return FlowFit(
+            p, sigma, float(np.median(lengths)), flow, float(np.median(lengths)) / max(flow, 1e-6),
+            0.5 * (self._begin + self._end), depth, self._motion.origin_ns,
+        )  # fmt: skip
+
+    def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
+        """Residuals, normal matrix and gradient with priors, and the (K, 8) gradients of the pairs."""
+        r, _ = self.residuals(p)
+        J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
+                      for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 8)  # fmt: skip
+        length = _length(r)
+        scale = max(float(np.median(length)), NOISE_PX)
+        w = 1.0 / (scale**2 * (1.0 + (length / (2.0 * scale)) ** 2) ** 2)
+        w = w / 4.0  # nine flows of one homography are not eighteen measurements
+        A = np.einsum("k,kri,krj->ij", w, J, J) + np.diag(1.0 / self._priors**2)
+        scores = np.einsum("k,kri,kr->ki", w, J, r)
+        return r, A, scores.sum(axis=0) + (p - self._centre) * [0.0, *(1.0 / self._priors[1:] ** 2)], scores
+
+
+def _length(residuals: F64) -> F64:
+    """(K,) RMS of a pair, px a point."""
+    return np.asarray(np.sqrt((residuals**2).sum(axis=1) / (residuals.shape[1] / 2)))
+
+
+def _least_squares(off: F64, arms: F64) -> tuple[F64, F64]:
+    """Fit what is free of each pair; one inverse depth is not negative. Residual (K, 9, 2) and first parameter (K,)."""
+    if arms.shape[-1] == 1:
+        a = arms[..., 0]
+        depth = np.maximum((a * off).sum(axis=(1, 2)) / np.maximum((a * a).sum(axis=(1, 2)), 1e-12), 0.0)
+        return off - depth[:, None, None] * a, depth
+    A = arms.reshape(len(arms), -1, arms.shape[-1])
+    b = off.reshape(len(off), -1)
+    free = np.linalg.solve(
+        np.einsum("kri,krj->kij", A, A) + 1e-9 * np.eye(A.shape[-1]), np.einsum("kri,kr->ki", A, b)[..., None]
+    )
+    return off - (A @ free)[..., 0].reshape(off.shape), np.full(len(off), np.nan)

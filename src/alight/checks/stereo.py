@@ -1,0 +1,248 @@
+"""Two cameras against their calibration: epipolar residuals, sign of the depth, and the depth of the flow.
+
+The matches are made without the calibration, so that a wrong one cannot hide by leaving none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from alight.arrays import F64
+from alight.checks.evidence import RigMatches
+from alight.checks.matches import LEAST, on_one_geometry
+from alight.checks.navigation import quarter_turns
+from alight.checks.predicted_flow import FlowFit
+from alight.checks.result import CheckResult, bad, good, unknown
+from alight.geometry import Camera, Pose, skew, so3_exp
+from alight.records import Rig, RigCamera
+from alight.tracks import inverse_depth
+
+RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
+PATTERN = 0.6  # px likewise, where a turn of the second camera explains most of it
+DISPARITY = 2.5  # px, below which the sign of the depth says nothing
+PRIOR = 1.5  # px for each rad: holds what the residuals do not see
+OFF, SHARE = 1.0, 0.15  # px and share by which the disparity may differ from that of the flow: ground is not level
+
+EXCHANGE = "exchange the folders cam0 and cam1 (or the cables); the calibrations stay"
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPair:
+    """Matches of two cameras as normalised coordinates."""
+
+    first: F64  # (N, 2)
+    other: F64  # (N, 2)
+    focal: float  # px
+
+    def residuals(self, other_from_first: Pose) -> F64:
+        """(N,) signed px from the epipolar line, the mean of both pictures (Sampson)."""
+        E = skew(other_from_first.translation) @ other_from_first.rotation
+        a, b = (np.hstack([x, np.ones((len(x), 1))]) for x in (self.first, self.other))
+        lines, back = a @ E.T, b @ E
+        size = np.sqrt(0.5 * ((lines[:, :2] ** 2).sum(axis=1) + (back[:, :2] ** 2).sum(axis=1)))
+        return np.asarray((lines * b).sum(axis=1) / np.maximum(size, 1e-12) * self.focal)
+
+    def depths(self, other_from_first: Pose) -> tuple[F64, F64]:
+        """(N,) inverse depth [1/m] and disparity [px] of each match."""
+        rho, arm = inverse_depth(self.first, self.other, other_from_first)
+        return rho, rho * arm * self.focal
+
+
+def trimmed_rms(values: F64) -> float:
+    """Root of the mean square of the smallest 95 %."""
+    squares = np.sort(np.asarray(values) ** 2)
+    return float(np.sqrt(squares[: max(1, int(0.95 * len(squares)))].mean()))
+
+
+def relation(first: Pose, other: Pose) -> Pose:
+    """`other_from_first` of two mountings."""
+    return other.inverse @ first
+
+
+def seen_by(first: Camera, other: Camera, a: F64, b: F64) -> CameraPair:
+    """Matches (px) as two cameras see them."""
+    return CameraPair(first.rays(a)[:, :2], other.rays(b)[:, :2], first.fu)
+
+
+@dataclass(frozen=True, eq=False)
+class StereoCase:
+    """Two cameras with their matches, outliers taken out."""
+
+    name: str
+    first: RigCamera
+    other: RigCamera
+    found: RigMatches
+    pair: CameraPair
+
+    @property
+    def as_is(self) -> Pose:
+        """`other_from_first` as calibrated."""
+        return relation(self.first.body_from_cam, self.other.body_from_cam)
+
+
+def check_stereo(rig: Rig, found: RigMatches, flow: FlowFit | None) -> CheckResult:
+    """One pair of cameras: calibration, order and baseline.
+
+    Args:
+        flow: what GPS/INS and the flow of camera 0 say of the depth; None: unknown.
+    """
+    first, other = rig.cameras[0], rig.cameras[found.camera]
+    name = f"stereo {first.name} {other.name}"
+    if len(found.first) < LEAST:
+        return unknown(name, f"{len(found.first)} matches in {found.pairs} pairs of pictures, needs {LEAST}")
+    pair = seen_by(first.camera, other.camera, found.first, found.other)
+    rigid = on_one_geometry(pair.first, pair.other, pair.focal)
+    if rigid.sum() < max(LEAST, 0.3 * len(rigid)):
+        return unknown(name, f"only {rigid.sum()} of {len(rigid)} matches follow one geometry")
+    found = replace(found, t_ns=found.t_ns[rigid], first=found.first[rigid], other=found.other[rigid])
+    case = StereoCase(name, first, other, found, CameraPair(pair.first[rigid], pair.other[rigid], pair.focal))
+    if np.linalg.norm(case.as_is.translation) < 1e-3:
+        return unknown(name, "the calibration gives both cameras one place")
+    return _judged(case, flow)
+
+
+def _judged(case: StereoCase, flow: FlowFit | None) -> CheckResult:
+    off = case.pair.residuals(case.as_is)
+    own = trimmed_rms(off)
+    evidence = (
+        f"{len(off)} matches in {case.found.pairs} pairs, epipolar residual {np.median(np.abs(off)):.2f} px in the "
+        f"median, {own:.2f} px RMS"
+    )
+    exchanged = seen_by(case.other.camera, case.first.camera, case.found.first, case.found.other)
+    swapped, front = trimmed_rms(exchanged.residuals(case.as_is.inverse)), exchanged.depths(case.as_is.inverse)[0] > 0
+    rho, disparity = case.pair.depths(case.as_is)
+    behind, shift = float((rho < 0).mean()), float(np.median(np.abs(disparity)))
+    if own > 5.0 and (turned := _quarter_turn(case)):
+        return bad(case.name, f"{evidence}; {turned}", "write the true mounting into T_BS of that camera")
+    if swapped < RESIDUAL < 0.4 * own and front.mean() > 0.7:
+        return bad(case.name, f"{evidence}; with the cameras exchanged it is {swapped:.2f} px", EXCHANGE)
+    if behind > 0.7 and shift > DISPARITY:
+        evidence += (
+            f", {100 * behind:.0f} % of the depths are negative (disparity {shift:.1f} px); "
+            f"with the cameras exchanged the residual is {swapped:.2f} px"
+        )
+        return _reversed(case.name, evidence, own, swapped)
+    if own > RESIDUAL or (own > PATTERN and fitted_turn(case.pair, case.as_is, False)[1] < 0.4 * own):
+        return _stale(case, evidence, own)
+    if flow is None or not len(flow.inverse_depth) or not np.isfinite(flow.inverse_depth).all():
+        if shift < DISPARITY:
+            why = f"{evidence}; disparity {shift:.1f} px: too far away to tell the sign of the baseline"
+            return unknown(case.name, why)
+        return good(case.name, f"{evidence}, {100 * (1 - behind):.0f} % of the depths are positive")
+    return _of_depth(case, evidence, flow)
+
+
+def _reversed(name: str, evidence: str, own: float, swapped: float) -> CheckResult:
+    """Most depths are negative: cameras exchanged, or the sign of the baseline."""
+    sign = "turn the sign of the translation in T_BS of the cameras (baseline)"
+    if swapped < 0.7 * own and own > 0.25:
+        return bad(name, f"{evidence}: the cameras are exchanged", EXCHANGE)
+    if own < 0.7 * swapped and swapped > 0.25:
+        return bad(name, f"{evidence}: the baseline has the wrong sign", sign)
+    return bad(name, f"{evidence}: cameras exchanged or baseline of the wrong sign", f"{EXCHANGE}; or {sign}")
+
+
+def _quarter_turn(case: StereoCase) -> str:
+    """Words for a camera that stands a quarter or a half turn off, where that explains the matches."""
+    found = []
+    for k, cam in enumerate((case.first, case.other)):
+        for m in quarter_turns()[1:]:
+            turned = Pose(cam.body_from_cam.rotation @ m, cam.body_from_cam.translation)
+            first = turned if k == 0 else case.first.body_from_cam
+            pose = relation(first, turned if k == 1 else case.other.body_from_cam)
+            if (case.pair.depths(pose)[0] > 0).mean() > 0.7:
+                found.append((trimmed_rms(case.pair.residuals(pose)), turn_words(cam.name, m)))
+    least = min((r for r, _ in found), default=np.inf)
+    return " or ".join(words for r, words in found if r < min(1.5 * least + 0.2, 3.0))
+
+
+def turn_words(camera: str, turn: F64) -> str:
+    """How a camera is turned from its calibration: `calibrated_from_true` as a quarter or a half turn."""
+    vector = Rotation.from_matrix(turn).as_rotvec()
+    angle = float(np.degrees(np.linalg.norm(vector)))
+    axis = vector / max(float(np.linalg.norm(vector)), 1e-9)
+    k = int(np.argmax(np.abs(axis)))
+    what = ("the x axis of its picture", "the y axis of its picture", "its optical axis")[k]
+    if abs(axis[k]) < 0.99:
+        what = f"the axis ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) of the camera"
+    return f"{camera} is turned by {np.sign(axis[k]) * angle:.0f} degrees about {what}"
+
+
+def fitted_turn(pair: CameraPair, as_is: Pose, lens: bool) -> tuple[F64, float]:
+    """Fit what the other camera's calibration leaves: (4,) turn about its own axes [rad], log of its focal length.
+
+    A turn that moves the points along their epipolar lines is hardly seen; a weak prior holds it.
+
+    Args:
+        lens: whether the focal length is free.
+
+    Returns:
+        what the true camera is turned and longer than the calibrated one, and the residual that this leaves, px.
+    """
+
+    def residuals(p: F64) -> F64:
+        moved = CameraPair(pair.first, pair.other * np.exp(-p[3]), pair.focal)
+        return moved.residuals(Pose(so3_exp(-p[:3])) @ as_is)
+
+    def cost(p: F64) -> F64:
+        full = p if lens else np.append(p, 0.0)
+        return np.concatenate([residuals(full), full * PRIOR * np.sqrt(len(pair.first))])
+
+    found = least_squares(cost, np.zeros(4 if lens else 3), loss="soft_l1", f_scale=1.0, x_scale=0.01).x
+    best = found if lens else np.append(found, 0.0)
+    return best, trimmed_rms(residuals(best))
+
+
+def _stale(case: StereoCase, evidence: str, own: float) -> CheckResult:
+    again = "calibrate both cameras again (stereo calibration, focus of the flight)"
+    left = own
+    for lens in (False, True):
+        best, left = fitted_turn(case.pair, case.as_is, lens)
+        pitch, yaw, roll = 1e3 * best[:3]
+        words = f"pitch {pitch:+.1f}, yaw {yaw:+.1f}, roll {roll:+.1f} mrad about its x, y, z"
+        if lens:
+            words += f" and a focal length {100 * best[3]:+.1f} % against the first one's"
+        if left < max(min(0.5, 0.5 * own), 0.15 * own) and np.abs(best).max() < 0.12:
+            mend = again if lens else f"turn T_BS of the second camera by this (T_BS times the turn), or {again}"
+            return bad(case.name, f"{evidence}; the second camera turned by {words} leaves {left:.2f} px", mend)
+    words = f"turning the second camera and its focal length leave {left:.2f} px: lens or base"
+    return bad(case.name, f"{evidence}; {words}", again)
+
+
+def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
+    """The epipolar lines are right: are the depths? GPS/INS and the flow give depths of their own."""
+    rho, disparity = case.pair.depths(case.as_is)
+    seconds = (case.found.t_ns - flow.origin_ns) * 1e-9
+    times = np.unique(seconds)
+    stereo = np.array([np.median(rho[seconds == t]) for t in times])
+    arm = np.array([np.median(disparity[seconds == t] / rho[seconds == t]) for t in times])  # px m
+    expected = np.interp(times, flow.depth_seconds, _smooth(flow.inverse_depth))
+    error = (stereo - expected) * arm
+    off, sigma = float(np.median(error)), _spread(error) / np.sqrt(max(len(error) - 1, 1))
+    said = float(np.median(expected * arm))
+    evidence += f", disparity {said + off:.2f} px where flow and GPS/INS give {said:.2f} px"
+    limit = max(OFF, SHARE * abs(said), 4.0 * sigma, 4.0 * abs(said) * flow.depth_error)
+    if len(error) < 4 or abs(off) < limit:
+        return good(case.name, evidence)
+    base = float(np.linalg.norm(case.as_is.translation))
+    words = (
+        f"the cameras are turned towards each other by {1e3 * off / case.pair.focal:+.1f} mrad against the calibration"
+    )
+    if said > 0.5 and said + off > 0:
+        words += f", or the base is {base * (said + off) / said:.3f} m instead of {base:.3f} m"
+    mend = "measure the base; if it is right, calibrate the turn between the cameras again"
+    return bad(case.name, f"{evidence}: {words}", mend)
+
+
+def _smooth(values: F64) -> F64:
+    """Running median of five."""
+    padded = np.pad(values, 2, mode="edge")
+    return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))
+
+
+def _spread(values: F64) -> float:
+    return float(1.4826 * np.median(np.abs(values - np.median(values))))

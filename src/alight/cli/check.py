@@ -1,0 +1,39 @@
+"""Command that looks for what is wrong with a rig: check."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from alight.cli.app import SetOption, SettingsOption, VerboseOption, app, progress_bar, read_settings, say
+
+WRONG = 3  # exit code: something is bad
+
+
+@app.command()
+def check(
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A flight log (mav0/) or a recording (.mcap).")],
+    seconds: Annotated[float, typer.Option(min=1.0, help="How much of the recording is read.")] = 10.0,
+    start: Annotated[float, typer.Option(min=0.0, help="Seconds from the first exposure at which to begin.")] = 0.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print records instead of lines.")] = False,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """Say what is wrong with a rig: cameras, mounting, clocks, units, lenses; 3 is returned if something is bad."""
+    chosen = read_settings(settings, assign)
+    from alight.checks import Judged, check_source
+    from alight.sources import open_source
+
+    with progress_bar() as tell:
+        found = check_source(open_source(source, chosen), seconds, start, lambda share: tell("checking", share))
+    if as_json:
+        say(json.dumps([asdict(r) for r in found], indent=1))
+    for result in () if as_json else found:
+        say(result.line)
+    if any(r.verdict is Judged.BAD for r in found):
+        raise typer.Exit(WRONG)
