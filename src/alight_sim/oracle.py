@@ -1,0 +1,388 @@
+"""The true lander on the true surface: is a touchdown safe? Brute force; shares no code with what chooses sites.
+
+The surface is bilinear between the world's cell centres, so above any plane it is highest at cell centres. Bodies that
+move are on it where they are at the time asked for. Metres, radians, headings clockwise from north.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F64, U8, Mask
+from alight.geometry import Pose
+from alight.records import Terrain
+from alight_sim.things.base import Box
+from alight_sim.world import World
+
+BEARS = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED, Terrain.ROCK)
+GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: any number of them is spread over any symmetry of the gear
+_TIE = 1e-6  # metres: poses of rest whose height differs by less are all possible
+_RIM = 8  # places on the rim of a foot
+_BATCH = 4_000_000  # heights looked at together
+
+
+@dataclass(frozen=True)
+class OracleLander:
+    """The vehicle that touches down. Without feet and skids it stands on its whole footprint."""
+
+    radius: float = 1.5  # of the footprint
+    max_slope: float = math.radians(10.0)  # of the plane that it stands on
+    max_roughness: float = 0.15  # largest deviation from the footprint's plane; with gear: where no clearance is given
+    belly_clearance: float | None = None  # from the plane of the feet to the belly
+    feet: tuple[tuple[float, float], ...] | None = None  # forward, left of each
+    foot_radius: float = 0.0
+    skids: tuple[float, float] | None = None  # length, distance
+    rotor_radius: float | None = None  # None: within the footprint
+    rotor_rise: float = 0.3  # what stands beside the footprint may be so high above the plane
+    max_sink: float = 1.0  # m/s
+    max_drift: float = 0.5  # m/s over the ground
+    upon: tuple[Terrain, ...] = BEARS  # what bears
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
+        """Out of a mapping such as the dump of a lander's settings; keys that nothing here needs are left aside."""
+        known = {f.name for f in fields(cls)}
+        return cls(**{k: v for k, v in numbers.items() if k in known}, **more)
+
+    @property
+    def reach(self) -> float:
+        """Metres from the centre within which the ground counts."""
+        feet = max((math.hypot(*f) for f in self.feet or ()), default=0.0) + self.foot_radius
+        skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
+        return max(self.radius, self.rotor_radius or 0.0, feet, skids)
+
+
+@dataclass(frozen=True, eq=False)
+class TrueSurface:
+    """A piece of the world with all that stands on it at one time."""
+
+    east: float  # of the centre of cell (0, 0), south-west
+    north: float
+    cell: float
+    height: F64  # (R, C) metres, rows to the north
+    label: U8  # (R, C) Terrain codes
+
+    @classmethod
+    def of(cls, world: World, box: Box, seconds: float | None = None) -> TrueSurface:
+        """The ground of a box (west, south, east, north), with bodies where they are then; None: without them."""
+        truth = world.truth(box)
+        height, label = truth.height[::-1].astype(np.float64), truth.label[::-1].copy()
+        grid = truth.grid
+        out = cls(grid.east, grid.north - (grid.rows - 1) * grid.cell, grid.cell, height, label)
+        for mover in world.movers if seconds is not None else ():
+            for body in mover.boxes_at(np.array([seconds]))[0]:
+                out._stand(body)
+        return out
+
+    def _stand(self, body: F64) -> None:
+        """Put an upright box of 12 numbers (`alight_sim.kernels.boxes`) on the surface."""
+        rows, cols = self.height.shape
+        dx = self.east + self.cell * np.arange(cols)[None] - body[0]
+        dy = self.north + self.cell * np.arange(rows)[:, None] - body[1]
+        spare = 0.5 * self.cell  # at least the cells that it touches with their middle half
+        along, across = body[3] * dx + body[4] * dy, body[3] * dy - body[4] * dx
+        under = (np.abs(along) <= body[5] + spare) & (np.abs(across) <= body[6] + spare) & (body[7] > 0)
+        self.height[under] = np.maximum(self.height[under], body[2] + body[7])
+        self.label[under] = Terrain.STRUCTURE
+
+    def index(self, places: F64) -> tuple[F64, F64]:
+        """Fractional row and column of places (..., 2) east, north."""
+        rows, cols = self.height.shape
+        row, col = (places[..., 1] - self.north) / self.cell, (places[..., 0] - self.east) / self.cell
+        return np.clip(row, 0.0, rows - 1.0), np.clip(col, 0.0, cols - 1.0)
+
+    def heights(self, places: F64) -> F64:
+        """(...) bilinear at places (..., 2)."""
+        row, col = self.index(places)
+        i = np.minimum(row.astype(np.int64), self.height.shape[0] - 2)
+        j = np.minimum(col.astype(np.int64), self.height.shape[1] - 2)
+        v, u, h = row - i, col - j, self.height
+        low, high = (1 - u) * h[i, j] + u * h[i, j + 1], (1 - u) * h[i + 1, j] + u * h[i + 1, j + 1]
+        return np.asarray((1 - v) * low + v * high)
+
+    def labels(self, places: F64) -> U8:
+        """(...) class of the nearest cell."""
+        row, col = self.index(places)
+        return np.asarray(self.label[np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)])
+
+
+class Disc(NamedTuple):
+    """The cell centres about each of N places, padded to the same number M."""
+
+    forward: F64  # (N, M) from the place, in the body's axes at its heading
+    left: F64
+    height: F64
+    label: U8
+    inside: Mask  # within the radius
+
+
+@dataclass(frozen=True, eq=False)
+class Touchdown:
+    """The verdict on one touchdown."""
+
+    safe: bool
+    reasons: tuple[str, ...]  # why not: slope, roughness, belly, rotor, ground, sink, drift
+    tilt: float  # rad, of the plane that it stands on, the worst where it rocks
+    belly_gap: float  # metres between the belly (plane of the feet, where no clearance is given) and the ground below
+    roughness: float  # metres, largest deviation from the footprint's least-squares plane
+    rotor_rise: float  # metres by which anything beside the footprint is above the plane, within the rotor; or -inf
+    sink: float  # m/s
+    drift: float  # m/s
+    east: float
+    north: float
+
+
+@dataclass(frozen=True, eq=False)
+class SafePlaces:
+    """Where a touchdown is safe: centres on a grid, each at several headings."""
+
+    east: F64  # (C,)
+    north: F64  # (R,)
+    headings: F64  # (H,) rad clockwise from north
+    safe_at: NDArray[np.bool_]  # (R, C, H)
+
+    @property
+    def safe(self) -> Mask:
+        """(R, C): safe at every heading."""
+        return np.asarray(self.safe_at.all(axis=2))
+
+    @property
+    def possible(self) -> Mask:
+        """(R, C): safe at some heading."""
+        return np.asarray(self.safe_at.any(axis=2))
+
+    def with_margin(self, margin: float) -> Mask:
+        """(R, C): safe at every heading, and so is every centre within `margin` metres; the grid's edge is not."""
+        step = float(self.east[1] - self.east[0]) if len(self.east) > 1 else math.inf
+        k = math.floor(margin / step + 1e-9)
+        padded = np.pad(self.safe, k, constant_values=False)
+        out = self.safe.copy()
+        for a in range(-k, k + 1):
+            for b in range(-k, k + 1):
+                if math.hypot(a, b) * step <= margin + 1e-9:
+                    out &= padded[k + a : k + a + out.shape[0], k + b : k + b + out.shape[1]]
+        return out
+
+
+def judge_touchdown(
+    world: World,
+    lander: OracleLander,
+    pose: Pose,
+    velocity_world: Sequence[float] | F64 = (0.0, 0.0, 0.0),
+    seconds: float = 0.0,
+) -> Touchdown:
+    """Place the lander where it came down, at its heading and speed, and say whether that was safe.
+
+    Args:
+        world: with its bodies (`SteeredFlight.world`).
+        lander: its gear and limits.
+        pose: `world_from_body` at the contact; its heading and place count, the ground gives height and tilt.
+        velocity_world: (3,) m/s just before the contact.
+        seconds: of the flight, where bodies are then.
+    """
+    east, north = float(pose.translation[0]), float(pose.translation[1])
+    heading = math.atan2(pose.rotation[0, 0], pose.rotation[1, 0])
+    spare = lander.reach + 3.0 * world.cell
+    surface = TrueSurface.of(world, (east - spare, north - spare, east + spare, north + spare), seconds)
+    found = _judged(surface, lander, np.array([[east, north]]), heading)
+    sink, drift = -float(velocity_world[2]), math.hypot(velocity_world[0], velocity_world[1])
+    reasons = [name for name, wrong in found.wrong.items() if wrong[0]]
+    reasons += ["sink"] if sink > lander.max_sink else []
+    reasons += ["drift"] if drift > lander.max_drift else []
+    return Touchdown(
+        not reasons, tuple(reasons), float(found.tilt[0]), float(found.gap[0]), float(found.roughness[0]),
+        float(found.rise[0]), sink, drift, east, north,
+    )  # fmt: skip
+
+
+def safe_places(
+    world: World,
+    area: Box,
+    lander: OracleLander,
+    *,
+    step: float = 0.5,
+    headings: int = 4,
+    seconds: float | None = None,
+) -> SafePlaces:
+    """Judge centres `step` metres apart in an area (west, south, east, north), as `judge_touchdown` does.
+
+    `headings` are a golden angle apart, one alone without gear; `seconds`: bodies at that time, None: without.
+    """
+    west, south, right, top = area
+    e, n = np.arange(west, right + 1e-9, step), np.arange(south, top + 1e-9, step)
+    spare = lander.reach + 3.0 * world.cell
+    surface = TrueSurface.of(world, (west - spare, south - spare, right + spare, top + spare), seconds)
+    turns = np.mod(GOLDEN_ANGLE * np.arange(headings if lander.feet or lander.skids else 1), 2.0 * np.pi)
+    centres = np.stack(np.meshgrid(e, n), -1).reshape(-1, 2)
+    size = max(1, _BATCH // max(1, round((2.0 * lander.reach / world.cell + 2) ** 2)))
+    safe = np.zeros((len(centres), len(turns)), bool)
+    for first in range(0, len(centres), size):
+        for k, turn in enumerate(turns):
+            part = _judged(surface, lander, centres[first : first + size], float(turn))
+            safe[first : first + size, k] = ~np.any(list(part.wrong.values()), axis=0)
+    return SafePlaces(e, n, turns, safe.reshape(len(n), len(e), len(turns)))
+
+
+class _Found(NamedTuple):
+    tilt: F64  # (N,)
+    gap: F64
+    roughness: F64
+    rise: F64
+    wrong: dict[str, Mask]
+
+
+def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> _Found:
+    """All that counts but speed, at N centres (N, 2) and one heading."""
+    disc = _disc(surface, centres, lander.radius, heading)
+    plane, roughness = _fitted(disc)
+    planes, contact = plane[:, None], disc.label
+    firm = np.isin(disc.label, lander.upon) | ~disc.inside
+    if lander.feet is not None or lander.skids is not None:
+        at, height, contact = _contacts(surface, lander, centres, heading)
+        planes = _resting_on_feet(at, height) if lander.feet is not None else _resting_on_skids(at, height)
+        firm = np.isin(contact, lander.upon)
+    tilt = np.arctan(np.hypot(planes[..., 1], planes[..., 2])).max(axis=1)
+    gap = (lander.belly_clearance or 0.0) - _highest_above(disc, planes)
+    rise = np.full(len(centres), -math.inf)
+    if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
+        ring = _disc(surface, centres, lander.rotor_radius, heading)
+        beyond = ring.inside & (ring.forward**2 + ring.left**2 > lander.radius**2)
+        rise = _highest_above(ring._replace(inside=beyond), planes)
+    clear = lander.belly_clearance
+    has_gear = lander.feet is not None or lander.skids is not None
+    wrong = {
+        "slope": tilt > lander.max_slope,
+        "roughness": roughness > lander.max_roughness if clear is None or not has_gear else np.zeros(len(tilt), bool),
+        "belly": gap < 0.0 if clear is not None else np.zeros(len(tilt), bool),
+        "rotor": rise > lander.rotor_rise,
+        "ground": ~firm.all(axis=1),
+    }
+    return _Found(tilt, gap, roughness, rise, wrong)
+
+
+def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> Disc:
+    k = math.ceil(radius / surface.cell) + 1
+    row, col = surface.index(centres)
+    steps = np.arange(-k, k + 1)
+    a, b = (g.ravel() for g in np.meshgrid(steps, steps, indexing="ij"))
+    near = np.hypot(a, b) * surface.cell <= radius + 1.5 * surface.cell
+    i, j = np.rint(row).astype(np.int64)[:, None] + a[near], np.rint(col).astype(np.int64)[:, None] + b[near]
+    rows, cols = surface.height.shape
+    there = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
+    i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)
+    east = surface.east + surface.cell * j - centres[:, :1]
+    north = surface.north + surface.cell * i - centres[:, 1:]
+    inside = there & (east**2 + north**2 <= radius**2 + 1e-9)
+    s, c = math.sin(heading), math.cos(heading)
+    return Disc(s * east + c * north, s * north - c * east, surface.height[i, j], surface.label[i, j], inside)
+
+
+def _fitted(disc: Disc) -> tuple[F64, F64]:
+    """(N, 3) least-squares planes [height at the centre, slope forward, slope left], (N,) largest deviation."""
+    w = disc.inside.astype(np.float64)
+    base = np.average(disc.height, axis=1, weights=w)[:, None]
+    terms = np.stack([np.ones_like(w), disc.forward, disc.left], -1)
+    normal = np.einsum("nm,nmi,nmj->nij", w, terms, terms)
+    right = np.einsum("nm,nmi,nm->ni", w, terms, disc.height - base)
+    plane = np.linalg.solve(normal, right[..., None])[..., 0]
+    off = np.abs(disc.height - base - np.einsum("nmi,ni->nm", terms, plane))
+    plane[:, 0] += base[:, 0]
+    return plane, np.where(disc.inside, off, 0.0).max(axis=1)
+
+
+def _highest_above(disc: Disc, planes: F64) -> F64:
+    """(N,) by how much the ground is above the planes (N, P, 3), the worst of them; -inf where nothing is inside."""
+    worst = np.full(len(planes), -math.inf)
+    for k in range(planes.shape[1]):
+        p = planes[:, k, :, None]
+        above = disc.height - p[:, 0] - p[:, 1] * disc.forward - p[:, 2] * disc.left
+        worst = np.maximum(worst, np.where(disc.inside, above, -math.inf).max(axis=1))
+    return worst
+
+
+def _contacts(surface: TrueSurface, lander: OracleLander, centres: F64, heading: float) -> tuple[F64, F64, U8]:
+    """(K, 2) forward and left of the places that may touch, (N, K) highest ground under each, (N, L) classes there."""
+    s, c = math.sin(heading), math.cos(heading)
+    if lander.feet is not None:
+        at, spread = np.array(lander.feet, float), lander.foot_radius
+    else:
+        assert lander.skids is not None
+        length, wide = lander.skids
+        along = np.linspace(-0.5 * length, 0.5 * length, 2 * math.ceil(length / surface.cell) + 1)
+        at, spread = (
+            np.concatenate([np.column_stack([along, np.full(len(along), k * 0.5 * wide)]) for k in (1, -1)]),
+            0.0,
+        )
+    places = centres[:, None] + np.column_stack([s * at[:, 0] - c * at[:, 1], c * at[:, 0] + s * at[:, 1]])
+    height, label = surface.heights(places), surface.labels(places)
+    if spread > 0:
+        turns = 2.0 * math.pi * np.arange(_RIM) / _RIM
+        rim = places[:, :, None] + spread * np.column_stack([np.cos(turns), np.sin(turns)])
+        height = np.maximum(height, surface.heights(rim).max(axis=2))
+        label = np.concatenate([label, surface.labels(rim).reshape(len(centres), -1)], axis=1)
+        for k in range(len(at)):
+            foot = _disc(surface, places[:, k], spread, 0.0)
+            height[:, k] = np.maximum(height[:, k], np.where(foot.inside, foot.height, -math.inf).max(axis=1))
+    return at, height, label
+
+
+def _resting_on_feet(at: F64, height: F64) -> F64:
+    """(N, P, 3) planes on which the lander rests, repeated to P; it may rock between those of one centre.
+
+    At rest the centre is as low as it can be with no foot in the ground: a plane through three feet.
+    """
+    found = []
+    for three in combinations(range(len(at)), 3):
+        A = np.column_stack([np.ones(3), at[list(three)]])
+        if abs(np.linalg.det(A)) < 1e-9:
+            continue
+        plane = height[:, list(three)] @ np.linalg.inv(A).T
+        under = height - plane @ np.column_stack([np.ones(len(at)), at]).T
+        lowest = np.where((under <= _TIE).all(axis=1), plane[:, 0], math.inf)
+        found.append(np.column_stack([plane, lowest]))
+    planes = np.stack(found, axis=1)
+    best = planes[:, :, 3].min(axis=1, keepdims=True)
+    rests = planes[:, :, 3] <= best + _TIE
+    first = np.take_along_axis(planes, np.argmin(planes[:, :, 3], axis=1)[:, None, None], axis=1)
+    return np.asarray(np.where(rests[..., None], planes, first)[..., :3])
+
+
+def _resting_on_skids(at: F64, height: F64) -> F64:
+    """(N, 2, 3) planes on which two rails rest: those of the lowest and of the highest pitch where it rocks.
+
+    With a pitch p a rail passes over its middle at max(z - p s): the sum over both rails is convex in p.
+    """
+    half = len(at) // 2
+    s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])
+    left, right = height[:, :half], height[:, half:]
+
+    def middles(pitch: F64) -> tuple[F64, F64]:
+        return (left - pitch[:, None] * s).max(axis=1), (right - pitch[:, None] * s).max(axis=1)
+
+    def total(pitch: F64) -> F64:
+        a, b = middles(pitch)
+        return a + b
+
+    low, high = np.full(len(height), -4.0), np.full(len(height), 4.0)
+    for _ in range(60):
+        a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
+        left_lower = total(a) <= total(b)
+        low, high = np.where(left_lower, low, a), np.where(left_lower, b, high)
+    best = 0.5 * (low + high)
+    least, ends = total(best), []
+    for end in (-4.0, 4.0):
+        inside, outside = best.copy(), np.full(len(best), end)
+        for _ in range(50):
+            middle = 0.5 * (inside + outside)
+            rests = total(middle) <= least + _TIE
+            inside, outside = np.where(rests, middle, inside), np.where(rests, outside, middle)
+        a, b = middles(inside)
+        ends.append(np.stack([0.5 * (a + b), inside, (a - b) / wide], -1))
+    return np.stack(ends, axis=1)
