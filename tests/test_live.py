@@ -37,6 +37,7 @@ from alight.records import (
 from alight.runner.live import Capacity, FlightHealth, LaneState, Listener, Live
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
+from alight.runner.live.pace import Pace
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
 
@@ -460,3 +461,28 @@ def test_a_full_mailbox_waits_or_merges() -> None:
     waiting.close()
     with pytest.raises(Closed):
         waiting.get()
+
+
+# -- rates that adapt
+
+
+def test_effort_falls_with_late_steps_and_rises_with_fast_ones() -> None:
+    pace, found = Pace(deadline=0.2), list[int]()
+    for seconds in (0.1, 0.3, 0.3, 0.1, 0.3, 0.9, 0.9, *[0.05] * 13, *[0.15] * 9, *[0.05] * 6):
+        pace.took(seconds)
+        found.append(pace.effort)
+    assert found[:7] == [0, 1, 2, 2, 3, 3, 3]
+    assert found[7:20] == [3] * 5 + [2] * 6 + [1] * 2
+    assert found[20:29] == [1] * 9
+    assert found[-1] == 0
+
+
+def test_less_effort_flies_again_bit_for_bit(nursery: Nursery) -> None:
+    """Every step is late, so that all levels of effort are used; the schedule has them."""
+    heard = Heard()
+    slow = Fault("slow", frozenset(stamps()), 0.26)
+    run = live(nursery, heard, makers=faulty("mapping", slow))
+    decision = feed_all(run)
+    assert set(run.schedule.effort) == {0, 1, 2, 3}
+    assert len(run.schedule.effort) == len(run.schedule.mapped)
+    assert_flies_again(heard, decision, run.schedule)

@@ -108,11 +108,11 @@ class MappingAgain:
         self._make, self._before = make, frozenset(before)
         self._lane = make()
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """As the lane."""
         if navigation.frame.t_ns in self._before:
             self._lane = self._make()
-        return self._lane.feed(navigation)
+        return self._lane.feed(navigation, effort)
 
     def snapshot(self) -> MapSnapshot | None:
         """As the lane."""

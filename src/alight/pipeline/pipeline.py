@@ -65,16 +65,16 @@ class Pipeline:
             return None
         with self._timings.of("motion"):
             navigation = self._navigation.feed(event)  # features, motion: docs/method/motion.md
-        if navigation is None:
-            return None
-        if (seen := self.map(navigation)) is not None:
+        if navigation is not None and (seen := self.map(navigation)) is not None:
             self.judge(seen)
-        return navigation.motion
+        return None if navigation is None else navigation.motion
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
         """Improve the map with an exposure; the map as it is then, where it is to be judged."""
-        update = self._mapping.feed(navigation) if self._turns.maps(navigation) else None  # docs/method/parallax.md
-        return self._mapping.snapshot() if update is not None and self._turns.judges(navigation, update) else None
+        if not (turn := self._turns).maps(navigation):
+            return None
+        update = self._mapping.feed(navigation, turn.effort(navigation))  # docs/method/parallax.md
+        return self._mapping.snapshot() if update is not None and turn.judges(navigation, update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""

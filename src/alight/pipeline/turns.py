@@ -18,6 +18,9 @@ class Turns(Protocol):
     def maps(self, navigation: Navigation) -> bool:
         """Whether the mapping lane takes an exposure."""
 
+    def effort(self, navigation: Navigation) -> int:
+        """How much the mapping lane does with an exposure, from 0 (all) to 3 (least)."""
+
     def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
         """Whether the map is judged as an exposure left it."""
 
@@ -40,6 +43,10 @@ class EveryTurn:
         """Always."""
         return True
 
+    def effort(self, navigation: Navigation) -> int:
+        """All."""
+        return 0
+
     def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
         """Every few keyframes."""
         self._since += update.steps
@@ -55,6 +62,7 @@ class ScheduledTurns:
     def __init__(self, schedule: Schedule) -> None:
         self._tracked, self._mapped = frozenset(schedule.tracked), frozenset(schedule.mapped)
         self._judged = frozenset(schedule.judged)
+        self._effort = dict(zip(schedule.mapped, schedule.effort, strict=False))
 
     def takes(self, event: Event) -> bool:
         """Rows, and the exposures that were tracked."""
@@ -63,6 +71,10 @@ class ScheduledTurns:
     def maps(self, navigation: Navigation) -> bool:
         """The exposures that were mapped."""
         return navigation.frame.t_ns in self._mapped
+
+    def effort(self, navigation: Navigation) -> int:
+        """As in flight."""
+        return self._effort.get(navigation.frame.t_ns, 0)
 
     def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
         """The exposures whose map was judged."""

@@ -120,6 +120,11 @@ class Watch:
             effort, frame_id,
         )  # fmt: skip
 
+    def took(self, what: str, seconds: float) -> None:
+        """Something took so long."""
+        with self._lock:
+            self._step(what, seconds)
+
     def _step(self, what: str, seconds: float) -> None:
         self.times.setdefault(what, deque(maxlen=REMEMBERED)).append(seconds)
 

@@ -57,9 +57,9 @@ class MappingProcess:
         self._timings = Timings(clock, history=False)
         self._lane = RecursiveMapper(rig, settings, FileStore(folder), self._timings, history=False)
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int) -> MapUpdate | None:
         """Improve the map."""
-        return self._lane.feed(navigation)
+        return self._lane.feed(navigation, effort)
 
     def snapshot(self) -> MapSnapshot | None:
         """The map under the newest keyframe."""
@@ -188,13 +188,13 @@ class RemoteMapping:
     def __init__(self, post: Post) -> None:
         self.post = post
 
-    def feed(self, navigation: Navigation) -> MapUpdate | None:
+    def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
         """Improve the map.
 
         Raises:
             LaneLost: the map is gone; the next exposure begins another one.
         """
-        found: MapUpdate | None = self.post.call("feed", navigation)
+        found: MapUpdate | None = self.post.call("feed", navigation, effort)
         return found
 
     def snapshot(self) -> MapSnapshot | None:

@@ -30,6 +30,7 @@ from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
 from alight.runner.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
+from alight.runner.live.pace import Pace
 from alight.runner.live.stream_clock import Clocks
 from alight.runner.live.worker import LaneLost, Spec
 from alight.settings import ImuNoise, Settings
@@ -151,6 +152,7 @@ class Live:
         self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
         self._newest: Motion | None = None
+        self._pace = Pace()
         self._failed: list[BaseException] = []
         self._cores = max(1, (os.cpu_count() or 1) - SPARE)
         self._own_nursery = None if nursery is not None else Nursery(self._cores)
@@ -206,7 +208,7 @@ class Live:
     @property
     def health(self) -> FlightHealth:
         """How the lanes are now."""
-        return self.watch.health(0, self._newest.frame_id if self._newest is not None else None)
+        return self.watch.health(self._pace.effort, self._newest.frame_id if self._newest is not None else None)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -306,9 +308,16 @@ class Live:
         self._diary.note(lane, why)
         self._listener.lost(lane, why)
 
-    def _entry(self, kind: str, t_ns: int) -> None:
+    def _entry(self, kind: str, t_ns: int, value: int = 0) -> None:
         self._entries.kinds[kind].append(t_ns)
-        self._diary.entry(kind, t_ns)
+        self._diary.entry(kind, t_ns, value)
+
+    def _stepped(self, seconds: float) -> None:
+        """A step of the map is done: more or less effort for the next one."""
+        self.watch.took(STEP, seconds)
+        if self._pace.took(seconds):
+            self.watch.counts[f"mapping: effort {self._pace.effort}, times chosen"] += 1
+            self._diary.note(MAPPING, f"effort {self._pace.effort} after a step of {seconds:.2f} s")
 
     def _later_batch(self, old: FrameBatch, new: FrameBatch) -> FrameBatch:
         if old.frame is not None:
@@ -371,9 +380,10 @@ class Live:
             try:
                 with self.watch.work(MAPPING):
                     begin = time.perf_counter()
-                    update = self._mapping.feed(navigation)
+                    effort = self._pace.effort
+                    update = self._mapping.feed(navigation, effort)
                     if update is not None:
-                        self.watch.times.setdefault(STEP, deque(maxlen=1000)).append(time.perf_counter() - begin)
+                        self._stepped(time.perf_counter() - begin)
             except LaneLost:
                 self.watch.counts["mapping: exposures left out, lane lost"] += 1
                 anew = True
@@ -383,8 +393,8 @@ class Live:
             if anew:
                 self._entry("mapping_anew", t_ns)
                 anew = False
-            self._entry("mapped", t_ns)
-            self._entries.kinds["effort"].append(0)
+            self._entry("mapped", t_ns, effort)
+            self._entries.kinds["effort"].append(effort)
             since += 0 if update is None else update.steps
             if self._every and since >= self._every and (self._judge_waits.is_set() or not self._capacity.drop):
                 self._hand_to_judge(navigation)
