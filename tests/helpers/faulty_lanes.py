@@ -64,3 +64,18 @@ class FaultyJudging(JudgingProcess):
             f.write(".")
         self._fault.strike(self._count.stat().st_size)
         return super().judge(seen)
+
+
+class IdleOrBusy:
+    """A lane that works or sleeps."""
+
+    def work(self, seconds: float) -> float:
+        """Use so much processor time."""
+        begin = time.process_time()
+        while time.process_time() - begin < seconds:
+            pass
+        return seconds
+
+    def sleep(self, seconds: float) -> None:
+        """Use none."""
+        time.sleep(seconds)

@@ -15,6 +15,7 @@ import time
 import traceback
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -26,6 +27,8 @@ from alight.runner.live.nursery import Nursery
 log = logging.getLogger(__name__)
 
 START = 30.0  # s that a lane may take until it is ready
+POLL = 0.05  # s between two looks at a process that does not answer
+STARVED = 6.0  # patiences after which a process is lost whatever it does
 
 
 class LaneLost(Exception):  # noqa: N818  (an event of the flight; the flight goes on)
@@ -101,7 +104,7 @@ class Worker:
 
     def _answer(self, method: str, timeout: float) -> Any:
         try:
-            if not self._line.poll(timeout):
+            if not self._answers_within(timeout):
                 raise self._lost(f"{method}: no answer within {timeout:g} s")
             reply: Reply = self._line.recv()
         except (EOFError, OSError) as e:
@@ -111,10 +114,42 @@ class Worker:
             raise self._lost(f"{method}: {reply.failure.strip().splitlines()[-1]}", reply.failure)
         return self._answered.read(reply.parcel)
 
+    def _answers_within(self, patience: float) -> bool:
+        """Wait for an answer; a process that wants to run and is not let run gets more time.
+
+        One that sleeps for ever has no excuse, nor has one that has worked for as long as the patience lasts.
+        """
+        begin, worked = time.monotonic(), _activity(self._pid).seconds
+        while not self._line.poll(POLL):
+            waited = time.monotonic() - begin
+            if waited < patience:
+                continue
+            now = _activity(self._pid)
+            if not now.wants_to_run or now.seconds - worked >= patience or waited >= STARVED * patience:
+                return False
+        return True
+
     def _lost(self, why: str, more: str = "") -> LaneLost:
         log.debug("%s: %s\n%s", self.name, why, more)
         self.close()
         return LaneLost(why)
+
+
+@dataclass(frozen=True)
+class Activity:
+    """What a process has been doing."""
+
+    seconds: float  # of processor time
+    wants_to_run: bool  # it runs, or waits for a processor or the disk
+
+
+def _activity(pid: int) -> Activity:
+    """As the system tells it; where it does not, a process never wants to run, and only the clock counts."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except (OSError, ValueError):
+        return Activity(0.0, False)
+    return Activity((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), fields[0] in "RD")
 
 
 def serve(line_fileno: int, received_fileno: int, answers_fileno: int) -> None:
@@ -146,8 +181,3 @@ def serve(line_fileno: int, received_fileno: int, answers_fileno: int) -> None:
         while True:
             method, parcel = line.recv()
             answer(lambda method=method, parcel=parcel: getattr(lane, method)(*received.read(parcel)))
-
-
-def pause(seconds: float) -> None:
-    """Sleep; a fault that tests let a lane have."""
-    time.sleep(seconds)
