@@ -16,6 +16,8 @@ from alight.checks.stereo import check_stereo
 from alight.records import InputError
 from alight.sources import Source
 
+UNUSED = ("accelerometer unit",)  # by what compares the pictures with GPS/INS and IMU
+
 
 def check_source(
     source: Source, seconds: float = 10.0, start: float = 0.0, progress: Callable[[float], None] = lambda share: None
@@ -45,7 +47,7 @@ def check_evidence(evidence: RigEvidence) -> list[CheckResult]:
     """Run every check on what was read."""
     pictures = [check_exposure(evidence), check_sharpness(evidence), check_lens(evidence), check_intrinsics(evidence)]
     navigation = check_navigation(evidence)
-    wrong = next((r.name for r in navigation if r.verdict is Judged.BAD), "")
+    wrong = next((r.name for r in navigation if r.verdict is Judged.BAD and r.name not in UNUSED), "")
     motion, flow = check_motion(evidence, wrong)
     if motion[0].verdict is Judged.BAD:
         rig = [unknown("stereo", "first mend the mounting")] if evidence.matches else []

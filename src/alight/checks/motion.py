@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from alight.checks.evidence import RigEvidence
-from alight.checks.navigation import quarter_turns
+from alight.checks.navigation import attitude_readings, quarter_turns
 from alight.checks.predicted_flow import (
     FOCAL,
     LEAST_PAIRS,
@@ -103,14 +103,28 @@ def _mounting(usable: dict[str, PredictedFlow], motion: BodyMotion, evidence: Ri
             turned.append(" or ".join(turn_words(name, t) for t in near))
         elif own > UNEXPLAINED * size:
             doubt.append(name)
-    evidence_words = "; ".join(words)
+    told = "; ".join(words)
     if turned:
-        return bad(
-            NAMES[0], f"{evidence_words}; {'; '.join(turned)}", "write the true mounting into T_BS of that camera"
-        )
+        return bad(NAMES[0], f"{told}; {'; '.join(turned)}", "write the true mounting into T_BS of that camera")
+    if doubt and (reading := _other_attitude(usable, evidence)):
+        return bad(NAMES[0], f"{told}; it is right with the attitude of GPS/INS as {reading[0]}", reading[1])
     if doubt:
-        return unknown(NAMES[0], f"{evidence_words}; no quarter turn explains it")
-    return good(NAMES[0], evidence_words)
+        return unknown(NAMES[0], f"{told}; no quarter turn explains it")
+    return good(NAMES[0], told)
+
+
+def _other_attitude(usable: dict[str, PredictedFlow], evidence: RigEvidence) -> tuple[str, str] | None:
+    """Another reading of the attitude under which the flow of every camera is right, and the mend."""
+    nav = evidence.nav.known("world_from_body")
+    cameras = {c.name: (e, c.body_from_cam) for c, e in zip(evidence.rig.cameras, evidence.cameras, strict=True)}
+    for what, (attitudes, mend) in attitude_readings(nav.world_from_body).items():
+        motion = body_motion(replace(nav, world_from_body=attitudes), evidence.imu, int(evidence.frames_ns[0]))
+        if motion is None:
+            continue
+        flows = {n: PredictedFlow(*cameras[n], motion) for n in usable}
+        if all(f.pairs and f.scan(COARSE)[0] < 0.2 * float(np.median(f.flow)) for f in flows.values()):
+            return what, mend
+    return None
 
 
 def _tilt(mounting: CheckResult, fits: list[CameraMotion], motion: BodyMotion) -> CheckResult:

@@ -21,6 +21,8 @@ CLEAR = 0.6  # of the turns that must be left where they do not
 UPRIGHT = 0.3  # cosine of the largest tilt of an aircraft that flies, in the median
 TILT = 0.35  # rad between the mean specific force and up
 TRAVEL = 6.0  # m
+SCALED = 1.6  # times: positions drift by 0.2 m/s, knots and km/h are 1.94 and 3.6 times
+DRIFT = 0.18  # share of the way that positions drift by themselves
 STRIDE = 1.0  # s over which positions are compared with the velocity
 LAGS = tuple(0.05 * k for k in range(-6, 7))  # s, clocks that are tried where axes are compared
 LAG = 0.03  # s by which the clocks may differ
@@ -249,6 +251,8 @@ def _with_imu(nav: NavTable, imu: ImuTable, path: ImuPath, upright: float) -> li
         return [bad(axes, f"{evidence}; {words}", mend), unknown(attitude, f"first mend the {axes}")]
     if readings:
         what = " or ".join(w for w, _ in readings)
+        if turns.enough and least_left(path, nav, R, [FRD])[0] < AGREES:
+            what += ", or the gyroscope alone is forward right down"
         return [
             unknown(axes, f"first mend the {attitude}"),
             bad(attitude, f"{evidence}; it fits as {what}", readings[0][1]),
@@ -304,11 +308,11 @@ def check_velocity(nav: NavTable) -> CheckResult:
     found = {what: _explained(s, u, begins, ends, steps) for what, u in readings.items()}
     share, scale = found["east north up"]
     evidence = f"leaves {100 * share:.0f} % of the way between positions {STRIDE:g} s apart, {travel:.0f} m in all"
-    if share < 0.4:
-        return good(name, evidence) if 0.85 < scale < 1.18 else _scaled(name, scale, travel)
     best = min(found, key=lambda k: found[k][0])
-    if found[best][0] < 0.25 and best != "east north up":
+    if share > DRIFT and found[best][0] < 0.5 * min(share, 0.5):
         return bad(name, f"{evidence}; it fits as {best} ({100 * found[best][0]:.0f} %)", "write v_e, v_n, v_u")
+    if share < 0.4:
+        return good(name, evidence) if 1 / SCALED < scale < SCALED else _scaled(name, scale, travel)
     if share < 0.7:
         return unknown(name, f"{evidence}; positions and velocity agree only roughly")
     return bad(name, evidence, "write the velocity of the body over ground as v_e, v_n, v_u in m/s")

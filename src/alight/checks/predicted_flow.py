@@ -4,7 +4,7 @@ A point of the picture with the inverse depth rho moves between two exposures by
 
     x1 ~ R (x0 - rho w(x0) t),     w(x0) = (n . x0) / (n . z)
 
-with the rotation R of the camera (gyroscope), its way t (velocity of GPS/INS) and the normal n of level ground. rho is
+with the rotation R of the camera (gyroscope), its way t (velocity of GPS/INS) and the normal n of the ground. rho is
 free for each pair of exposures and not negative. What remains of the flow tells whether the time offset, the mounting
 and the focal length are right: all three act on many pairs in the same manner, rho only on one.
 """
@@ -24,9 +24,10 @@ from alight.geometry import Pose
 LEAST_PAIRS = 8
 STEEP = 0.3  # of n . z: a camera whose axis is nearer to the horizon sees no level ground
 BIAS_SIGMA, FREE_BIAS = 1.5e-3, 0.03  # rad/s: known from the attitude, or not
-_PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, FREE_BIAS, FREE_BIAS, FREE_BIAS])  # sigma: s, rad, 1, rad/s
-_STEPS = np.array([2e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3])
-OFFSET, MOUNTING, FOCAL, BIAS = 0, slice(1, 4), 4, slice(5, 8)
+SLOPE = 0.12  # 1-sigma of the slope of the ground: a slope looks like a mounting that is tilted
+_PRIORS = np.array([0.3, 0.5, 0.5, 0.5, 0.3, *[FREE_BIAS] * 3, SLOPE, SLOPE])  # sigma: s, rad, 1, rad/s, 1
+_STEPS = np.array([2e-3, *[1e-3] * 9])
+OFFSET, MOUNTING, FOCAL, BIAS, GROUND = 0, slice(1, 4), 4, slice(5, 8), slice(8, 10)
 BLOCKS = 10  # of the recording; the spread of what they say gives the sigma
 NOISE_PX = 0.15  # of the flow, at least
 
@@ -111,8 +112,8 @@ def integrated(seconds: F64, rates: F64) -> Rotation:
 class FlowFit:
     """What the flow of one camera says of its mounting, clock and lens."""
 
-    parameters: F64  # (8,) time offset [s], mounting [rad, 3], log of the focal length, bias of the rates [rad/s, 3]
-    sigma: F64  # (8,)
+    parameters: F64  # (10,) time offset s, mounting rad (3), log of the focal length, bias rad/s (3), slope (2)
+    sigma: F64  # (10,)
     residual: float  # px, median over the pairs
     flow: float  # px, median over the pairs
     unexplained: float  # of the flow that is left by the calibration with these parameters
@@ -144,7 +145,7 @@ class PredictedFlow:
         keep = (self._begin >= motion.span[0]) & (self._end <= motion.span[1])
         self._begin, self._end, self._seen = self._begin[keep], self._end[keep], self._seen[keep]
         self.pairs = len(self._begin)
-        self._centre, self._priors = np.zeros(8), _PRIORS.copy()
+        self._centre, self._priors = np.zeros(10), _PRIORS.copy()
         self._centre[BIAS], self._priors[BIAS] = motion.bias, motion.bias_sigma
         self.flow = self.focal * np.linalg.norm(self._seen - self._spots, axis=-1).mean(axis=-1)  # (K,) px
 
@@ -175,11 +176,11 @@ class PredictedFlow:
         y = x1 @ np.swapaxes(cam_from_later, 1, 2)
         y = y[..., :2] / np.maximum(y[..., 2:], 1e-3)
         off = y - x0[None, :, :2]  # (K, 9, 2): what rotation does not explain
-        arms = self._arms(y, x0, t0, t1, body_from_cam)
+        arms = self._arms(y, x0, t0, t1, body_from_cam, parameters[GROUND])
         left, depth = _least_squares(off, arms)
         return left.reshape(len(left), -1) * self.focal * focal, depth
 
-    def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64) -> F64:
+    def _arms(self, y: F64, x0: F64, t0: F64, t1: F64, body_from_cam: F64, slope: F64) -> F64:
         """(K, 9, 2, P) flow for each unit of what is free: the inverse depth, or the three parts of the way over it."""
         m = self._motion
         if m.velocity_world is None or m.attitude is None:
@@ -193,7 +194,8 @@ class PredictedFlow:
         way = np.einsum("kij,ki->kj", world_from_cam, v) * (t1 - t0)[:, None]
         turn = (m.turning(t0).inv() * m.turning(t1)).as_matrix() - np.eye(3)
         way = way + (turn @ self._mounting.translation) @ body_from_cam
-        normal = world_from_cam[:, 2, :]  # (K, 3) world up in the camera
+        up = np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope)
+        normal = np.einsum("kij,i->kj", world_from_cam, up)  # (K, 3) of the ground in the camera
         slant = normal[:, 2:]
         ratio = (normal @ x0.T) / np.where(np.abs(slant) < 1e-6, 1e-6, slant)
         weight = np.where(-slant > STEEP, np.clip(ratio, 0.0, 3.0), 1.0)
@@ -222,7 +224,7 @@ class PredictedFlow:
             r, A, g, _ = self._normal(p)
             step = np.clip(np.linalg.solve(A, g), -0.2, 0.2)
             p = p - step
-            if np.abs(step / np.array([1e-3, *[1e-3] * 3, 1e-3, *[1e-3] * 3])).max() < 0.1:
+            if np.abs(step).max() < 1e-4:
                 break
         r, A, g, scores = self._normal(p)
         inverse = np.linalg.inv(A)
@@ -232,7 +234,7 @@ class PredictedFlow:
         sigma = np.sqrt(np.maximum(np.diag(spread), np.diag(inverse)))
         lengths = _length(r)
         calibrated = self._centre.copy()
-        calibrated[OFFSET] = p[OFFSET]
+        calibrated[OFFSET], calibrated[GROUND] = p[OFFSET], p[GROUND]
         depth = self.residuals(calibrated)[1]
         flow = float(np.median(self.flow))
         return FlowFit(
@@ -241,10 +243,10 @@ class PredictedFlow:
         )  # fmt: skip
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
-        """Residuals, normal matrix and gradient with priors, and the (K, 8) gradients of the pairs."""
+        """Residuals, normal matrix and gradient with priors, and the (K, 10) gradients of the pairs."""
         r, _ = self.residuals(p)
         J = np.stack([(self.residuals(p + e)[0] - self.residuals(p - e)[0]) / (2 * s)
-                      for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 8)  # fmt: skip
+                      for e, s in zip(np.diag(_STEPS), _STEPS, strict=True)], axis=-1)  # (K, 18, 10)  # fmt: skip
         length = _length(r)
         scale = max(float(np.median(length)), NOISE_PX)
         w = 1.0 / (scale**2 * (1.0 + (length / (2.0 * scale)) ** 2) ** 2)
