@@ -37,13 +37,13 @@ def campaign_worlds() -> dict[str, CampaignWorld]:
         "rubble", "Dense rubble everywhere: boulders and scree without a gap.", cover="bare", look="scree",
         relief=[*rough, {"height": 0.25, "longest": 2.5, "shortest": 0.3, "fall": 0.7}],
         layers=[
-            {"thing": "rocks", "per_hectare": 7000, "radius": [0.35, 0.9], "exponent": 1, "apart": False},
+            {"thing": "rocks", "per_hectare": 9000, "radius": [0.3, 0.8], "exponent": 1, "apart": False},
         ],
     )  # fmt: skip
     forest = _scene(
         "closed_forest", "Forest without a clearing.", look="leaf_litter", relief=rough,
         layers=[
-            {"thing": "trees", "per_hectare": 2500, "radius": [1.6, 3.0], "apart": False},
+            {"thing": "trees", "per_hectare": 1600, "radius": [1.8, 3.2], "apart": False},
             {"thing": "shrubs", "per_hectare": 3000, "radius": [0.4, 1.2], "apart": False},
         ],
     )  # fmt: skip

@@ -34,7 +34,7 @@ _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
 
 @dataclass(frozen=True)
-class Battery:
+class TrueBattery:
     """What flying costs."""
 
     share: float = 1.0  # left at the start
@@ -93,7 +93,7 @@ class SteeredFlight:
         limits: FlightLimits | None = None,
         wind: Sequence[float] = (0.0, 0.0, 0.0),
         gusts: float = 0.2,
-        battery: Battery | None = None,
+        battery: TrueBattery | None = None,
         faults: Faults | None = None,
         nav: NavErrors | None = None,
         imu: ImuErrors | None = None,
@@ -118,7 +118,7 @@ class SteeredFlight:
         )
         self._imu_lost = [(0.0, -1.0)]
         self._steers_by_nav = steered_by == "navigation"
-        self._cost = battery or Battery()
+        self._cost = battery or TrueBattery()
         self.battery = self._cost.share
         self.contacts: list[TrueContact] = []
         self._below = GroundBelow(self.world)
