@@ -35,9 +35,9 @@ from alight.records import (
     SettingsError,
 )
 from alight.runner.live import Capacity, FlightHealth, LaneState, Listener, Live
+from alight.runner.live.effort import EffortControl
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
-from alight.runner.live.pace import Pace
 from alight.runner.live.worker import LaneLost, Spec, Worker
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
@@ -468,7 +468,7 @@ def test_a_full_mailbox_waits_or_merges() -> None:
 
 
 def test_effort_falls_with_late_steps_and_rises_with_fast_ones() -> None:
-    pace, found = Pace(deadline=0.2), list[int]()
+    pace, found = EffortControl(deadline=0.2), list[int]()
     for seconds in (0.1, 0.3, 0.3, 0.1, 0.3, 0.9, 0.9, *[0.05] * 13, *[0.15] * 9, *[0.05] * 6):
         pace.took(seconds)
         found.append(pace.effort)

@@ -26,11 +26,11 @@ from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
 from alight.runner.live import lanes as processes
+from alight.runner.live.effort import EffortControl
 from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
 from alight.runner.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
-from alight.runner.live.pace import Pace
 from alight.runner.live.stream_clock import Clocks
 from alight.runner.live.worker import LaneLost, Spec
 from alight.settings import ImuNoise, Settings
@@ -152,7 +152,7 @@ class Live:
         self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
         self._newest: Motion | None = None
-        self._pace = Pace()
+        self._pace = EffortControl()
         self._failed: list[BaseException] = []
         self._cores = max(1, (os.cpu_count() or 1) - SPARE)
         self._own_nursery = None if nursery is not None else Nursery(self._cores)

@@ -7,7 +7,7 @@ MOST = 3  # the least that can be done (`MappingLane.feed`)
 CALM = 6  # steps in a row below half the deadline, after which more is done again
 
 
-class Pace:
+class EffortControl:
     """Lowers the effort when a step is late, and raises it when steps have been fast for a while.
 
     Args:
