@@ -78,6 +78,12 @@ def pictures(change: Callable[[int, U8], U8 | None], camera: int | None = None) 
     return frames(changed)
 
 
+def one_camera(change: Callable[[int, U8], U8 | None]) -> list[CheckResult]:
+    """Results of camera 0 alone, with other pictures."""
+    alone = [replace(e, images=e.images[:1]) if isinstance(e, Frame) else e for e in pictures(change, 0)]
+    return check_evidence(gather_evidence(Rig(flight().rig.cameras[:1]), alone, SECONDS))
+
+
 def rig_with(*turns: tuple[int, Sequence[float]], swap: str = "") -> Rig:
     """The rig with cameras whose calibration is turned by rotation vectors about their own axes, rad."""
     cameras = list(flight().rig.cameras)
@@ -347,7 +353,7 @@ def wet(_: int, image: U8) -> U8:
 
 
 def test_over_exposure_is_named() -> None:
-    found = wrong(check_evidence(gather_evidence(flight().rig, pictures(brighter), SECONDS)))
+    found = wrong(one_camera(brighter))
     assert "over-exposed" in found["exposure"].mend
     assert list(found) == ["exposure"]
 
@@ -360,14 +366,12 @@ def test_dirt_is_named_with_its_place() -> None:
 
 
 def test_a_drop_on_the_lens_is_named() -> None:
-    found = only(check_evidence(gather_evidence(flight().rig, pictures(wet, 1), SECONDS)), "lens and view")
-    assert "cam0: nothing stands still" in found.evidence
+    found = only(one_camera(wet), "lens and view")
     assert "blurred" in found.evidence
 
 
 def test_lost_focus_is_named() -> None:
-    soft = pictures(lambda _, image: cv2.GaussianBlur(image, (0, 0), 3.0), 0)
-    found = wrong(check_evidence(gather_evidence(flight().rig, soft, SECONDS)))
+    found = wrong(one_camera(lambda _, image: cv2.GaussianBlur(image, (0, 0), 3.0)))
     assert list(found) == ["sharpness"]
     assert "cam0 is out of focus" in found["sharpness"].mend
 

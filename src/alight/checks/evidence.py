@@ -102,7 +102,6 @@ class CameraEvidence:
     seconds: list[float] = field(default_factory=list)  # of each brightness, from the first exposure
     brightness: list[Brightness] = field(default_factory=list)
     flows: list[PictureFlow] = field(default_factory=list)
-    tried: int = 0  # pairs of pictures whose flow was asked for
     edges: list[tuple[int, F64]] = field(default_factory=list)  # time ns, (2,) px across x and across y
     static: StaticMap = field(default_factory=StaticMap)
     _last: tuple[int, U8] | None = None
@@ -116,12 +115,13 @@ class CameraEvidence:
         self.brightness.append(brightness_of(image))
         if not self.edges or t_ns - self.edges[-1][0] > SHARP_EVERY * 1e9:
             self.edges.append((t_ns, edge_widths(image)))
-        self.static.take(small)
+        shift = np.zeros(2)
         if self._last is not None:
-            self.tried += 1
             flow = picture_flow(self._last[1], small, factor, self.lens, self._last[0], t_ns)
             if flow is not None:
                 self.flows.append(flow)
+            shift = flow.shift / max(self.lens.width, self.lens.height) if flow is not None else np.ones(2)
+        self.static.take(small, shift)
         self._last = t_ns, small
 
 

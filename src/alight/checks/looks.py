@@ -86,27 +86,30 @@ class StaticMap:
     """
 
     pairs: int = 0
+    _way: F64 = field(default_factory=lambda: np.zeros(2))
     _then: U8 | None = None
     _shape: tuple[int, int] = (0, 0)
     _sums: list[F64] = field(default_factory=list)  # at the pixel, at the ground, contrast here, elsewhere, weight
 
-    def take(self, small: U8) -> None:
-        """Take the next picture, grey."""
+    def take(self, small: U8, shift: F64) -> None:
+        """Take the next picture, grey, and (2,) by how much the ground moved in it, in shares of the longer side."""
+        self._way = self._way + shift
         k = -(-max(small.shape) // SMALL)
         now = cv2.resize(small, (small.shape[1] // k, small.shape[0] // k), interpolation=cv2.INTER_AREA)
         if self._then is None:
             self._then, self._shape = now, now.shape
             self._sums = [np.zeros(now.shape) for _ in range(5)]
             return
+        if float(np.linalg.norm(self._way)) < STEP:
+            return
         a, b = followed(self._then, now)
+        self._way = np.zeros(2)
         if len(a) < LEAST_FEATURES:
             self._then = now
             return
         move = float(np.linalg.norm(np.median(b - a, axis=0))) / max(now.shape)
-        if move < STEP:
-            return
         H, inside = cv2.findHomography(a, b, cv2.RANSAC, 1.5)
-        if H is not None and inside.mean() > 0.5 and move < FAR:
+        if H is not None and inside.mean() > 0.5 and 0.7 * STEP < move < FAR:
             self._compare(self._then, now, H)
         self._then = now
 

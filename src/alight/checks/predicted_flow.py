@@ -98,14 +98,13 @@ def increasing(t_ns: I64) -> Mask:
 
 def integrated(seconds: F64, rates: F64) -> Rotation:
     """Return the (N,) orientations that a gyroscope's (N, 3) rates add up to."""
-    steps = Rotation.from_rotvec(0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None])
-    quaternions = np.empty((len(seconds), 4))
-    quaternions[0] = [0.0, 0.0, 0.0, 1.0]
-    now = Rotation.identity()
-    for i, step in enumerate(steps, 1):
-        now = now * step
-        quaternions[i] = now.as_quat()
-    return Rotation.from_quat(quaternions)
+    turns = 0.5 * (rates[1:] + rates[:-1]) * np.diff(seconds)[:, None]
+    path = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), turns]))
+    reach = 1
+    while reach < len(seconds):  # products of 2, 4, 8, ... steps (Hillis and Steele 1986)
+        path = Rotation.concatenate([path[:reach], path[:-reach] * path[reach:]])
+        reach *= 2
+    return path
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +118,7 @@ class FlowFit:
     unexplained: float  # of the flow that is left by the calibration with these parameters
     depth_seconds: F64  # (K,)
     inverse_depth: F64  # (K,) 1/m along the optical axis, with mounting and focal length as calibrated
+    normals: F64  # (K, 3) of the ground in the camera; NaN: unknown
     origin_ns: int
 
     @property
@@ -194,13 +194,21 @@ class PredictedFlow:
         way = np.einsum("kij,ki->kj", world_from_cam, v) * (t1 - t0)[:, None]
         turn = (m.turning(t0).inv() * m.turning(t1)).as_matrix() - np.eye(3)
         way = way + (turn @ self._mounting.translation) @ body_from_cam
-        up = np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope)
-        normal = np.einsum("kij,i->kj", world_from_cam, up)  # (K, 3) of the ground in the camera
+        normal = np.einsum("kij,i->kj", world_from_cam, upward(slope))  # (K, 3) of the ground in the camera
         slant = normal[:, 2:]
         ratio = (normal @ x0.T) / np.where(np.abs(slant) < 1e-6, 1e-6, slant)
         weight = np.where(-slant > STEEP, np.clip(ratio, 0.0, 3.0), 1.0)
         flow = -weight[..., None] * (way[:, None, :2] - y * way[:, None, 2:])
         return np.asarray(flow[..., None])
+
+    def _normals(self, parameters: F64) -> F64:
+        """(K, 3) normals of the ground in the camera in the middle of each pair; NaN without attitude."""
+        m = self._motion
+        if m.attitude is None:
+            return np.full((self.pairs, 3), np.nan)
+        middle = m.inside(0.5 * (self._begin + self._end) - parameters[OFFSET])
+        world_from_cam = m.attitude(middle).as_matrix() @ self._mounting.rotation
+        return np.asarray(np.einsum("kij,i->kj", world_from_cam, upward(parameters[GROUND])))
 
     def cost(self, parameters: F64) -> float:
         """Median over the pairs of the unexplained flow, px."""
@@ -239,7 +247,8 @@ class PredictedFlow:
         flow = float(np.median(self.flow))
         return FlowFit(
             p, sigma, float(np.median(lengths)), flow, float(np.median(lengths)) / max(flow, 1e-6),
-            0.5 * (self._begin + self._end), depth, self._motion.origin_ns,
+            0.5 * (self._begin + self._end), depth,
+            self._normals(calibrated), self._motion.origin_ns,
         )  # fmt: skip
 
     def _normal(self, p: F64) -> tuple[F64, F64, F64, F64]:
@@ -254,6 +263,11 @@ class PredictedFlow:
         A = np.einsum("k,kri,krj->ij", w, J, J) + np.diag(1.0 / self._priors**2)
         scores = np.einsum("k,kri,kr->ki", w, J, r)
         return r, A, scores.sum(axis=0) + (p - self._centre) * [0.0, *(1.0 / self._priors[1:] ** 2)], scores
+
+
+def upward(slope: F64) -> F64:
+    """(3,) normal of ground with a slope (2,) to the east and to the north."""
+    return np.asarray(np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope))
 
 
 def _length(residuals: F64) -> F64:

@@ -15,7 +15,7 @@ from alight.arrays import F64
 from alight.checks.evidence import RigMatches
 from alight.checks.matches import LEAST, on_one_geometry
 from alight.checks.navigation import quarter_turns
-from alight.checks.predicted_flow import FlowFit
+from alight.checks.predicted_flow import STEEP, FlowFit
 from alight.checks.result import CheckResult, bad, good, unknown
 from alight.geometry import Camera, Pose, skew, so3_exp
 from alight.records import Rig, RigCamera
@@ -217,15 +217,21 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
     """The epipolar lines are right: are the depths? GPS/INS and the flow give depths of their own."""
     rho, disparity = case.pair.depths(case.as_is)
     seconds = (case.found.t_ns - flow.origin_ns) * 1e-9
-    times = np.unique(seconds)
-    stereo = np.array([np.median(rho[seconds == t]) for t in times])
-    arm = np.array([np.median(disparity[seconds == t] / rho[seconds == t]) for t in times])  # px m
+    times, at = np.unique(seconds, return_inverse=True)
+    normals = np.stack([np.interp(seconds, flow.depth_seconds, n) for n in flow.normals.T], axis=-1)
+    ratio = (normals[:, :2] * case.pair.first).sum(axis=1) / normals[:, 2] + 1.0  # of the depth on the optical axis
+    level = (ratio > 0.4) & (ratio < 2.5) & (normals[:, 2] < -STEEP)
+    if level.sum() < LEAST or len(np.unique(at[level])) < len(times):
+        return good(case.name, f"{evidence}, {100 * (rho > 0).mean():.0f} % of the depths are positive")
+    stereo = np.array([np.median((rho / ratio)[level & (at == k)]) for k in range(len(times))])
+    arm = np.array([np.median((disparity / rho)[level & (at == k)]) for k in range(len(times))])  # px m
     expected = np.interp(times, flow.depth_seconds, _smooth(flow.inverse_depth))
     error = (stereo - expected) * arm
     off, sigma = float(np.median(error)), _spread(error) / np.sqrt(max(len(error) - 1, 1))
     said = float(np.median(expected * arm))
     evidence += f", disparity {said + off:.2f} px where flow and GPS/INS give {said:.2f} px"
-    limit = max(OFF, SHARE * abs(said), 4.0 * sigma, 4.0 * abs(said) * flow.depth_error)
+    share = SHARE / float(np.median(-normals[:, 2])) ** 2  # relief shows more in an oblique view
+    limit = max(OFF, share * abs(said), 4.0 * sigma, 4.0 * abs(said) * flow.depth_error)
     if len(error) < 4 or abs(off) < limit:
         return good(case.name, evidence)
     base = float(np.linalg.norm(case.as_is.translation))
