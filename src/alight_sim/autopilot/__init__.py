@@ -3,9 +3,9 @@
 from alight_sim.autopilot.channel import LossyChannel
 from alight_sim.autopilot.dialects import SpokenArduPilot, SpokenPx4
 from alight_sim.autopilot.estimate import EstimateError
-from alight_sim.autopilot.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.autopilot.server import UdpServer
 from alight_sim.autopilot.simulated import SimulatedAutopilot, SimulatedHome
+from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 
 __all__ = [
     "EstimateError",

@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect, Doing
-from alight_sim.autopilot.point_mass import Wanted
+from alight_sim.point_mass import Wanted
 
 WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # MAV_CMD
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands

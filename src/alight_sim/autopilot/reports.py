@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect
 from alight_sim.autopilot.flight_logic import FlightLogic
-from alight_sim.autopilot.point_mass import PointMass
+from alight_sim.point_mass import PointMass
 
 if TYPE_CHECKING:
     from alight_sim.autopilot.simulated import SimulatedHome

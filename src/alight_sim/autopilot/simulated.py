@@ -14,8 +14,8 @@ from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
 from alight_sim.autopilot.estimate import EstimateError
 from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
 from alight_sim.autopilot.mission_store import MissionStore
-from alight_sim.autopilot.point_mass import PointMass, Wanted
 from alight_sim.autopilot.reports import Reports, SimulatedState
+from alight_sim.point_mass import PointMass, Wanted
 
 _START_UP = 3.0  # s from a start until it may be armed
 _ENDURANCE = 1200.0  # s of flight with a full battery

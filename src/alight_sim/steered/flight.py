@@ -15,10 +15,10 @@ from alight.arrays import F64, I64
 from alight.geometry import LocalFrame, Pose, so3_exp
 from alight.records import Event, InputError, Rig
 from alight.settings import ImuNoise
-from alight_sim.autopilot.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.course import LEAD, ground_at
 from alight_sim.faults import Faults
 from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, NAV_OFFSET_NS, START_NS, WIND
+from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.scene import Scene
 from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
 from alight_sim.steered.bodies import Body
@@ -29,6 +29,7 @@ from alight_sim.vehicle import UPWARDS
 from alight_sim.world import World, build
 
 NIMBLE = FlightLimits(lag=0.08)
+IMU_RATE_HZ = 100.0  # of a flight that is not given an IMU; the vehicle moves in such steps
 _TRIM = 1.5  # s in which the autopilot has learned a new wind
 _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
@@ -67,7 +68,7 @@ class SteeredFlight:
         wind: (3,) m/s, east, north, up: where the air goes.
         gusts: m/s^2, standard deviation of what they push.
         battery: what flying costs.
-        faults, nav, imu: instead of the scene's.
+        faults, nav, imu: instead of the scene's, whose IMU is read `IMU_RATE_HZ` times a second.
         standing: metres from the plane of the feet to the body's origin.
         steered_by: positions wanted are in the frame of the navigation solution, as for an autopilot, or true ones.
 
@@ -110,7 +111,8 @@ class SteeredFlight:
         self._cameras = SteeredCameras(
             self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
         )
-        self._nav_errors, self._imu_errors = nav or self.scene.sensors.nav, imu or self.scene.sensors.imu
+        self._nav_errors = nav or self.scene.sensors.nav
+        self._imu_errors = imu or self.scene.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
         self._nav = NavStream(self._nav_errors, self._seeds(NAV))
         self._imu, self._biases = (
             ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
