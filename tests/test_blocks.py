@@ -7,7 +7,7 @@ import pytest
 from descent_views import look
 
 from alight.geometry import Grid
-from alight.parallax.blocks import EFFORTS, SIDE, Blocks, Counts, Plan, Rectangle, SweepCost, covered, effort_of, grown
+from alight.parallax.blocks import EFFORTS, SIDE, Blocks, Counts, Plan, Rectangle, SweepCost, cover, effort_of, grown
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import View
 from alight.settings import load_settings
@@ -52,7 +52,7 @@ def test_steps_cost_alike_and_leave_out_no_cell_for_long() -> None:
     assert max(int(s.max()) for s in seen) == 1  # rectangles share no cell
     shares = np.array([s.mean() for s in seen])
     assert shares[10:].max() <= TUNING.share
-    assert shares.max() <= 2 * TUNING.share  # at the start
+    assert shares.max() <= 3 * TUNING.share  # at the start
     assert shares[10:].min() > 0.0
     for k in range(10, 40 - 12):
         assert np.sum(seen[k : k + 12], axis=0).min() >= 1
@@ -60,7 +60,7 @@ def test_steps_cost_alike_and_leave_out_no_cell_for_long() -> None:
 
 def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then() -> None:
     """With a budget for all: the wait grows with the number of refinements."""
-    blocks = Blocks(RecursiveTuning(share=1.0))
+    blocks = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000))
     visits = np.array([cells(taken(blocks, WINDOW))[0, 0] for _ in range(60)])
     assert visits[:4].sum() == 4
     assert 0.15 < visits[-30:].mean() < 0.5
@@ -69,7 +69,7 @@ def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then(
 
 
 def test_blocks_in_which_much_changed_are_new_again() -> None:
-    blocks, every = Blocks(RecursiveTuning(share=1.0)), []
+    blocks, every = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000)), []
     for _ in range(30):
         blocks.move_to(WINDOW)
         plan = blocks.plan(blocks.counted(kinds(WINDOW), EVERY), (0.0, 0.0), CHEAP, EFFORTS[0])
@@ -131,8 +131,9 @@ def test_a_sweep_that_costs_more_than_a_step_may_is_rough() -> None:
 def test_few_new_cells_wait_and_are_not_forgotten() -> None:
     blocks = Blocks(TUNING)
     swept = [bool(taken(blocks, WINDOW, 8 / WINDOW.cols).sweep) for _ in range(12)]  # an eighth of the last blocks
-    assert not any(swept[:8])
-    assert any(swept)
+    wait = 2 * TUNING.patience
+    assert not any(swept[:wait])
+    assert swept[wait]
 
 
 @pytest.mark.parametrize("level", [1, 2, 3])
@@ -157,7 +158,7 @@ def test_a_rectangle_grows_while_its_rim_is_urgent() -> None:
     assert grown(urgency, away, 20.0) == Rectangle(1, 1, 3, 4)
     assert grown(urgency, away, 4.0).blocks <= 4
     assert grown(urgency, away, 0.0) == Rectangle(2, 2, 3, 3)  # the most urgent in any case
-    boxes = covered(urgency, away, 1e6)
+    boxes = cover(urgency, away, 1e6)
     held = np.zeros(urgency.shape, int)
     for b in boxes:
         held[b.top : b.bottom, b.left : b.right] += 1

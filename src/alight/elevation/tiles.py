@@ -143,14 +143,13 @@ class TileLayer:
 
     def read(self, grid: Grid) -> Fields:
         """The cells of a grid, copied."""
-        out = nothing(grid.shape)
-        for key, at, here in self._overlaps(grid):
+        out = {k: np.empty(_shape(k, grid.shape), t) for k, (t, _) in FIELDS.items()}
+        for key, at, here in self._overlaps(grid):  # all cells, each once
             tile = self._near.get(key)
             if tile is None and key in self._left:
                 tile = unpack_tile(self._far[self.level, *key], self.side)
-            if tile is not None:
-                for k in FIELDS:
-                    out[k][here] = tile[k][at]
+            for k, (_, none) in FIELDS.items():
+                out[k][here] = none if tile is None else tile[k][at]
         return out
 
     def add_plane(self, plane: NDArray[np.float64], about: NDArray[np.float64]) -> None:

@@ -19,14 +19,15 @@ from alight.settings.tuning.parallax import RecursiveTuning
 SIDE = 64  # cells of a block
 LEAST = 8  # samples of known cells from which a block is refined: one in 32
 ENOUGH = 16  # samples of new cells from which a block is swept: one in 16
-PART = 0.25  # of the cells of a block that are seen, the least that is swept at once: less is what a sweep left
+PART = 0.4  # of the cells of a block that are seen, the least that is swept at once: less is what a sweep left
 NEVER = -(1 << 30)
 DEAR = 8192  # cells whose refinement costs as much as one rectangle more
 MOST_URGENT = 4.0
 WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
 TAKEN = -8.0
 ROUGH = 8  # times less work at half the resolution
-MOST_NEW = 0.5  # of the blocks that are seen, from which a step may do twice as much: the map begins
+MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
+AT_START, SWEPT_AT_START = 3, 2  # times as much a step may refine and sweep then
 
 Box = tuple[slice, slice]  # rows and columns of the window
 
@@ -138,15 +139,15 @@ class Blocks:
         away, costs = np.hypot(dr, dc), (SIDE + sweep.reach * dr) * (SIDE + sweep.reach * dc) * sweep.layers
         seen = counts.fresh + counts.known >= LEAST
         self._begins = not seen.any() or float((self._count < self._tuning.pace)[seen].mean()) > MOST_NEW
-        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells) * (2 if self._begins else 1)
-        most = min(effort.share * self._tuning.share, 1.0) * cells
+        cells = max(self._shape[0] * self._shape[1], self._tuning.least_cells)
+        most = effort.share * min(self._tuning.share * (AT_START if self._begins else 1), 1.0) * cells
         dear = costs > self._tuning.most_sweep
         swept = self._to_sweep(counts, np.where(dear, costs / ROUGH, costs), most, effort)
         refined = self._to_refine(counts, away, swept, most)
         new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
         self._count[swept] = np.rint(self._count * (1 - new))[swept]
         self._since[swept] = NEVER
-        fine, rough = (covered(np.where(swept & some, 1.0, TAKEN), away, np.inf) for some in (~dear, dear))
+        fine, rough = (cover(np.where(swept & some, 1.0, TAKEN), away, np.inf) for some in (~dear, dear))
         return Plan(*([self._box(b) for b in boxes] for boxes in (fine, rough, refined)))
 
     @property
@@ -164,7 +165,7 @@ class Blocks:
         )
         ready = some & (ready | (waited >= 2 * self._tuning.patience))
         self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
-        most_samples = self._tuning.most_sweep * (2 if self._begins else 1)
+        most_samples = self._tuning.most_sweep * (SWEPT_AT_START if self._begins else 1)
         budget = effort.share * min(max(self._rate, self._tuning.least_sweep), most_samples)
         order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
@@ -174,7 +175,7 @@ class Blocks:
         wait = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait)
         urgency = np.where(counts.known >= LEAST, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
         urgency[swept] = MOST_URGENT + 1
-        return covered(urgency, away, most)
+        return cover(urgency, away, most)
 
     def _box(self, of: Rectangle) -> Box:
         """The cells of the window in a rectangle of blocks."""
@@ -234,7 +235,7 @@ def _within(order: I64, wanted: Mask, costs: F64, budget: float) -> Mask:
     return out.reshape(wanted.shape)
 
 
-def covered(urgency: F64, away: F64, most: float) -> list[Rectangle]:
+def cover(urgency: F64, away: F64, most: float) -> list[Rectangle]:
     """Rectangles about the blocks of an urgency of 1 and more, the most urgent first, of at most so many cells.
 
     Those above `MOST_URGENT` are covered in any case.

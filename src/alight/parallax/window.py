@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8, Mask
-from alight.geometry import Grid, box_of
+from alight.geometry import Camera, Grid, box_of
 from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
@@ -29,6 +29,7 @@ FIELDS = (*FUSED, "rgb")
 BESIDE = 0.02  # of the height: the same hides the ground from cameras of one exposure that are nearer to each other
 APART = 0.06  # of the height: such cameras see so much of the same that a sweep needs one of them
 ALIKE = 0.1  # rad between the axes of such cameras
+SAME_FOCAL = 0.05  # between their focal lengths, as a share
 
 
 T = TypeVar("T", bound=np.generic)
@@ -99,6 +100,11 @@ def within(inner: Box, outer: Box) -> Box:
     return r, c
 
 
+def _same_field(a: Camera, b: Camera) -> bool:
+    """Whether two cameras see as much: of one model, calibrated one by one."""
+    return (a.width, a.height) == (b.width, b.height) and abs(a.fu / b.fu - 1) < SAME_FOCAL
+
+
 def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
     """For each view (N,) the first one of its exposure that looks the same way from a place `within` so many metres."""
     out = list[int]()
@@ -106,7 +112,7 @@ def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
         axis = view.world_from_cam.rotation[:, 2]
         same = (
             j for j in range(i)
-            if out[j] == j and kept[j].view.t_ns == view.t_ns and kept[j].fine.camera == fine.camera
+            if out[j] == j and kept[j].view.t_ns == view.t_ns and _same_field(kept[j].fine.camera, fine.camera)
             and np.linalg.norm(kept[j].view.centre - view.centre) < within
             and float(axis @ kept[j].view.world_from_cam.rotation[:, 2]) > np.cos(ALIKE)
         )  # fmt: skip
@@ -166,7 +172,7 @@ class Refiner:
         pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
         found = replace(found, flags=found.flags | moves)
-        return core(fused(found, known, self.settings.recursive.worse), within(box, where))
+        return without_halo(fused(found, known, self.settings.recursive.worse), within(box, where))
 
     def _coloured(self, window: Window, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
@@ -189,7 +195,7 @@ class Refiner:
         return out
 
 
-def core(found: Heights, where: Box) -> Heights:
+def without_halo(found: Heights, where: Box) -> Heights:
     """The heights without their halo."""
     fields: dict[str, Any] = {k: np.ascontiguousarray(getattr(found, k)[where]) for k in FIELDS}
     return Heights(cells_of(found.grid, where), **fields)

@@ -109,7 +109,7 @@ class RecursiveTuning(FrozenModel):
 
     first_baseline: Positive = Field(0.12, description="Baseline over height from which a new cell is swept")
     first_views: int = Field(3, ge=2, description="Least number of views of that sweep")
-    first_exposures: int = Field(4, ge=3, description="Exposures of the window that are swept: more blur steps")
+    first_exposures: int = Field(4, ge=3, description="Exposures that a sweep uses")
     span: Positive = Field(0.8, description="Baseline over height from which a keyframe is dropped")
     steps: int = Field(1, ge=1, description="Gauss-Newton steps with each keyframe")
     unknown_ratio: Positive = Field(0.6, description="Ratio of best to second-best cost of a cell that was not swept")
@@ -119,17 +119,19 @@ class RecursiveTuning(FrozenModel):
     )
     shift_px: NonNegative = Field(0.1, description="Common shift of sweep and map that is ignored, parallax px")
     share: Fraction = Field(
-        0.3, description="Largest share of the window's cells that a step refines; twice as much at the start"
+        0.25, description="Largest share of the window's cells that a step refines; three times as much at the start"
     )
     least_cells: int = Field(100_000, ge=1, description="Cells of the smallest window of which these are shares")
     least_sweep: int = Field(1_000_000, ge=1, description="Samples of first sweeps that a step may take in any case")
-    most_sweep: int = Field(6_000_000, ge=1, description="Most samples of the first sweeps of a step")
+    most_sweep: int = Field(
+        6_000_000, ge=1, description="Most samples of the first sweeps of a step; twice as many at the start"
+    )
     backlog: Positive = Field(3.0, description="Keyframes over which sweeps are spread that are due together")
     patience: int = Field(2, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
     pace: Positive = Field(3.0, description="Refinements of a block for each keyframe that it then waits for the next")
     longest_wait: Positive = Field(8.0, description="Keyframes that it waits at most")
     unsettled: Fraction = Field(
-        0.1, description="Share of heights replaced or newly trusted or refused from which a block begins anew"
+        0.1, description="Share of heights replaced, newly trusted or refused from which a block is new again"
     )
     renew_below: NonNegative = Field(
         0.06, description="Horizontal over vertical distance within which the newest view renews the colour"
