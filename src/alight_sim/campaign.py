@@ -43,8 +43,8 @@ def campaign_worlds() -> dict[str, CampaignWorld]:
     forest = _scene(
         "closed_forest", "Forest without a clearing.", look="leaf_litter", relief=rough,
         layers=[
-            {"thing": "trees", "per_hectare": 1600, "radius": [1.8, 3.2], "apart": False},
-            {"thing": "shrubs", "per_hectare": 3000, "radius": [0.4, 1.2], "apart": False},
+            {"thing": "trees", "per_hectare": 1700, "radius": [1.9, 3.2], "apart": False},
+            {"thing": "shrubs", "per_hectare": 2000, "radius": [0.4, 1.2], "apart": False},
         ],
     )  # fmt: skip
     lake = _scene(
@@ -52,7 +52,7 @@ def campaign_worlds() -> dict[str, CampaignWorld]:
         layers=[{"thing": "water", "level": 4.0}],
     )  # fmt: skip
     places = (
-        "meadow", "farmland", "village", "quarry", "desert", "snow", "car_park", "gravel", "pasture", "depot", "forest",
+        "meadow", "farmland", "village", "quarry", "desert", "snow", "car_park", "gravel", "concrete", "depot", "forest",
     )  # fmt: skip
     kinds = [CampaignWorld(name, name) for name in places]
     kinds += [CampaignWorld(s.name, s, safe=False) for s in (rubble, forest, lake)]
