@@ -52,7 +52,8 @@ def campaign_worlds() -> dict[str, CampaignWorld]:
         layers=[{"thing": "water", "level": 4.0}],
     )  # fmt: skip
     places = (
-        "meadow", "farmland", "village", "quarry", "desert", "snow", "car_park", "gravel", "concrete", "depot", "forest",
+        "meadow", "farmland", "village", "quarry", "desert", "snow", "car_park", "gravel", "concrete", "depot",
+        "forest",
     )  # fmt: skip
     kinds = [CampaignWorld(name, name) for name in places]
     kinds += [CampaignWorld(s.name, s, safe=False) for s in (rubble, forest, lake)]
