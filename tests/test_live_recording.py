@@ -16,10 +16,12 @@ import numpy as np
 import pytest
 
 import alight_sim
+from alight import compiled
 from alight.geometry import Camera
 from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, ImuSample, InputError, Motion, NavSample, OutputError, Rig, RigCamera
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
+from alight.runner.demo import compile_kernels
 from alight.runner.live import Capacity, Listener, Live
 from alight.runner.live.stream_clock import Clocks, StreamClock
 from alight.settings import load_settings
@@ -46,7 +48,9 @@ def head() -> FlightHead:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The flight as a log."""
+    """The flight as a log; a live run begins with its loops compiled."""
+    if not compiled.is_warm():
+        compile_kernels(lambda stage, share: None)
     folder = tmp_path_factory.mktemp("log") / "flight"
     alight_sim.write(flight()[0], folder)
     return folder

@@ -10,6 +10,7 @@ import importlib
 import os
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -103,6 +104,17 @@ def load_cached(parallel: bool) -> int:
                 loop.compile(key[0])
                 loaded += 1
     return loaded
+
+
+def is_warm() -> bool:
+    """Whether every loop of a run was compiled on this machine, of these sources."""
+    return (Path(os.environ["NUMBA_CACHE_DIR"]) / "warm").exists()
+
+
+def mark_warm() -> None:
+    """Note that it was."""
+    with suppress(OSError):
+        (Path(os.environ["NUMBA_CACHE_DIR"]) / "warm").touch()
 
 
 class CompilationListener(event.Listener):  # type: ignore[misc]

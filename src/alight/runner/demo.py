@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import alight_sim as simulate
+from alight import compiled
 from alight.outputs import prepare_folder
 from alight.records import RunResult
 from alight.runner import replay
@@ -45,5 +46,6 @@ def compile_kernels(tell: Tell) -> None:
         for method in ("batch", "ring"):
             settings = Settings.model_validate({"parallax": {"method": method}})
             replay.replay(open_source(folder / "flight", settings), settings, None, tell)
+        compiled.mark_warm()
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -17,8 +17,7 @@ from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
 from alight.settings import Settings
-from alight_sim.autopilot import Wanted
-from alight_sim.steered import SteeredFlight
+from alight_sim.steered import SteeredFlight, Wanted
 
 TICK = 0.1  # s between two orders
 JUDGE_EVERY = {  # s between two judgements

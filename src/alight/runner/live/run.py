@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from alight import compiled
 from alight.outputs import prepare_folder
 from alight.outputs.recorder import Recorder
 from alight.pipeline import Verdict
 from alight.records import AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
+from alight.runner.demo import compile_kernels
 from alight.runner.live.health import FlightHealth
 from alight.runner.live.live import NAVIGATION, Listener, Live
 from alight.runner.live.stream_clock import Clocks
@@ -55,6 +57,9 @@ def fly_live(
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
     prepare_folder(out, overwrite)
+    if not compiled.is_warm():  # a lane that compiles does not answer
+        log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
+        compile_kernels(lambda stage, share: None)
     head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
     recorder = Recorder(out / RECORDING, head) if record else None
     told = _Told(listener, recorder)
