@@ -76,6 +76,7 @@ class Framing:
         self.counts = FrameCounts()
         self._mavlink = dialect().MAVLink(None, srcSystem=system, srcComponent=component)
         self._buffer = bytearray()
+        self._unknown_left = 0  # bytes of a message that we do not know, and that may be none
         self._orders: dict[tuple[int, int], _Order] = {}
 
     def speak_as(self, system: int, component: int) -> None:
@@ -114,8 +115,7 @@ class Framing:
     def _skip_to_marker(self) -> None:
         found = (i for i in (self._buffer.find(_V1), self._buffer.find(_V2)) if i >= 0)
         start = min(found, default=len(self._buffer))
-        self.counts.damaged += start
-        del self._buffer[:start]
+        self._drop(start)
 
     def _frame_length(self) -> int | None:
         """Length of the frame that the buffer seems to start with; None: not enough of it yet."""
@@ -139,13 +139,17 @@ class Framing:
             return None
         if message.get_type().startswith("UNKNOWN_"):  # its checksum cannot be tested
             following = self._buffer[length : length + 1]
-            genuine = not following or following[0] in (_V1, _V2)
-            self.counts.unknown += genuine
-            self._drop(length if genuine else 1, damaged=not genuine)
+            if not following or following[0] in (_V1, _V2):  # it may still be chance, and hold good ones
+                self.counts.unknown += not self._unknown_left
+                self._unknown_left = max(self._unknown_left, length)
+            self._drop(1)
             return None
         del self._buffer[:length]
+        self._unknown_left = max(self._unknown_left - length, 0)
         return message
 
-    def _drop(self, count: int, damaged: bool = True) -> None:
-        self.counts.damaged += count if damaged else 0
+    def _drop(self, count: int) -> None:
+        unknown = min(self._unknown_left, count)
+        self._unknown_left -= unknown
+        self.counts.damaged += count - unknown
         del self._buffer[:count]

@@ -175,7 +175,7 @@ class Executive:
         assert now.seen is not None or said is None
         if said is None or self._leg_done is None or (now.seen is not None and now.seen.t < self._leg_done):
             waited = now.t - (self._leg_done or self._since)
-            return (E.WAITED, "no verdict on it comes") if waited > self._keys.wait else (None, "")
+            return (E.WAITED, "verdicts on it do not come") if waited > self._keys.wait else (None, "")
         self._note_look(now, said)
         lowest = self._height <= self._keys.commit_height * 1.05
         if said.standing is Standing.SITE and lowest:
