@@ -25,7 +25,7 @@ RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
 PATTERN = 0.6  # px likewise, where a turn of the second camera explains most of it
 DISPARITY = 2.5  # px, below which the sign of the depth says nothing
 PRIOR = 1.5  # px for each rad: holds what the residuals do not see
-OFF, SHARE = 1.0, 0.15  # px and share by which the disparity may differ from that of the flow: ground is not level
+OFF, SHARE = 1.0, 0.25  # px and share by which the disparity may differ from that of the flow: ground has relief
 
 EXCHANGE = "exchange the folders cam0 and cam1 (or the cables); the calibrations stay"
 
