@@ -27,7 +27,8 @@ WORTH = 0.6  # mean urgency from which a row or column of blocks is taken along
 TAKEN = -8.0
 ROUGH = 8  # times less work at half the resolution
 MOST_NEW = 0.5  # of the blocks that are seen, from which the map begins
-AT_START, SWEPT_AT_START = 3, 2  # times as much a step may refine and sweep then
+AT_START = 3  # times as much a step may refine then
+SWEPT_AT_START = 2  # and sweep
 
 Box = tuple[slice, slice]  # rows and columns of the window
 
