@@ -14,7 +14,7 @@ demo: $(MADE)  ## a small simulated flight, a landing site found in it, and the 
 	$(BIN)/alight demo --out out/demo
 
 test: $(MADE)  ## all tests, the import contracts among them
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(MADE)  ## format, lint, types, imports; seconds
 	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports
