@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -425,3 +427,11 @@ def test_ground_projection_is_the_projection_of_a_ground_point(world_from_cam: P
     X = 30 * np.array(xs)
     p = np.column_stack([X[:, :2], np.ones(4)]) @ H.T + X[:, 2:] * b
     assert_allclose(p, world_from_cam.inverse.apply(X), atol=1e-10)
+
+
+def test_a_pose_is_read_only_after_pickling_too() -> None:
+    """In another process as in this one: compiled loops are compiled for the kind of array."""
+    pose = pickle.loads(pickle.dumps(Pose(np.eye(3), np.array([1.0, 2.0, 3.0])), protocol=5))
+    assert not pose.rotation.flags.writeable
+    assert not pose.translation.flags.writeable
+    assert pose.translation.tolist() == [1.0, 2.0, 3.0]

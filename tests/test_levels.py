@@ -317,7 +317,10 @@ def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:
 
 
 def test_lost_late_and_repeated_keyframes() -> None:
-    """Every third is lost, two come in the wrong order, one comes twice: the heights hardly notice."""
+    """Every third is lost, two come in the wrong order, one comes twice: the heights hardly notice.
+
+    First looks at new cells are spread over keyframes: with a third of these lost, some cells at the rim still wait.
+    """
     whole = worth(steps(lane_of(level()[:8]), level()), level()[-1])
     some = [v for k, v in enumerate(level()) if k % 3 != 1]
     some[3], some[4] = some[4], some[3]
@@ -327,7 +330,7 @@ def test_lost_late_and_repeated_keyframes() -> None:
     times = [exposure[0][0].t_ns for exposure in lane._ring._kept]
     assert times == sorted(set(times))
     found = worth(lane, level()[-1])
-    assert found[0] > whole[0] - 0.05
+    assert found[0] > whole[0] - 0.07
     assert found[1] < 1.5 * whole[1]
     assert found[2] > 0.93
 

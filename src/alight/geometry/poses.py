@@ -30,6 +30,12 @@ class Pose:
         object.__setattr__(self, "rotation", _readonly(self.rotation, (3, 3)))
         object.__setattr__(self, "translation", _readonly(self.translation, (3,)))
 
+    def __setstate__(self, state: dict[str, F64]) -> None:
+        """Read-only again after pickling: compiled loops take arrays that may be written for another type."""
+        for name, value in state.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, tolerance: float = 1e-3) -> Pose:
         """Make a pose of a (4, 4) homogeneous matrix, its rotation made orthonormal.
