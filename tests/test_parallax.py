@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from ground_views import DOWN, UP, Scene, Texture, box, plane
 from numpy.testing import assert_allclose, assert_array_equal
+from parts import with_parts
 
-from alight.elevation import FIELDS, TiledElevation
+from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.parallax.plane_sweep import parallax_per_metre
@@ -228,16 +229,6 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
 def nothing_known(grid: Grid) -> ElevationMap:
     """A map that never saw anything."""
     return TiledElevation(grid.cell, 64).read(grid)
-
-
-def with_parts(known: ElevationMap, parts: list[Heights]) -> ElevationMap:
-    """The map with the rectangles that a step refined."""
-    fields = {k: getattr(known, k).copy() for k in FIELDS}
-    for part in parts:
-        row, col = (round(float(v)) for v in known.grid.index(np.array(part.grid.east), np.array(part.grid.north)))
-        for k, values in fields.items():
-            values[row : row + part.grid.rows, col : col + part.grid.cols] = getattr(part, k)
-    return replace(known, **fields)
 
 
 def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:

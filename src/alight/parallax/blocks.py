@@ -38,10 +38,10 @@ class Effort:
     """What a step may cost: a row of `EFFORTS`."""
 
     share: float  # of the cells and of the sweeping that a full step may do
-    twins: bool  # cameras that see what another of their exposure sees from beside it take part
+    rigs: int  # of every so manieth exposure, from the newest on, all cameras take part; of the others one of each rig
 
 
-EFFORTS = (Effort(1.0, True), Effort(0.8, False), Effort(0.5, False), Effort(0.25, False))  # full, ..., least
+EFFORTS = (Effort(1.0, 1), Effort(0.6, 3), Effort(0.4, 3), Effort(0.25, 3))  # full, ..., least
 
 
 def effort_of(level: int) -> Effort:

@@ -112,9 +112,7 @@ class RecursiveParallax:
         if self.plane.any():
             known = replace(known, height=known.height + self.plane_on(grid))
         drop = float(self._kept[-1][0].view.centre[2]) - self._ground
-        views = [k for exposure in self._kept for k in exposure]
-        if not chosen.twins:
-            views = [k for k, i in zip(views, first_of_twins(views, APART * drop), strict=True) if k is views[i]]
+        views = self._taking_part(drop, chosen)
         window = Window.of(views, grid, known, (low, high), drop)
         plan = self._plan(window, ratio, drop, chosen)
         start, wrong = self._swept(window, ratio, plan, drop)
@@ -130,6 +128,16 @@ class RecursiveParallax:
             if found is not None:
                 out.append(replace(found, gauge=gauge))
         return out
+
+    def _taking_part(self, drop: float, effort: Effort) -> list[Kept]:
+        """All views, or with less effort one camera of each rig and the whole rig in some exposures.
+
+        These show what moves (eq. 15a).
+        """
+        views = [k for exposure in self._kept for k in exposure]
+        rigs = {exposure[0].view.t_ns for exposure in self._kept[:: -effort.rigs]}
+        first = first_of_twins(views, APART * drop)
+        return [k for i, k in enumerate(views) if first[i] == i or k.view.t_ns in rigs]
 
     def _carried(self, grid: Grid) -> F32:
         out = np.full(grid.shape, self._unknown, np.float32)
