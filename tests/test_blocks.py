@@ -131,7 +131,7 @@ def test_a_sweep_that_costs_more_than_a_step_may_is_rough() -> None:
 def test_few_new_cells_wait_and_are_not_forgotten() -> None:
     blocks = Blocks(TUNING)
     swept = [bool(taken(blocks, WINDOW, 8 / WINDOW.cols).sweep) for _ in range(12)]  # an eighth of the last blocks
-    wait = 2 * TUNING.patience
+    wait = TUNING.patience
     assert not any(swept[:wait])
     assert swept[wait]
 

@@ -160,11 +160,8 @@ class Blocks:
         """Blocks whose sweep is due, the longest known first; a third of what is due where that is much."""
         some = counts.fresh >= ENOUGH
         self._since = np.where(some, np.where(self._since == NEVER, self._step, self._since), NEVER)
-        waited = self._step - self._since
-        ready = (counts.fresh >= PART * (counts.fresh + counts.waiting + counts.known)) & (
-            (counts.fresh >= counts.waiting) | (waited >= self._tuning.patience)
-        )
-        ready = some & (ready | (waited >= 2 * self._tuning.patience))
+        many = counts.fresh >= np.maximum(counts.waiting, PART * (counts.fresh + counts.waiting + counts.known))
+        ready = some & (many | (self._step - self._since >= self._tuning.patience))
         self._rate = max(self._rate, float(costs[ready].sum()) / self._tuning.backlog) if ready.any() else 0.0
         most_samples = self._tuning.most_sweep * (SWEPT_AT_START if self._begins else 1)
         budget = effort.share * min(max(self._rate, self._tuning.least_sweep), most_samples)
