@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
 from alight.parallax import gauss_newton_kernels as parallax
+from alight.parallax import orthophoto_kernels as ortho
 from alight.parallax import projection_kernels as projection
 from alight.parallax import sweep_kernels as sweep
 from alight.parallax import view_kernels as sight
@@ -491,3 +492,40 @@ def test_every_kernel_is_tested_here() -> None:
     public = {n for n, k in made.items() if hasattr(k, "py_func") and not n.startswith("_")}
     helpers = {"fill_row", "invert_row", "median_row", "sort_rows"}  # tested by themselves
     assert public - {"prange"} - helpers == set(CALLS)
+
+
+@kinds
+@pytest.mark.parametrize("wanted", [1, 3])
+def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> None:
+    """Against plain NumPy: the nearest views first, each at the exposure of those before it, coarse ones not at all."""
+    rng = np.random.default_rng(KINDS.index(kind))
+    shape, coarser = (ROWS, COLS), np.float32(1.5)
+    total, number, finest = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, "f4")
+    wants = np.ones(shape, bool)
+    sums, count, best = total.astype(float), number.astype(float), finest.copy()
+    for scale in (1.0, 1.2, 2.0, 1.1):
+        seen = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
+        mapx = np.where(rng.random(shape) < (0.0 if kind == "nothing" else 0.7), 5, -1e4).astype(np.float32)
+        pixel = np.float32(0.05 * scale) + np.zeros(shape, np.float32)
+        use = mapx.copy()
+        found = ortho.sees(use, pixel, wants, finest, coarser)
+        expected = (mapx >= 0) & (count < wanted) & (pixel <= coarser * best)
+        assert found == expected.sum()
+        assert_array_equal(use >= 0, expected)
+        both, gain = ortho.exposure_gains(seen, use, total, number)
+        shared = expected & (count > 0)
+        assert both == shared.sum()
+        if both:
+            before = (sums[shared] / count[shared][:, None]).mean(axis=0)
+            assert_allclose(gain, before / np.maximum(seen[shared].mean(axis=0), 1.0), rtol=1e-5)
+        else:
+            assert_array_equal(gain, np.ones(3))
+        ortho.add_view(seen, use, pixel, gain, wanted, total, number, finest, wants)
+        sums[expected] += seen[expected] * gain
+        count += expected
+        best[expected] = np.minimum(best, pixel)[expected]
+    assert_allclose(total, sums, rtol=1e-5)
+    assert_array_equal(number, count)
+    assert_array_equal(finest, best)
+    assert_array_equal(wants, count < wanted)
+    assert (number.max() == min(wanted, 3)) == (kind != "nothing")  # the coarse view never counts

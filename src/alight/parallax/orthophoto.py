@@ -12,8 +12,9 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
-from alight.arrays import F32, U8
+from alight.arrays import F32, U8, Mask
 from alight.geometry import Grid, ground_projection
+from alight.parallax.orthophoto_kernels import add_view, exposure_gains, sees
 from alight.parallax.views import ground_sampling, pixels_on_ground, project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
@@ -31,21 +32,17 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
             yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
 
 
-def _seen_by(view: View, grid: Grid, height: F32) -> F32:
-    """Picture of one view at the grid's pixels, (R, C, 3); NaN outside of it."""
-    camera, (mapx, mapy) = view.camera, (np.empty_like(height), np.empty_like(height))
-    H, b = ground_projection(camera, view.world_from_cam)
-    project_cells(camera, radius2_limit(camera), H, b, *grid.xy(), height, (mapx, mapy))
-    seen: F32 = np.asarray(cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR), np.float32)
-    seen[mapx < 0] = np.nan
-    return seen
+def _window(wanted: Mask) -> tuple[slice, slice]:
+    """The smallest window that holds all that is wanted."""
+    rows, cols = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
+    return slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
 
 
 def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32, F32]:
     """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first.
 
     Beside it their number, and the pixel on the ground of the first, metres. A view with much coarser pixels than the
-    first does not count.
+    first does not count. Only the window of pixels that want another view is looked at.
     """
     xs, ys = grid.xy()
     level = float(np.median(height))
@@ -53,21 +50,23 @@ def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     total, number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
     finest = np.full(grid.shape, np.inf, np.float32)
+    wants = np.ones(grid.shape, bool)
     for i in np.argsort(away, kind="stable"):
-        if (number >= count).all():
-            break
-        seen = _seen_by(views[i], grid, height)
-        pixel = pixels_on_ground(views[i].centre, views[i].camera.fu, grid, np.float32(level))
-        use = np.isfinite(seen[..., 0]) & (number < count) & (pixel <= np.float32(COARSER) * finest)
-        if not use.any():
+        view, at = views[i], _window(wants)
+        camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
+        mapx, mapy = np.empty((2, *part.shape), np.float32)
+        H, b = ground_projection(camera, view.world_from_cam)
+        project_cells(camera, radius2_limit(camera), H, b, *part.xy(), np.ascontiguousarray(height[at]), (mapx, mapy))
+        pixel = pixels_on_ground(view.centre, camera.fu, part, np.float32(level))
+        use = mapx.copy()
+        if not sees(use, pixel, wants[at], finest[at], np.float32(COARSER)):
             continue
-        both = use & (number > 0)
-        if both.mean() > SAME:
-            before = (total[both] / number[both][:, None]).mean(axis=0)
-            seen *= before / np.maximum(seen[both].mean(axis=0), 1.0)
-        total[use] += seen[use]
-        number += use
-        finest = np.where(use, np.minimum(finest, pixel), finest)
+        seen = cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR)
+        both, gain = exposure_gains(seen, use, total[at], number[at])
+        known = gain if both > SAME * wants.size else np.ones(3)
+        add_view(seen, use, pixel, known, count, total[at], number[at], finest[at], wants[at])
+        if not wants.any():
+            break
     return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
 
 

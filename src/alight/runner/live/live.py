@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 
 NAVIGATION, MAPPING, JUDGING = LANES = ("navigation", "mapping", "judging")
 PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answer, after which a process is lost
-NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 10}  # navigation never waits for mapping, nor mapping for judging
+NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 6}  # navigation never waits for mapping, nor mapping for judging
 AT_END = 120.0  # s that the last judgement may take, of all that was seen
 SPARE = 2  # processors that mapping leaves to the other lanes
 
