@@ -236,7 +236,7 @@ def part_sample(_: argparse.Namespace) -> None:
         files = ("dem.tif", "safe.tif", "terrain.tif", "sites.geojson")
         differ = sum((live / f).read_bytes() != (again / f).read_bytes() for f in files)
         found = {p: alight.evaluate(p, log) for p in (live, batch)}
-        noise = {p: f.numbers["ground NMAD, % of height, registered"] for p, f in found.items()}
+        noise = {p: f.values["ground NMAD, % of height, registered"] for p, f in found.items()}
         counts = json.loads((live / "run.json").read_text())["counts"]
     say(Row("sample live: files that differ in its replay", differ, 0),
         Row("sample live: exposures that navigation used, of 120", counts["frames used"], 120, None, "", True),
