@@ -129,7 +129,7 @@ class _Loop:
         return Situation(
             self.t, None if lost else m.world_from_body.translation, m.state, m.frame_id, self._seen,
             (self._vehicle.time_ns - self._newest_ns) * 1e-9, standing=self._vehicle.landed,
-            battery=self._vehicle.battery,
+            battery=self._vehicle.battery, wind=self._vehicle.wind_speed,
         )  # fmt: skip
 
     def _judge(self) -> None:

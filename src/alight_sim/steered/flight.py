@@ -209,6 +209,11 @@ class SteeredFlight:
         return float(up - self._floor(float(east), float(north)))
 
     @property
+    def wind_speed(self) -> float:
+        """m/s over the ground, as far as the autopilot has learned it."""
+        return math.hypot(self._trimmed[0], self._trimmed[1])
+
+    @property
     def landed(self) -> bool:
         """Whether it stands on something."""
         return self._vehicle.stands

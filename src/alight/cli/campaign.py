@@ -1,0 +1,102 @@
+"""Command that flies many landings in closed loop: campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from alight.cli.app import (
+    OutOption,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    complain,
+    read_settings,
+    say,
+)
+from alight.records import InputError
+
+if TYPE_CHECKING:
+    from alight.runner.campaign import Campaign, Ended
+
+DIFFERS = 3  # exit code: a landing that was flown again came out differently
+
+
+@app.command()
+def campaign(
+    out: OutOption,
+    scenes: Annotated[
+        list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
+    ] = None,
+    landings: Annotated[int | None, typer.Option(min=1, help="How many landings; 20.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that chance decides.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Processes that fly landings on this machine.")] = 1,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster instead: tcp://host:8786.")
+    ] = None,
+    only: Annotated[int | None, typer.Option(metavar="K", min=0, help="Fly landing K again and write nothing.")] = None,
+    look_again: Annotated[
+        bool, typer.Option("--look-again/--no-look-again", help="Look again from lower heights before landing.")
+    ] = True,
+    compare: Annotated[
+        Path | None, typer.Option(metavar="OTHER", help="Another campaign, for a table of both.")
+    ] = None,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    verbose: VerboseOption = False,
+) -> None:
+    """Fly many simulated landings in closed loop and report how they ended; an interrupted campaign goes on."""
+    assign = [*(assign or []), *([] if look_again else ["executive.look_again=false"])]
+    chosen = read_settings(settings, assign)
+    from alight.runner import campaign as runner
+
+    if scenes:
+        planned = runner.Campaign.of(scenes, landings or 20, seed, chosen)
+    elif settings or assign or seed:
+        raise InputError("name SCENES beside --seed, --set, --settings or --no-look-again; without, OUT's own are used")
+    else:
+        planned = runner.continued(out, landings)
+    if only is not None:
+        _again(planned, out, only)
+        return
+    numbers = runner.fly_campaign(planned, out, jobs, scheduler, compare, _tell)
+    for line in runner.outcome_lines(numbers):
+        say(line)
+    if compare is not None:
+        for name, one, two in runner.comparison(numbers, runner.numbers_of(compare)):
+            say(f"{name:<34} {one:>10} {two:>10}")
+    say(f"report: {out / 'campaign.html'}")
+
+
+def _again(planned: Campaign, out: Path, only: int) -> None:
+    from alight.runner import campaign as runner
+
+    record, differing = runner.again(planned, out, only)
+    say(record.model_dump_json())
+    if differing:
+        complain(f"landing {only} is not as in {out}: {', '.join(differing)}", "bold red")
+        raise typer.Exit(DIFFERS)
+
+
+def _tell(ended: Ended) -> None:
+    """A line on stderr for each landing."""
+    r = ended.record
+    told = [
+        f"#{r.number} {r.conditions.scene}: {r.outcome}",
+        r.error or r.why if r.outcome != "landed safely" else "",
+        "" if r.p_at_commit is None else f"P(safe) {r.p_at_commit:.3f}",
+        *(f"with {f.what}" for f in r.conditions.faults if f.happened is not None),
+        f"{r.seconds:.0f} s",
+        f"{r.cpu_s:.0f} s of CPU",
+        f"{_clock(ended.left_s)} left" if ended.done < ended.of else "",
+    ]
+    style = "none" if r.outcome in ("landed safely", "rightly refused") else "yellow"
+    complain(", ".join([f"{ended.done}/{ended.of}", *filter(None, told)]), style)
+
+
+def _clock(seconds: float) -> str:
+    hours, minutes = divmod(round(seconds / 60), 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min"

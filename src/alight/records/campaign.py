@@ -1,0 +1,148 @@
+"""What one landing of a campaign leaves: a line of landings.jsonl. Metres, seconds, radians; places east, north, up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+Outcome = Literal[
+    "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
+]  # fmt: skip
+OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
+PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
+GROUND = ("slope", "roughness", "belly", "rotor", "ground")  # reasons that are the ground's; the rest is the flying's
+
+
+class _Line(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FaultRecord(_Line):
+    """A fault or an event that was planned."""
+
+    what: str
+    after: float  # s, of the flight, or since `state` was first entered
+    state: str | None = None
+    numbers: dict[str, float] = {}
+    happened: float | None = None  # s of the flight; None: the landing ended before
+
+
+class Conditions(_Line):
+    """What a landing is flown in: all that is drawn."""
+
+    landing: int  # its number in the campaign
+    seed: int  # of the campaign
+    scene: str
+    world_seed: int
+    flight_seed: int  # of noise, gusts and drift
+    heading: float  # rad, clockwise from north
+    wind: tuple[float, float]  # m/s east, north: where the air goes
+    gusts: float  # m/s^2, standard deviation
+    gps_sigma: tuple[float, float, float]  # of the drift: east, north, up
+    gps_tau: float  # s, its correlation time
+    faults: tuple[FaultRecord, ...] = ()
+
+    @property
+    def wind_speed(self) -> float:
+        """m/s."""
+        return math.hypot(*self.wind)
+
+
+class LookLine(_Line):
+    """One look at a place."""
+
+    t: float
+    place: tuple[float, float, float]
+    height: float  # above the place
+    verdict: str  # site, candidate, refused, not seen
+    p_safe: float
+    doubt: str = ""
+
+
+class TransitionLine(_Line):
+    """One change of the executive's state."""
+
+    t: float
+    before: str
+    event: str
+    after: str
+    reason: str
+    p_safe: float | None = None
+
+
+class TouchdownLine(_Line):
+    """How the vehicle met the true ground, by the oracle."""
+
+    t: float
+    east: float
+    north: float
+    safe: bool
+    reasons: tuple[str, ...]
+    tilt: float  # rad
+    roughness: float
+    sink: float  # m/s
+    drift: float  # m/s
+
+    @property
+    def bad_ground(self) -> bool:
+        """Whether the ground is a reason, and not the speed alone."""
+        return any(r in GROUND for r in self.reasons)
+
+
+class LandingRecord(_Line):
+    """How a landing went, and in what."""
+
+    conditions: Conditions
+    outcome: Outcome
+    why: str
+    state: str | None = None  # of the executive, at the end
+    p_found: float | None = None  # P(safe) of the last place when it was found
+    p_at_commit: float | None = None
+    looks: tuple[LookLine, ...] = ()
+    transitions: tuple[TransitionLine, ...] = ()
+    touchdown: TouchdownLine | None = None
+    safe_share: float | None = None  # of the searched area, by the oracle with the margin; only of a refusal
+    seconds: float = 0.0  # of the flight
+    found_after: float | None = None  # s to the first place
+    distance: float = 0.0  # metres flown
+    verdicts: int = 0
+    picture: str | None = None  # file beside landings.jsonl
+    error: str | None = None
+    cpu_s: float = 0.0  # CPU time: the one number that another run does not repeat
+
+    @property
+    def number(self) -> int:
+        """Of the landing."""
+        return self.conditions.landing
+
+    @property
+    def last_looks(self) -> tuple[LookLine, ...]:
+        """The looks since the last place was found."""
+        found = max((x.t for x in self.transitions if x.after == "approach"), default=0.0)
+        return tuple(x for x in self.looks if x.t >= found)
+
+    def repeatable(self) -> dict[str, Any]:
+        """All that the same landing gives again."""
+        return self.model_dump(mode="json", exclude={"cpu_s"})
+
+
+class CampaignHead(_Line):
+    """What makes a campaign: the same seed, scenes and settings give the same landings."""
+
+    alight: str
+    seed: int
+    scenes: tuple[str, ...]
+    landings: int  # that are to be flown; more of them make no other campaign
+    settings: dict[str, Any]
+
+    def differing(self, other: CampaignHead) -> str | None:
+        """In what this is another campaign, in words; None: it is the same."""
+        if self.seed != other.seed:
+            return f"seed {self.seed}"
+        if self.scenes != other.scenes:
+            return f"the scenes {' '.join(self.scenes)}"
+        if self.alight != other.alight:
+            return f"version {self.alight} of Alight"
+        return "other settings" if self.settings != other.settings else None

@@ -1,0 +1,146 @@
+"""What a campaign shows, as numbers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.special import betaincinv
+
+from alight.records.campaign import OUTCOMES, PLACES, LandingRecord, LookLine
+
+CONFIDENCE = 0.95
+P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
+WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
+NO_FAULT = "none"
+Counts = dict[str, dict[str, int]]  # row -> outcome -> landings
+
+
+@dataclass(frozen=True)
+class PBin:
+    """Touchdowns whose P(safe) at commit lies in a range."""
+
+    low: float
+    high: float
+    safe: int
+    unsafe: int  # on unsafe ground: P(safe) says nothing of speeds
+    mean_p: float
+
+
+@dataclass(frozen=True)
+class LookChange:
+    """Places by what the first look at them said and what the last one."""
+
+    first: str
+    last: str
+    places: int
+    first_p: float  # mean P(safe)
+    last_p: float
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and 95th percentile; None where there is nothing."""
+
+    median: float | None
+    p95: float | None
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Spread:
+        """Of numbers."""
+        v = np.array(list(values), np.float64)
+        return cls(float(np.median(v)), float(np.percentile(v, 95))) if v.size else cls(None, None)
+
+
+@dataclass(frozen=True)
+class CampaignNumbers:
+    """All numbers of a campaign."""
+
+    landings: int
+    outcomes: dict[str, int]
+    right: float | None  # share that landed safely or was rightly refused
+    touchdowns: int
+    unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast
+    bound: float  # no more than this share of landings ends unsafely, with 95 %
+    ground_bound: float  # the same for unsafe ground
+    by_scene: Counts
+    by_fault: Counts
+    by_wind: Counts
+    p_at_commit: tuple[PBin, ...]
+    looks: tuple[LookChange, ...]
+    looks_each: float | None  # looks a landing, mean
+    seconds: Spread  # of landings that touched down
+    distance: Spread  # metres, of the same
+    cpu_s: Spread  # of all that did not fail
+
+    def as_json(self) -> dict[str, Any]:
+        """For campaign.json."""
+        return asdict(self)
+
+
+def unsafe_bound(unsafe: int, landings: int) -> float:
+    """Upper end of the one-sided 95 % interval of a share (Clopper and Pearson 1934); about 3/N where none is."""
+    if unsafe >= landings:
+        return 1.0
+    return float(betaincinv(unsafe + 1, landings - unsafe, CONFIDENCE))
+
+
+def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
+    """Count and measure the landings of a campaign."""
+    outcomes: dict[str, int] = {name: sum(r.outcome == name for r in records) for name in OUTCOMES}
+    down = [r for r in records if r.touchdown is not None]
+    ground = sum(r.outcome == "landed unsafely" and r.touchdown.bad_ground for r in down if r.touchdown)
+    n = len(records)
+    return CampaignNumbers(
+        landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
+        touchdowns=len(down), unsafe_ground=ground, bound=unsafe_bound(outcomes["landed unsafely"], n),
+        ground_bound=unsafe_bound(ground, n), by_scene=_counts(records, lambda r: r.conditions.scene),
+        by_fault=_counts(records, lambda r: next((f.what for f in r.conditions.faults), NO_FAULT)),
+        by_wind=_counts(records, _wind_range), p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
+        looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
+        seconds=Spread.of(r.seconds for r in down), distance=Spread.of(r.distance for r in down),
+        cpu_s=Spread.of(r.cpu_s for r in records if r.outcome != "failed"),
+    )  # fmt: skip
+
+
+def _counts(records: Sequence[LandingRecord], key: Callable[[LandingRecord], str]) -> Counts:
+    found: dict[str, Counter[str]] = {}
+    for r in records:
+        found.setdefault(key(r), Counter())[r.outcome] += 1
+    return {row: {name: found[row][name] for name in OUTCOMES} for row in sorted(found)}
+
+
+def _wind_range(r: LandingRecord) -> str:
+    at = min(int(np.searchsorted(WIND_EDGES, r.conditions.wind_speed, "right")), len(WIND_EDGES) - 1)
+    return f"{WIND_EDGES[at - 1]:.0f} to {WIND_EDGES[at]:.0f} m/s"
+
+
+def _bins(down: Sequence[LandingRecord]) -> Iterator[PBin]:
+    pairs = [(r.p_at_commit, not r.touchdown.bad_ground) for r in down if r.touchdown and r.p_at_commit is not None]
+    for low, high in pairwise(P_EDGES):
+        here = [(p, safe) for p, safe in pairs if low <= p < high or (p == high == P_EDGES[-1])]
+        if here:
+            good = sum(safe for _, safe in here)
+            yield PBin(low, high, good, len(here) - good, float(np.mean([p for p, _ in here])))
+
+
+def _changes(records: Sequence[LandingRecord]) -> Iterator[LookChange]:
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for looks in (part for r in records for part in looks_by_place(r)):
+        found.setdefault((looks[0].verdict, looks[-1].verdict), []).append((looks[0].p_safe, looks[-1].p_safe))
+    for (first, last), ps in sorted(found.items()):
+        one, two = np.mean(ps, axis=0)
+        yield LookChange(first, last, len(ps), float(one), float(two))
+
+
+def looks_by_place(record: LandingRecord) -> list[list[LookLine]]:
+    """The looks of a landing, those at one place together."""
+    begun = [x.t for x in record.transitions if x.after == "approach"]
+    parts: dict[int, list[LookLine]] = {}
+    for look in record.looks:
+        parts.setdefault(int(np.searchsorted(begun, look.t, "right")), []).append(look)
+    return list(parts.values())

@@ -1,0 +1,17 @@
+"""Campaigns: closed-loop landings over worlds, winds and faults, drawn from a seed, one line of a file each."""
+
+from alight.report.campaign.page import comparison
+from alight.runner.campaign.log import LandingLog
+from alight.runner.campaign.run import Campaign, Ended, again, continued, fly_campaign, numbers_of, outcome_lines
+
+__all__ = [
+    "Campaign",
+    "Ended",
+    "LandingLog",
+    "again",
+    "comparison",
+    "continued",
+    "fly_campaign",
+    "numbers_of",
+    "outcome_lines",
+]

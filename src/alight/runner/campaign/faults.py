@@ -1,0 +1,111 @@
+"""What may happen in a landing: how its numbers are drawn, and what it does to the vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.records.campaign import FaultRecord
+from alight.records.executive import FlightState
+from alight_sim.steered import SteeredFlight
+
+Range = tuple[float, float]
+Numbers = Mapping[str, float]
+TURN: Range = (0.0, 2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class CampaignFault:
+    """One kind of fault or event."""
+
+    ranges: Mapping[str, Range]  # its numbers are uniform in them
+    act: Callable[[SteeredFlight, Numbers], object]
+    is_body: bool = False  # something that comes to where the vehicle is
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Its numbers."""
+        return {name: float(rng.uniform(*r)) for name, r in self.ranges.items()}
+
+
+def _along(n: Numbers) -> tuple[float, float]:
+    return math.cos(n["direction"]), math.sin(n["direction"])
+
+
+def _car(v: SteeredFlight, n: Numbers) -> None:
+    (x, y), (east, north, _) = _along(n), v.true_pose.translation
+    v.park(float(east), float(north), start=(east + n["from"] * x, north + n["from"] * y), speed=n["speed"])
+
+
+def _person(v: SteeredFlight, n: Numbers) -> None:
+    (x, y), (east, north, _) = _along(n), v.true_pose.translation
+    v.walk_in(float(east), float(north), start=(east + n["from"] * x, north + n["from"] * y))
+
+
+def _gust(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.gust((n["push"] * x, n["push"] * y, 0.0), n["seconds"])
+
+
+def _wind(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.wind(n["speed"] * x, n["speed"] * y)
+
+
+def _jump(v: SteeredFlight, n: Numbers) -> None:
+    x, y = _along(n)
+    v.jump_gps((n["by"] * x, n["by"] * y, n["up"]), n["seconds"])
+
+
+FAULTS: Mapping[str, CampaignFault] = {
+    "car": CampaignFault({"direction": TURN, "from": (20.0, 35.0), "speed": (4.0, 8.0)}, _car, is_body=True),
+    "person": CampaignFault({"direction": TURN, "from": (6.0, 12.0)}, _person, is_body=True),
+    "gust": CampaignFault({"direction": TURN, "push": (1.5, 3.0), "seconds": (1.5, 4.0)}, _gust),
+    "strong wind": CampaignFault({"direction": TURN, "speed": (9.0, 12.0)}, _wind),
+    "cameras frozen": CampaignFault({"seconds": (2.0, 10.0)}, lambda v, n: v.freeze_camera(n["seconds"])),
+    "cameras lost": CampaignFault({"seconds": (2.0, 25.0)}, lambda v, n: v.lose_camera(n["seconds"])),
+    "one camera lost": CampaignFault({"seconds": (2.0, 60.0)}, lambda v, n: v.lose_camera(n["seconds"], 1)),
+    "cameras covered": CampaignFault({"seconds": (3.0, 10.0)}, lambda v, n: v.cover_camera(n["seconds"])),
+    "pictures late": CampaignFault(
+        {"seconds": (5.0, 20.0), "by": (0.3, 0.9)}, lambda v, n: v.delay_frames(n["seconds"], n["by"])
+    ),
+    "GPS lost": CampaignFault({"seconds": (5.0, 60.0)}, lambda v, n: v.lose_gps(n["seconds"])),
+    "GPS jump": CampaignFault({"direction": TURN, "by": (3.0, 8.0), "up": (-2.0, 2.0), "seconds": (10.0, 30.0)}, _jump),
+    "IMU lost": CampaignFault({"seconds": (0.3, 2.0)}, lambda v, n: v.lose_imu(n["seconds"])),
+    "battery low": CampaignFault({"share": (0.82, 0.9)}, lambda v, n: v.drain(n["share"])),
+}
+
+
+class Happenings:
+    """Called before every order of a landing: lets the planned faults happen, and measures the way.
+
+    Args:
+        vehicle: what they happen to.
+        planned: in any order.
+    """
+
+    def __init__(self, vehicle: SteeredFlight, planned: tuple[FaultRecord, ...]) -> None:
+        self._vehicle, self._planned = vehicle, planned
+        self._entered: dict[str, float] = {}
+        self._happened: dict[int, float] = {}
+        self._at = vehicle.true_pose.translation.copy()
+        self.distance = 0.0  # metres
+
+    def __call__(self, t: float, state: FlightState) -> None:
+        """A moment of the flight."""
+        at = self._vehicle.true_pose.translation
+        self.distance += float(np.linalg.norm(at - self._at))
+        self._at = at.copy()
+        self._entered.setdefault(state.value, t)
+        for k, fault in enumerate(self._planned):
+            since = 0.0 if fault.state is None else self._entered.get(fault.state)
+            if k not in self._happened and since is not None and t >= since + fault.after:
+                self._happened[k] = t
+                FAULTS[fault.what].act(self._vehicle, fault.numbers)
+
+    @property
+    def faults(self) -> tuple[FaultRecord, ...]:
+        """What was planned, with when it happened."""
+        return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))

@@ -1,0 +1,100 @@
+"""Fly one landing of a campaign and judge it. What raises is an outcome like any other."""
+
+from __future__ import annotations
+
+import logging
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from alight.records.campaign import Conditions, LandingRecord, LookLine, TransitionLine
+from alight.records.executive import FlightState
+from alight.runner.campaign.faults import Happenings
+from alight.runner.campaign.outcome import judge_landing
+from alight.runner.campaign.picture import ground_picture
+from alight.runner.campaign.plan import campaign_world
+from alight.runner.landing import Landing, fly_landing
+from alight.runner.replay import appearance_of
+from alight.settings import Settings
+from alight_sim.campaign import CampaignWorld
+from alight_sim.steered import SteeredFlight
+
+log = logging.getLogger(__name__)
+
+FlyLanding = Callable[..., Landing]
+
+
+class Flown(NamedTuple):
+    """A landing, and the picture of an unsafe touchdown (WebP)."""
+
+    record: LandingRecord
+    picture: bytes | None = None
+
+
+def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding = fly_landing) -> Flown:
+    """Fly a landing; an exception becomes the outcome `failed`.
+
+    Args:
+        conditions: all that is drawn.
+        settings: of the aircraft.
+        fly: in place of the true one, in tests.
+    """
+    begun = time.process_time()
+    try:
+        with threadpool_limits(limits=1, user_api="blas"):
+            flown = _fly(conditions, settings, fly)
+    except Exception as e:
+        log.info("landing %d: %s", conditions.landing, traceback.format_exc())
+        flown = failed(conditions, e)
+    cpu = round(time.process_time() - begun, 2)
+    return flown._replace(record=flown.record.model_copy(update={"cpu_s": cpu}))
+
+
+def failed(conditions: Conditions, error: BaseException) -> Flown:
+    """A landing that raised, or whose process died."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
+    line = " ".join(f"{type(error).__name__}: {error}".split()) + where
+    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=line))
+
+
+def _vehicle(c: Conditions, kind: CampaignWorld) -> SteeredFlight:
+    world = kind.build(c.world_seed)
+    drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
+    nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
+    return SteeredFlight(
+        world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav
+    )
+
+
+def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
+    kind = campaign_world(conditions.scene)
+    vehicle = _vehicle(conditions, kind)
+    happenings = Happenings(vehicle, conditions.faults)
+    landing = fly(vehicle, settings, appearance_of(settings), happenings)
+    judged = judge_landing(vehicle, landing, settings, kind.start[:2])
+    touchdown = judged.touchdown
+    picture = (
+        ground_picture(vehicle.world, touchdown, settings.lander.radius) if touchdown and not touchdown.safe else None
+    )
+    found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
+    record = LandingRecord(
+        conditions=conditions.model_copy(update={"faults": happenings.faults}),
+        outcome=judged.outcome, why=judged.why, touchdown=touchdown, safe_share=judged.safe_share,
+        state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
+        found_after=found[0].t if found else None,
+        looks=tuple(LookLine(**asdict(x)) for x in landing.diary.looks),
+        transitions=tuple(
+            TransitionLine(
+                t=x.t, before=x.before.value, event=x.event.value, after=x.after.value, reason=x.reason, p_safe=x.p_safe
+            )
+            for x in landing.diary.transitions
+        ),
+        seconds=landing.seconds, distance=happenings.distance, verdicts=landing.verdicts,
+        picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
+    )  # fmt: skip
+    return Flown(record, picture)

@@ -1,0 +1,42 @@
+"""The true ground round a touchdown, with all that stands on it then, as a picture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from alight.records import Terrain
+from alight.records.campaign import TouchdownLine
+from alight.report.paint import TERRAIN_COLOURS, hillshade, rgb
+from alight_sim.oracle import TrueSurface
+from alight_sim.world import World
+
+AROUND = 4.0  # footprint radii that are shown each way
+PIXELS = 480
+RING = (200, 30, 30)
+
+
+def ground_picture(world: World, touchdown: TouchdownLine, radius: float) -> bytes:
+    """WebP, north up: classes by colour, shaded relief, the footprint as a ring.
+
+    Args:
+        world: with its bodies.
+        touchdown: where and when.
+        radius: metres, of the footprint.
+    """
+    half, e, n = AROUND * radius, touchdown.east, touchdown.north
+    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), touchdown.t)
+    height, label = surface.height[::-1].astype(np.float32), surface.label[::-1]
+    colours = np.zeros((*label.shape, 3), np.float32)
+    for terrain, colour in TERRAIN_COLOURS.items():
+        colours[label == terrain] = rgb(colour)
+    colours[label == Terrain.UNKNOWN] = 128.0
+    shaded = colours * hillshade(height, np.ones(height.shape, bool), surface.cell)[..., None]
+    image = cv2.resize(shaded.clip(0, 255).astype(np.uint8), (PIXELS, PIXELS), interpolation=cv2.INTER_LINEAR)
+    middle, ring = (PIXELS // 2, PIXELS // 2), round(PIXELS * radius / (2 * half))
+    cv2.circle(image, middle, ring, RING, 2, cv2.LINE_AA)
+    cv2.drawMarker(image, middle, RING, cv2.MARKER_CROSS, 14, 2, cv2.LINE_AA)
+    done, data = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, 84])
+    if not done:
+        raise ValueError("the picture cannot be encoded")
+    return data.tobytes()

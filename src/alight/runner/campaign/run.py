@@ -1,0 +1,176 @@
+"""Fly a campaign: what is not done yet, line by line, and the report at the end."""
+
+from __future__ import annotations
+
+import base64
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from alight import __version__
+from alight.outputs.atomic_write import write_whole
+from alight.records import InputError
+from alight.records.campaign import CampaignHead, LandingRecord
+from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
+from alight.runner.campaign.flying import FlyLanding, fly_conditions
+from alight.runner.campaign.log import PAGE, LandingLog
+from alight.runner.campaign.plan import conditions_of, scenes_of
+from alight.runner.campaign.workers import fly_all
+from alight.runner.landing import fly_landing
+from alight.settings import Settings
+
+
+class Ended(NamedTuple):
+    """Told whenever a landing ends."""
+
+    record: LandingRecord
+    done: int
+    of: int
+    left_s: float  # estimated, until the campaign ends
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is flown."""
+
+    scenes: tuple[str, ...]
+    landings: int
+    seed: int
+    settings: Settings
+
+    @classmethod
+    def of(cls, scenes: Sequence[str], landings: int, seed: int, settings: Settings) -> Campaign:
+        """A campaign over scenes by name, files, or `all`.
+
+        Raises:
+            InputError: no such scene.
+        """
+        return cls(scenes_of(scenes), landings, seed, settings)
+
+    @property
+    def head(self) -> CampaignHead:
+        """What makes it."""
+        settings = self.settings.model_dump(mode="json")
+        return CampaignHead(
+            alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings
+        )
+
+
+def continued(out: Path, landings: int | None = None) -> Campaign:
+    """The campaign of a folder, to go on with it or to report it again.
+
+    Args:
+        out: the folder.
+        landings: how many there are to be; None: as many as it was begun with.
+
+    Raises:
+        InputError: the folder holds no campaign.
+    """
+    log = LandingLog(out)
+    head = log.head()
+    if head is None:
+        raise InputError(f"{out}: holds no campaign; name scenes, or 'all', to begin one")
+    wanted = head.landings if landings is None else landings
+    return Campaign(head.scenes, wanted, head.seed, Settings.model_validate(head.settings))
+
+
+def fly_campaign(
+    campaign: Campaign,
+    out: Path,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    beside: Path | None = None,
+    tell: Callable[[Ended], None] = lambda ended: None,
+    fly: FlyLanding = fly_landing,
+) -> CampaignNumbers:
+    """Fly the landings that the folder does not hold yet, and write the report.
+
+    Args:
+        campaign: what is flown.
+        out: folder of the campaign; an interrupted one goes on.
+        jobs: processes of this machine.
+        scheduler: address of a Dask cluster instead.
+        beside: folder of another campaign, for a table of both.
+        tell: called whenever a landing ends.
+        fly: in place of the true one, in tests.
+
+    Raises:
+        OutputError: the folder is another campaign's, or cannot be written.
+        InputError: its lines are damaged, or no scheduler answers.
+    """
+    if beside is not None:
+        numbers_of(beside)  # a wrong name is told before hours of work
+    log = LandingLog(out)
+    log.begin(campaign.head)
+    done = log.read()
+    open_ = [k for k in range(campaign.landings) if k not in done]
+    job = partial(fly_conditions, settings=campaign.settings, fly=fly)
+    begun, before = time.monotonic(), campaign.landings - len(open_)
+    drawn = [conditions_of(campaign.scenes, campaign.seed, k) for k in open_]
+    for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+        log.append(record, picture)
+        each = (time.monotonic() - begun) / n
+        tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
+    return _report(log, campaign.head, beside)
+
+
+def _report(log: LandingLog, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
+    """Write campaign.json and campaign.html from the lines of a campaign."""
+    records = list(log.read().values())
+    numbers = campaign_numbers(records)
+    other = None if beside is None else (beside.resolve().name, numbers_of(beside))
+    log.write_head(head, {"numbers": numbers.as_json()})
+    pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(log.out / r.picture))}
+    page = render_campaign(log.out.resolve().name, head, records, numbers, pictures, other)
+    write_whole(log.out / PAGE, page.encode())
+    return numbers
+
+
+def _embedded(path: Path) -> str | None:
+    try:
+        return "data:image/webp;base64," + base64.b64encode(path.read_bytes()).decode()
+    except OSError:
+        return None
+
+
+def numbers_of(out: Path) -> CampaignNumbers:
+    """The numbers of a campaign's folder.
+
+    Raises:
+        InputError: it holds none.
+    """
+    log = LandingLog(out)
+    if log.head() is None:
+        raise InputError(f"{out}: holds no campaign; name a folder that 'alight campaign' left")
+    return campaign_numbers(list(log.read().values()))
+
+
+def again(
+    campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing
+) -> tuple[LandingRecord, list[str]]:
+    """Fly one landing once more, and say in what it differs from its line in the folder; nothing is written.
+
+    Returns:
+        the landing, and the names of the fields that differ: none where it is the same or has no line.
+    """
+    record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
+    log = LandingLog(out)
+    there = log.head()
+    old = log.read().get(landing) if there is not None and there.differing(campaign.head) is None else None
+    if old is None:
+        return record, []
+    one, two = record.repeatable(), old.repeatable()
+    return record, [name for name in one if one[name] != two[name]]
+
+
+def outcome_lines(numbers: CampaignNumbers) -> list[str]:
+    """The outcomes and the bound, a line each."""
+    lines = [f"{name:<16} {count}" for name, count in numbers.outcomes.items()]
+    return [
+        *lines,
+        f"unsafe landings: at most {100 * numbers.bound:.2g} % with 95 % confidence; on unsafe ground: "
+        f"{numbers.unsafe_ground}, at most {100 * numbers.ground_bound:.2g} %",
+    ]

@@ -1,0 +1,468 @@
+"""Campaigns with made-up landings: the plan, what is done is not flown again, outcomes, workers, the report."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from alight.cli import call
+from alight.geometry import Pose
+from alight.records import InputError, OutputError
+from alight.records.campaign import Conditions, FaultRecord, LandingRecord, TouchdownLine
+from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
+from alight.report.campaign import campaign_numbers, unsafe_bound
+from alight.runner import campaign as runner
+from alight.runner.campaign import Campaign, LandingLog, again, continued, fly_campaign
+from alight.runner.campaign.faults import FAULTS, Happenings
+from alight.runner.campaign.flying import fly_conditions
+from alight.runner.campaign.plan import MOST_WIND, conditions_of, scenes_of
+from alight.runner.landing import Landing
+from alight.settings import Settings, load_settings
+from alight_sim.flight import START_NS
+from alight_sim.steered import SteeredFlight, TrueContact
+
+S, E = FlightState, FlightEvent
+FLAT = "cover: {cover}\n  size: [60, 60]\n  cell: 0.2\n  relief: []"
+SMALL = ["executive.search_side=12"]
+
+
+def scene(folder: Path, name: str = "flat", cover: str = "short_grass") -> str:
+    """A scene file: level ground of one class."""
+    path = folder / f"{name}.yaml"
+    path.write_text(f"ground:\n  {FLAT.format(cover=cover)}\n")
+    return str(path)
+
+
+def small(names: list[str], landings: int = 4, seed: int = 3) -> Campaign:
+    """A campaign that takes no time."""
+    return Campaign.of(names, landings, seed, load_settings("", SMALL))
+
+
+def diary(*steps: tuple[S, E, S]) -> FlightDiary:
+    """Transitions a second apart, with a look that raised P(safe)."""
+    out = FlightDiary([Transition(float(k), a, e, b, e.value, None, 0.97) for k, (a, e, b) in enumerate(steps, 1)])
+    out.looks.append(LookRecord(1.5, (0.0, 0.0, 0.0), 15.0, "candidate", 0.6, "relief"))
+    out.looks.append(LookRecord(1.8, (0.0, 0.0, 0.0), 6.0, "site", 0.97))
+    return out
+
+
+def touch(vehicle: SteeredFlight, sink: float = 0.4, at: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Let the vehicle meet the ground."""
+    place = np.array([*at, vehicle.world.height_at(*at)])
+    speed = np.array([0.0, 0.0, -sink])
+    vehicle.contacts.append(TrueContact(START_NS + 10**10, Pose(np.eye(3), place), speed, 0.35))
+
+
+def lands(vehicle: SteeredFlight, settings: Settings, appearance: object, happening: Callable[..., None]) -> Landing:
+    """A landing that takes two orders."""
+    for t, state in ((0.0, S.SEARCH), (20.0, S.COMMIT)):
+        happening(t, state)
+    touch(vehicle, sink=0.4 + 1e-3 * (vehicle.seed % 7))
+    found = (S.SEARCH, E.FOUND, S.APPROACH), (S.LOOK, E.CONFIRMED, S.COMMIT), (S.COMMIT, E.TOUCHED_DOWN, S.LANDED)
+    return Landing(S.LANDED, diary(*found), 30.0, 0.97)
+
+
+def gives_up(event: E, after: S = S.RETURN) -> Callable[..., Landing]:
+    """A landing that ends without a touchdown."""
+
+    def fly(vehicle: SteeredFlight, *_: object) -> Landing:
+        return Landing(after, diary((S.SEARCH, event, after)), 60.0)
+
+    return fly
+
+
+def raises(vehicle: SteeredFlight, *_: object) -> Landing:
+    raise ArithmeticError("the world\nended")
+
+
+def dies_once(vehicle: SteeredFlight, *others: object) -> Landing:
+    """The first process that flies the landing of this seed is killed; another flight is not."""
+    told = Path(os.environ["ALIGHT_TEST_DIES"])
+    seed, times = (int(v) for v in told.read_text().split())
+    if vehicle.seed == seed and times:
+        told.write_text(f"{seed} {times - 1}")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return lands(vehicle, *others)  # type: ignore[arg-type]
+
+
+def lines(out: Path) -> list[str]:
+    return (out / "landings.jsonl").read_text().splitlines()
+
+
+def repeatable(out: Path) -> dict[int, dict]:  # type: ignore[type-arg]
+    return {k: r.repeatable() for k, r in LandingLog(out).read().items()}
+
+
+# -- the plan
+
+
+def test_a_landing_is_drawn_from_the_seed_and_its_number_alone() -> None:
+    some = [conditions_of(("lake", "desert"), 5, k) for k in (7, 3)]
+    assert some == [conditions_of(("lake", "desert"), 5, k) for k in (7, 3)]
+    assert some[0].world_seed != some[1].world_seed
+    assert conditions_of(("lake", "desert"), 6, 7).world_seed != some[0].world_seed
+
+
+def test_scenes_take_turns_wind_is_bounded_and_a_third_has_a_fault() -> None:
+    drawn = [conditions_of(("lake", "desert", "snow"), 1, k) for k in range(600)]
+    assert {s: sum(c.scene == s for c in drawn) for s in ("lake", "desert", "snow")} == dict.fromkeys(
+        ("lake", "desert", "snow"), 200
+    )
+    wind = np.array([c.wind_speed for c in drawn])
+    assert wind.max() < MOST_WIND
+    assert wind.max() > 0.95 * MOST_WIND
+    assert 0.28 < np.mean([bool(c.faults) for c in drawn]) < 0.39
+    assert {f.what for c in drawn for f in c.faults} == set(FAULTS)
+    assert all(f.state for c in drawn for f in c.faults if FAULTS[f.what].is_body)
+
+
+def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -> None:
+    assert {"lake", "car_park", "rubble"} < set(scenes_of(["all"]))
+    assert scenes_of(["demo", "all", "demo"])[0] == "demo"
+    with pytest.raises(InputError, match="no scene is called 'medow'"):
+        scenes_of(["medow"])
+    with pytest.raises(InputError, match=r"gone\.yaml: cannot be read"):
+        scenes_of([str(tmp_path / "gone.yaml")])
+
+
+def done_to(vehicle: SteeredFlight) -> str:
+    """All that a fault may change."""
+    sensors = vehicle._imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
+    return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.world.bodies), *sensors))
+
+
+@pytest.mark.parametrize("what", FAULTS)
+def test_every_fault_happens_once_at_its_state(what: str, tmp_path: Path) -> None:
+    vehicle = SteeredFlight(scene(tmp_path), size=(64, 48), stereo=False)
+    fault = FaultRecord(what=what, after=1.0, state="look", numbers=FAULTS[what].draw(np.random.default_rng(0)))
+    happenings = Happenings(vehicle, (fault, fault.model_copy(update={"state": "commit"})))
+    before = done_to(vehicle)
+    happenings(50.0, S.SEARCH)
+    happenings(51.0, S.LOOK)
+    assert before == done_to(vehicle)
+    happenings(52.5, S.DESCEND)
+    assert before != done_to(vehicle)
+    happenings(53.0, S.LOOK)
+    assert [f.happened for f in happenings.faults] == [52.5, None]
+
+
+# -- the folder
+
+
+def test_what_is_done_is_not_flown_again(tmp_path: Path) -> None:
+    names, flown = [scene(tmp_path)], []
+
+    def counted(vehicle: SteeredFlight, *others: object) -> Landing:
+        flown.append(vehicle.seed)
+        return lands(vehicle, *others)  # type: ignore[arg-type]
+
+    fly_campaign(small(names, 3), tmp_path / "out", fly=counted)
+    told: list[runner.Ended] = []
+    numbers = fly_campaign(small(names, 5), tmp_path / "out", tell=told.append, fly=counted)
+    assert len(flown) == len(set(flown)) == 5
+    assert numbers.outcomes["landed safely"] == 5
+    assert [(e.done, e.of) for e in told] == [(4, 5), (5, 5)]
+    assert told[-1].left_s == 0
+    assert continued(tmp_path / "out").landings == 5
+
+
+def test_a_torn_last_line_is_mended_and_its_landing_flown_again(tmp_path: Path) -> None:
+    campaign, out = small([scene(tmp_path)], 3), tmp_path / "out"
+    fly_campaign(campaign, out, fly=lands)
+    whole, path = repeatable(out), out / "landings.jsonl"
+    path.write_bytes(path.read_bytes()[:-40])
+    assert set(LandingLog(out).read()) == {0, 1}
+    fly_campaign(campaign, out, fly=lands)
+    assert repeatable(out) == whole
+    assert len(lines(out)) == 3
+    path.write_bytes(path.read_bytes() + b"\0\0\0\n")  # as a loss of power leaves it
+    fly_campaign(campaign, out, fly=raises)
+    assert repeatable(out) == whole
+    assert len(lines(out)) == 3
+
+
+def test_a_line_that_is_damaged_in_the_middle_is_told(tmp_path: Path) -> None:
+    campaign, out = small([scene(tmp_path)], 3), tmp_path / "out"
+    fly_campaign(campaign, out, fly=lands)
+    first, *others = lines(out)
+    (out / "landings.jsonl").write_text("\n".join([first[:50], *others]) + "\n")
+    with pytest.raises(InputError, match="line 1 is damaged"):
+        fly_campaign(campaign, out, fly=lands)
+
+
+def test_another_campaign_or_other_files_are_refused(tmp_path: Path) -> None:
+    names, out = [scene(tmp_path)], tmp_path / "out"
+    fly_campaign(small(names, 1), out, fly=lands)
+    with pytest.raises(OutputError, match="holds a campaign with seed 3"):
+        fly_campaign(small(names, 1, seed=4), out, fly=lands)
+    other = replace(small(names, 1), settings=load_settings("", ["lander.radius=2"]))
+    with pytest.raises(OutputError, match="other settings"):
+        fly_campaign(other, out, fly=lands)
+    with pytest.raises(OutputError, match="not a campaign's"):
+        fly_campaign(small(names, 1), tmp_path, fly=lands)
+
+
+# -- outcomes
+
+
+def conditions(name: str, **more: object) -> Conditions:
+    """Of a calm landing without faults."""
+    return conditions_of((name,), 0, 0).model_copy(update={"faults": (), "wind": (0.0, 0.0), **more})
+
+
+def flown(name: str, fly: Callable[..., Landing], **more: object) -> LandingRecord:
+    return fly_conditions(conditions(name, **more), load_settings("", SMALL), fly).record
+
+
+def test_a_touchdown_is_judged_by_the_oracle(tmp_path: Path) -> None:
+    grass, water = scene(tmp_path), scene(tmp_path, "wet", "water")
+    good = flown(grass, lands)
+    assert (good.outcome, good.state) == ("landed safely", "landed")
+    assert good.p_at_commit == good.p_found == 0.97
+    assert [x.verdict for x in good.last_looks] == ["candidate", "site"]
+    assert good.touchdown is not None
+    assert good.touchdown.tilt == pytest.approx(0.0, abs=1e-6)
+    bad = fly_conditions(conditions(water), Settings(), lands)
+    assert bad.record.outcome == "landed unsafely"
+    assert bad.record.why == "ground"
+    assert bad.record.touchdown is not None
+    assert bad.record.touchdown.bad_ground
+    assert bad.picture is not None
+    assert bad.picture[8:12] == b"WEBP"
+
+
+def test_a_hard_touchdown_is_unsafe_but_not_by_the_ground(tmp_path: Path) -> None:
+    def hard(vehicle: SteeredFlight, *_: object) -> Landing:
+        touch(vehicle, sink=1.4)
+        return Landing(S.LANDED)
+
+    record = flown(scene(tmp_path), hard)
+    assert (record.outcome, record.why) == ("landed unsafely", "sink")
+    assert record.touchdown is not None
+    assert not record.touchdown.bad_ground
+
+
+def test_ground_touched_outside_a_landing_is_unsafe(tmp_path: Path) -> None:
+    def crash(vehicle: SteeredFlight, *_: object) -> Landing:
+        touch(vehicle)
+        return Landing(S.SEARCH)
+
+    assert flown(scene(tmp_path), crash).outcome == "landed unsafely"
+
+
+def test_a_refusal_is_right_only_where_there_is_no_place(tmp_path: Path) -> None:
+    grass, water = scene(tmp_path), scene(tmp_path, "wet", "water")
+    for event in (E.SEARCHED, E.TIME):
+        no, yes = flown(grass, gives_up(event)), flown(water, gives_up(event))
+        assert (no.outcome, yes.outcome) == ("wrongly refused", "rightly refused")
+        assert no.safe_share is not None
+        assert no.safe_share > 0.5
+        assert yes.safe_share == 0.0
+
+
+def test_wind_and_battery_are_believed_only_where_they_are_true(tmp_path: Path) -> None:
+    name = scene(tmp_path)
+
+    def drained(vehicle: SteeredFlight, *_: object) -> Landing:
+        vehicle.drain(0.9)
+        return gives_up(E.BATTERY)(vehicle)
+
+    assert flown(name, drained).outcome == "rightly refused"
+    assert flown(name, gives_up(E.BATTERY)).outcome == "wrongly refused"
+    assert flown(name, gives_up(E.WIND), wind=(9.0, 0.0)).outcome == "rightly refused"
+    assert flown(name, gives_up(E.WIND), wind=(7.0, 0.0)).outcome == "wrongly refused"
+    assert flown(name, gives_up(E.WAITED, S.HANDED_OVER)).outcome == "handed over"
+
+
+def test_a_landing_that_raises_is_failed_and_the_campaign_goes_on(tmp_path: Path) -> None:
+    def sometimes(vehicle: SteeredFlight, *others: object) -> Landing:
+        return (raises if vehicle.seed == second else lands)(vehicle, *others)  # type: ignore[operator]
+
+    campaign = small([scene(tmp_path)], 3)
+    second = conditions_of(campaign.scenes, campaign.seed, 1).flight_seed
+    numbers = fly_campaign(campaign, tmp_path / "out", fly=sometimes)
+    record = LandingLog(tmp_path / "out").read()[1]
+    assert (numbers.outcomes["landed safely"], numbers.outcomes["failed"]) == (2, 1)
+    assert record.error is not None
+    assert record.error.startswith("ArithmeticError: the world ended (test_campaign.py:")
+
+
+# -- again, bit for bit
+
+
+def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None:
+    campaign, out = small([scene(tmp_path)], 2), tmp_path / "out"
+    fly_campaign(campaign, out, fly=lands)
+    before = lines(out)
+    assert again(campaign, out, 1, lands)[1] == []
+    assert again(campaign, out, 1, gives_up(E.TIME))[1][:2] == ["outcome", "why"]
+    assert lines(out) == before
+    assert again(campaign, out, 7, lands)[1] == []
+
+
+# -- workers
+
+
+@pytest.fixture
+def deadly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], object]:
+    """Let the process that flies a seed die so many times."""
+    monkeypatch.setenv("ALIGHT_TEST_DIES", str(tmp_path / "dies"))
+    return lambda seed, times: (tmp_path / "dies").write_text(f"{seed} {times}")
+
+
+@pytest.mark.parametrize("times", [1, 9])
+def test_a_killed_process_loses_nothing(deadly: Callable[[int, int], object], tmp_path: Path, times: int) -> None:
+    campaign = small([scene(tmp_path)], 4)
+    second = conditions_of(campaign.scenes, campaign.seed, 1).flight_seed
+    fly_campaign(campaign, tmp_path / "one", fly=lands)
+    deadly(second, times)
+    fly_campaign(campaign, tmp_path / "two", jobs=2, fly=dies_once)
+    one, two = repeatable(tmp_path / "one"), repeatable(tmp_path / "two")
+    if times > 1:
+        assert two.pop(1)["outcome"] == "failed"
+        del one[1]
+    assert one == two
+
+
+@pytest.mark.filterwarnings("ignore")  # the cluster's own
+def test_a_cluster_gives_the_same_and_a_killed_worker_loses_nothing(
+    deadly: Callable[[int, int], object], tmp_path: Path
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    campaign = small([scene(tmp_path)], 4)
+    fly_campaign(campaign, tmp_path / "one", fly=lands)
+    deadly(conditions_of(campaign.scenes, campaign.seed, 2).flight_seed, 1)
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
+        fly_campaign(campaign, tmp_path / "two", scheduler=cluster.scheduler_address, fly=dies_once)
+    assert (tmp_path / "dies").read_text().endswith(" 0")
+    assert repeatable(tmp_path / "one") == repeatable(tmp_path / "two")
+
+
+# -- the report
+
+
+def test_the_bound_without_an_unsafe_landing_is_about_three_over_their_number() -> None:
+    assert unsafe_bound(0, 200) == pytest.approx(1 - 0.05 ** (1 / 200))
+    assert unsafe_bound(0, 1000) == pytest.approx(3 / 1000, rel=0.01)
+    assert unsafe_bound(0, 0) == unsafe_bound(3, 3) == 1.0
+
+
+def test_the_bound_is_where_so_few_are_one_in_twenty() -> None:
+    from scipy.stats import binom
+
+    for unsafe, landings in ((0, 200), (1, 200), (5, 37)):
+        assert binom.cdf(unsafe, landings, unsafe_bound(unsafe, landings)) == pytest.approx(0.05)
+
+
+def made(number: int, outcome: str, p: float | None, reasons: tuple[str, ...] | None) -> LandingRecord:
+    down = None if reasons is None else TouchdownLine(
+        t=40.0, east=0, north=0, safe=not reasons, reasons=reasons, tilt=0.1, roughness=0.1, sink=0.4, drift=0.1
+    )  # fmt: skip
+    c = conditions("demo", landing=number, scene="demo" if number % 2 else "lake", wind=(3.0, 0.0))
+    return LandingRecord(conditions=c, outcome=outcome, why="so", p_at_commit=p, touchdown=down, seconds=10.0 * number)
+
+
+def test_the_numbers_hold_p_safe_against_what_happened() -> None:
+    records = [
+        made(0, "landed safely", 0.96, ()), made(1, "landed unsafely", 0.97, ("ground",)),
+        made(2, "landed unsafely", 1.0, ("drift",)), made(3, "rightly refused", None, None),
+    ]  # fmt: skip
+    n = campaign_numbers(records)
+    assert [(b.low, b.safe, b.unsafe) for b in n.p_at_commit] == [(0.95, 1, 1), (0.99, 1, 0)]
+    assert (n.touchdowns, n.unsafe_ground, n.right) == (3, 1, 0.5)
+    assert n.bound == unsafe_bound(2, 4)
+    assert n.ground_bound == unsafe_bound(1, 4)
+    assert n.by_scene["demo"]["landed unsafely"] == 1
+    assert n.by_wind == {"2 to 4 m/s": n.outcomes}
+    assert n.seconds.median == 10.0
+
+
+def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: Path) -> None:
+    names = [scene(tmp_path), scene(tmp_path, "wet", "water")]
+    fly_campaign(small(names), tmp_path / "first", fly=lands)
+    numbers = fly_campaign(small(names), tmp_path / "second", beside=tmp_path / "first", fly=lands)
+    page = (tmp_path / "second" / "campaign.html").read_text()
+    assert "Four landings, two unsafe touchdowns" in page
+    assert page.count("data:image/webp;base64,") == 2
+    assert len(list((tmp_path / "second").glob("landing-*.webp"))) == 2
+    for title in ("Outcomes by world", "What the looks changed", "P(safe) at commit", "Beside another campaign"):
+        assert title in page
+    assert "http" not in page.replace("http://www.w3.org", "")
+    told = json.loads((tmp_path / "second" / "campaign.json").read_text())
+    assert told["numbers"]["outcomes"] == numbers.outcomes
+    assert told["numbers"]["looks"] == [
+        {"first": "candidate", "last": "site", "places": 4, "first_p": 0.6, "last_p": 0.97}
+    ]
+
+
+# -- the command line
+
+
+@pytest.fixture
+def faked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command line flies made-up landings."""
+    real, once_more = runner.fly_campaign, runner.again
+    monkeypatch.setattr(runner, "fly_campaign", lambda *a: real(*a, fly=lands))
+    monkeypatch.setattr(runner, "again", lambda *a: once_more(*a, fly=lands))
+
+
+@pytest.mark.usefixtures("faked")
+def test_the_command_flies_goes_on_and_compares(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name, one, two = scene(tmp_path), str(tmp_path / "one"), str(tmp_path / "two")
+    assert call(["campaign", name, "--landings", "2", "--seed", "4", "--out", one]) == 0
+    out, err = capsys.readouterr()
+    assert "landed safely    2\n" in out
+    assert "at most 78 % with 95 % confidence" in out
+    assert err.startswith("1/2, #0 ")
+    assert call(["campaign", "--out", one, "--landings", "3"]) == 0
+    assert "landed safely    3\n" in capsys.readouterr().out
+    more = ["--no-look-again", "--compare", one]
+    assert call(["campaign", name, "--landings", "2", "--seed", "4", "--out", two, *more]) == 0
+    assert [r.split() for r in capsys.readouterr().out.splitlines() if r.startswith("landings")] == [
+        ["landings", "2", "3"]
+    ]
+    assert json.loads((tmp_path / "two" / "campaign.json").read_text())["settings"]["executive"]["look_again"] is False
+    assert call(["campaign", "--out", one, "--only", "2"]) == 0
+    assert json.loads(capsys.readouterr().out)["conditions"]["landing"] == 2
+
+
+@pytest.mark.usefixtures("faked")
+def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name, out = scene(tmp_path), tmp_path / "out"
+    assert call(["campaign", name, "--landings", "1", "--out", str(out)]) == 0
+    path = out / "landings.jsonl"
+    path.write_text(path.read_text().replace('"verdicts":0', '"verdicts":5'))
+    assert call(["campaign", "--out", str(out), "--only", "0"]) == 3
+    assert capsys.readouterr().err.endswith(f"landing 0 is not as in {out}: verdicts\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["medow"], "no scene is called 'medow'"),
+        ([], "holds no campaign; name scenes"),
+        (["--seed", "3"], "name SCENES beside --seed"),
+        (["demo", "--compare", "nowhere"], "nowhere: holds no campaign"),
+        (["demo", "--scheduler", "tcp://127.0.0.1:9"], "distributed (Dask) is not installed"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(
+    arguments: list[str],
+    complaint: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)  # as where it is not installed
+    assert call(["campaign", *arguments, "--out", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert complaint in err
