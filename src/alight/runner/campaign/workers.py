@@ -100,7 +100,7 @@ def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> I
         ) from e
     with client:
         flying = {client.submit(job, c, pure=False): c for c in conditions}
-        for future in distributed.as_completed(list(flying)):
+        for future in distributed.as_completed(list(flying), loop=client.loop):
             error = future.exception()
             yield future.result() if error is None else failed(flying[future], WorkerLostError(str(error)))
             future.release()
