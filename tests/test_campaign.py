@@ -308,6 +308,28 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
     assert again(campaign, out, 7, lands)[1] == []
 
 
+def test_a_real_flight_is_the_same_again() -> None:
+    """Eight seconds, in which nothing can be landed on, with a fault on the way."""
+    fault = FaultRecord(what="cameras frozen", after=4.0, numbers={"seconds": 1.0})
+    short, given = load_settings("", ["executive.time_budget=8"]), conditions("concrete", faults=(fault,))
+    one, two = (fly_conditions(given, short).record for _ in range(2))
+    assert one.repeatable() == two.repeatable()
+    assert (one.outcome, one.state) == ("wrongly refused", "return")
+    assert one.verdicts > 0
+    assert one.distance > 5.0
+    assert one.conditions.faults[0].happened == pytest.approx(4.0, abs=0.11)
+
+
+def test_a_real_landing_on_concrete() -> None:
+    """All of it: search, looks, commit, touchdown. Half a minute."""
+    record = fly_conditions(conditions_of(("concrete",), 1, 0), Settings()).record
+    assert record.outcome == "landed safely", record
+    assert record.p_at_commit is not None
+    assert record.p_at_commit > 0.95
+    assert record.last_looks[-1].verdict == "site"
+    assert [x.after for x in record.transitions][-2:] == ["commit", "landed"]
+
+
 # -- workers
 
 

@@ -10,10 +10,20 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from pydantic import BaseModel
 from some_run import candidate, site
 
 from alight.outputs import folder, rasters, trajectory, vectors
 from alight.records import Flag, Frame, Hazard, ImuSample, NavSample, Terrain
+from alight.records.campaign import (
+    OUTCOMES,
+    Conditions,
+    FaultRecord,
+    LandingRecord,
+    LookLine,
+    TouchdownLine,
+    TransitionLine,
+)
 from alight.settings import Settings
 from alight.sources import open_source
 
@@ -78,6 +88,12 @@ def test_the_examples_of_the_outputs_can_be_read() -> None:
     assert all(isinstance(json.loads(text), dict) for text in blocks(OUTPUTS, "json"))
     assert len(blocks(OUTPUTS, "json")) >= 4
     assert all(isinstance(yaml.safe_load(text), dict) for text in blocks(LOG, "yaml"))
+
+
+@pytest.mark.parametrize("record", [LandingRecord, Conditions, FaultRecord, LookLine, TransitionLine, TouchdownLine])
+def test_every_key_of_a_landing_and_every_outcome_is_on_the_page(record: type[BaseModel]) -> None:
+    page = (PAGES / "campaign.md").read_text(encoding="utf-8")
+    assert not [key for key in (*record.model_fields, *OUTCOMES) if f"`{key}`" not in page]
 
 
 def test_every_file_that_a_run_writes_is_on_the_page() -> None:

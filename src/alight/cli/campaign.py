@@ -66,7 +66,7 @@ def campaign(
     for line in runner.outcome_lines(numbers):
         say(line)
     if compare is not None:
-        for name, one, two in runner.comparison(numbers, runner.numbers_of(compare)):
+        for name, one, two in runner.comparison(numbers, runner.numbers_in(compare)):
             say(f"{name:<34} {one:>10} {two:>10}")
     say(f"report: {out / 'campaign.html'}")
 

@@ -2,7 +2,7 @@
 
 from alight.report.campaign.page import comparison
 from alight.runner.campaign.log import LandingLog
-from alight.runner.campaign.run import Campaign, Ended, again, continued, fly_campaign, numbers_of, outcome_lines
+from alight.runner.campaign.run import Campaign, Ended, again, continued, fly_campaign, numbers_in, outcome_lines
 
 __all__ = [
     "Campaign",
@@ -12,6 +12,6 @@ __all__ = [
     "comparison",
     "continued",
     "fly_campaign",
-    "numbers_of",
+    "numbers_in",
     "outcome_lines",
 ]

@@ -25,7 +25,7 @@ from alight_sim.steered import SteeredFlight, TrueContact
 STEP = 0.5  # m between the places that the oracle tries
 
 
-class Judged(NamedTuple):
+class JudgedLanding(NamedTuple):
     """An outcome with its reason."""
 
     outcome: Outcome
@@ -34,7 +34,9 @@ class Judged(NamedTuple):
     safe_share: float | None = None
 
 
-def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings, start: tuple[float, float]) -> Judged:
+def judge_landing(
+    vehicle: SteeredFlight, landing: Landing, settings: Settings, start: tuple[float, float]
+) -> JudgedLanding:
     """Judge a landing that has ended.
 
     Args:
@@ -47,28 +49,30 @@ def judge_landing(vehicle: SteeredFlight, landing: Landing, settings: Settings, 
         return _touched(vehicle, landing.state, settings)
     last = landing.diary.transitions[-1] if landing.diary.transitions else None
     if landing.state is FlightState.HANDED_OVER:
-        return Judged("handed over", last.reason if last else "")
+        return JudgedLanding("handed over", last.reason if last else "")
     keys, event = settings.executive, None if last is None else last.event
     if event is FlightEvent.WIND and vehicle.wind_speed > keys.most_wind:
-        return Judged("rightly refused", f"the wind is {vehicle.wind_speed:.1f} m/s")
+        return JudgedLanding("rightly refused", f"the wind is {vehicle.wind_speed:.1f} m/s")
     if event is FlightEvent.BATTERY and vehicle.battery < keys.least_battery:
-        return Judged("rightly refused", f"the battery is at {100 * vehicle.battery:.0f} %")
+        return JudgedLanding("rightly refused", f"the battery is at {100 * vehicle.battery:.0f} %")
     share = safe_share(vehicle, settings, start)
     said = last.event.value if last else "the time is over"
     if share == 0.0:
-        return Judged("rightly refused", f"{said}; there is no safe place", safe_share=share)
-    return Judged("wrongly refused", f"{said}; {100 * share:.2g} % of the searched area is safe", safe_share=share)
+        return JudgedLanding("rightly refused", f"{said}; there is no safe place", safe_share=share)
+    return JudgedLanding(
+        "wrongly refused", f"{said}; {100 * share:.2g} % of the searched area is safe", safe_share=share
+    )
 
 
-def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> Judged:
+def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> JudgedLanding:
     """The worst of the contacts counts; one outside a landing is none that was meant."""
     found = [_line(vehicle, contact, settings) for contact in vehicle.contacts]
     worst = max(found, key=lambda d: (not d.safe, len(d.reasons)))
     if state is not FlightState.LANDED:
-        return Judged("landed unsafely", f"it touched the ground and was then in {state.value}", worst)
+        return JudgedLanding("landed unsafely", f"it touched the ground and was then in {state.value}", worst)
     if worst.safe:
-        return Judged("landed safely", "every limit is kept", worst)
-    return Judged("landed unsafely", ", ".join(worst.reasons), worst)
+        return JudgedLanding("landed safely", "every limit is kept", worst)
+    return JudgedLanding("landed unsafely", ", ".join(worst.reasons), worst)
 
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:

@@ -102,7 +102,7 @@ def fly_campaign(
         InputError: its lines are damaged, or no scheduler answers.
     """
     if beside is not None:
-        numbers_of(beside)  # a wrong name is told before hours of work
+        numbers_in(beside)  # a wrong name is told before hours of work
     log = LandingLog(out)
     log.begin(campaign.head)
     done = log.read()
@@ -121,7 +121,7 @@ def _report(log: LandingLog, head: CampaignHead, beside: Path | None) -> Campaig
     """Write campaign.json and campaign.html from the lines of a campaign."""
     records = list(log.read().values())
     numbers = campaign_numbers(records)
-    other = None if beside is None else (beside.resolve().name, numbers_of(beside))
+    other = None if beside is None else (beside.resolve().name, numbers_in(beside))
     log.write_head(head, {"numbers": numbers.as_json()})
     pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(log.out / r.picture))}
     page = render_campaign(log.out.resolve().name, head, records, numbers, pictures, other)
@@ -136,7 +136,7 @@ def _embedded(path: Path) -> str | None:
         return None
 
 
-def numbers_of(out: Path) -> CampaignNumbers:
+def numbers_in(out: Path) -> CampaignNumbers:
     """The numbers of a campaign's folder.
 
     Raises:
