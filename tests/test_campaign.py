@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import alight
 from alight.cli import call
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
@@ -155,6 +156,12 @@ def test_every_fault_happens_once_at_its_state(what: str, tmp_path: Path) -> Non
 
 
 # -- the folder
+
+
+def test_it_is_a_function_too(tmp_path: Path) -> None:
+    name, out = scene(tmp_path), tmp_path / "out"
+    fly_campaign(small([name], 2), out, fly=lands)
+    assert alight.campaign([name], out, landings=2, seed=3, settings={"executive.search_side": 12}).landings == 2
 
 
 def test_what_is_done_is_not_flown_again(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from alight.api import (
+        campaign,
         check,
         demo,
         evaluate,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 _HOME = {
     "run": "api",
     "simulate": "api",
+    "campaign": "api",
     "check": "api",
     "evaluate": "api",
     "demo": "api",
@@ -57,6 +59,7 @@ __all__ = [
     "Pipeline",
     "Result",
     "Settings",
+    "campaign",
     "check",
     "demo",
     "evaluate",

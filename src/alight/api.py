@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ from alight.settings import Lander, Settings, load_settings
 if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.evaluation import Evaluation
+    from alight.report.campaign import CampaignNumbers
     from alight.sources import Source
     from alight.training.confusion import Confusion
     from alight_sim import SimulatedFlight
@@ -194,6 +195,36 @@ def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quie
     result = Result(found)
     result.save(out, overwrite=True)
     return result
+
+
+def campaign(
+    scenes: Sequence[str],
+    out: str | Path,
+    *,
+    landings: int = 20,
+    seed: int = 0,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    settings: SettingsLike = None,
+) -> CampaignNumbers:
+    """Fly simulated landings in closed loop; those that the folder `out` holds already are not flown again.
+
+    Args:
+        scenes: names, scene files, or `all`.
+        out: folder of the campaign.
+        landings: how many there are to be.
+        seed: of everything that chance decides.
+        jobs: processes of this machine.
+        scheduler: address of a Dask cluster instead.
+        settings: as for `run`.
+
+    Raises:
+        AlightError: no such scene, or the folder is another campaign's.
+    """
+    from alight.runner.campaign import Campaign, fly_campaign
+
+    planned = Campaign.of(scenes, landings, seed, settings_of(settings))
+    return fly_campaign(planned, Path(out), jobs, scheduler)
 
 
 def warmup(progress: Progress = _quiet) -> None:
