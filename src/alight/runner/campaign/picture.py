@@ -13,7 +13,7 @@ from alight_sim.world import World
 
 AROUND = 4.0  # footprint radii that are shown each way
 PIXELS = 480
-RING = (200, 30, 30)
+RING = ((20, 20, 20), 5), ((255, 255, 255), 2)  # colour and width, one over the other
 
 
 def ground_picture(world: World, touchdown: TouchdownLine, radius: float) -> bytes:
@@ -28,14 +28,15 @@ def ground_picture(world: World, touchdown: TouchdownLine, radius: float) -> byt
     surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), touchdown.t)
     height, label = surface.height[::-1].astype(np.float32), surface.label[::-1]
     colours = np.zeros((*label.shape, 3), np.float32)
-    for terrain, colour in TERRAIN_COLOURS.items():
-        colours[label == terrain] = rgb(colour)
+    for terrain, text in TERRAIN_COLOURS.items():
+        colours[label == terrain] = rgb(text)
     colours[label == Terrain.UNKNOWN] = 128.0
     shaded = colours * hillshade(height, np.ones(height.shape, bool), surface.cell)[..., None]
     image = cv2.resize(shaded.clip(0, 255).astype(np.uint8), (PIXELS, PIXELS), interpolation=cv2.INTER_LINEAR)
     middle, ring = (PIXELS // 2, PIXELS // 2), round(PIXELS * radius / (2 * half))
-    cv2.circle(image, middle, ring, RING, 2, cv2.LINE_AA)
-    cv2.drawMarker(image, middle, RING, cv2.MARKER_CROSS, 14, 2, cv2.LINE_AA)
+    for colour, width in RING:
+        cv2.circle(image, middle, ring, colour, width, cv2.LINE_AA)
+        cv2.drawMarker(image, middle, colour, cv2.MARKER_CROSS, 14, width, cv2.LINE_AA)
     done, data = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, 84])
     if not done:
         raise ValueError("the picture cannot be encoded")
