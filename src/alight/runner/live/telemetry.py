@@ -36,6 +36,7 @@ class TelemetryFeed:
         self.autopilot = Autopilot(events=self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
+        self._sending = threading.Lock()  # orders leave at once, and not only when the listener comes by
         self._ended, self._located = threading.Event(), False
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -46,14 +47,28 @@ class TelemetryFeed:
             InputError: it does not, with the reason.
         """
         end = time.monotonic() + PATIENCE
-        while not self._located or self.events_of.local is None:
+        while not self.located:
             if time.monotonic() > end:
                 with self.lock:
                     heard = self.autopilot.telemetry is not None
                 why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
                 raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
             time.sleep(READ)
+        assert self.events_of.local is not None
         return self.events_of.local
+
+    @property
+    def located(self) -> bool:
+        """Whether the autopilot knows where it is."""
+        return self._located and self.events_of.local is not None
+
+    def flush(self) -> None:
+        """Send what waits to be sent."""
+        with self._sending:
+            with self.lock:
+                out = self.autopilot.pending()
+            for datagram in out:
+                self._link.write(datagram)
 
     def events(self) -> Iterator[Event]:
         """Rows of GPS/INS and IMU samples as they come, until `close`."""
@@ -75,9 +90,8 @@ class TelemetryFeed:
                 for data in heard:
                     self.autopilot.receive(data, time.monotonic_ns())
                 self.autopilot.tick(time.monotonic_ns())
-                out, samples = self.autopilot.pending(), self.autopilot.samples()
-            for datagram in out:
-                self._link.write(datagram)
+                samples = self.autopilot.samples()
+            self.flush()
             for sample in samples:
                 self._located |= isinstance(sample, NavSample) and sample.position_world is not None
                 if self._located:
