@@ -136,6 +136,7 @@ class OrderSender:
         self._mode: FlightMode | None = None  # asked for
         self._ticket, self._refused_ns = -1, -AGAIN_NS
         self._speed = math.nan
+        self._wanted: tuple[FlightMode, int] | None = None  # to be asked for, and since when
         self._held: Place | None = None
 
     def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
@@ -144,7 +145,8 @@ class OrderSender:
             self.hand.release()
             return "nothing"
         if order.what == "return":
-            return self._fly_as(FlightMode.RETURN, now_ns)
+            self._fly_as(FlightMode.RETURN, now_ns)
+            return "return"
         if order.position is None or motion is None:
             return self._hold(state, now_ns)
         if order.what == "land":
@@ -156,17 +158,29 @@ class OrderSender:
         if ticket == self._ticket and not ok:
             self._mode, self._refused_ns = None, now_ns
 
-    def _fly_as(self, mode: FlightMode, now_ns: int) -> str:
-        if self._mode is not mode and now_ns - self._refused_ns >= AGAIN_NS:
-            self._mode = mode
-            self._ticket = self.hand.set_mode(mode)
-        return mode.value
+    def _fly_as(self, mode: FlightMode, now_ns: int) -> bool:
+        """Ask for a mode, once; False: not yet.
+
+        Once we fly, the next heartbeat is waited for: a pilot who has switched since the last one is not switched back.
+        """
+        if self._mode is mode:
+            return True
+        if self._wanted is None or self._wanted[0] is not mode:
+            self._wanted = mode, now_ns
+        age_ns = round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3) if self.hand.in_control else 0)
+        if now_ns - age_ns < self._wanted[1] or now_ns - self._refused_ns < AGAIN_NS:
+            return False
+        self._wanted = None
+        self._mode = mode
+        self._ticket = self.hand.set_mode(mode)
+        return True
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
         """Between two way-points it stays under guidance; while something is missing the autopilot holds by itself."""
         here = self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None:
-            return self._fly_as(FlightMode.HOLD, now_ns)
+            self._fly_as(FlightMode.HOLD, now_ns)
+            return "hold"
         self._fly_as(FlightMode.GUIDED, now_ns)
         self._held = self._held or here
         self.hand.guide(Setpoint(np.zeros(3)), EstimateTie(self._local, np.zeros(3), self._held))
@@ -188,9 +202,9 @@ class OrderSender:
         """Over the place first, then down with the target reported: where that is not used it goes straight down."""
         tie = self._tie(motion)
         here = motion.world_from_body.translation
-        if self._mode is not FlightMode.LAND and math.hypot(*(place - here)[:2]) > CENTRED:
+        beside = self._mode is not FlightMode.LAND and math.hypot(*(place - here)[:2]) > CENTRED
+        if beside or not self._fly_as(FlightMode.LAND, now_ns):
             return self._go(np.array([*place[:2], here[2]]), order, motion, now_ns)
-        self._fly_as(FlightMode.LAND, now_ns)
         own, attitude = self._vehicle.place_at(now_ns), self._vehicle.telemetry.world_from_body
         if tie is None or own is None or attitude is None:
             return "land"

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from alight.arrays import U8
+from alight.arrays import F64, U8
 from alight.autopilot import RemoteVehicle
 from alight.geometry import LocalFrame
 from alight.landing.executive import Executive
@@ -94,7 +94,7 @@ class LandingPilot:
         self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, hand: OrderTaker,
         judge: Callable[[], None], log: LandingLog,
     ) -> None:  # fmt: skip
-        self._vehicle, self._judge, self._log = vehicle, judge, log
+        self._vehicle, self._local, self._judge, self._log = vehicle, local, judge, log
         self._begin_ns: int | None = None
         stages = settings.stages()
         self.executive, self._stale = Executive(stages), stages.executive.stale
@@ -175,18 +175,17 @@ class LandingPilot:
     def _situation(self, now_ns: int) -> Situation:
         assert self._begin_ns is not None
         m, heard = self.motion, self._vehicle.telemetry
-        fresh = m is not None and (now_ns - m.t_ns) * 1e-9 <= self._stale
-        state = m.state if m is not None and fresh else MotionState.LOST
+        state = MotionState.LOST if m is None or self._lags(m) else m.state
         if not heard.has_position:  # it cannot follow a set-point
             state = MotionState.LOST
         self._note_position(heard.has_position)
-        known = m is not None and state in (MotionState.GOOD, MotionState.DEGRADED)
+        known = state in (MotionState.GOOD, MotionState.DEGRADED)
         share, wind = heard.battery.share, float(np.hypot(*heard.wind_world[:2]))
         self._flying |= self._sender.hand.in_control
         rebooted = self._vehicle.starts != self._starts
         return Situation(
             (now_ns - self._begin_ns) * 1e-9,
-            m.world_from_body.translation if m is not None and known else None,
+            self._position(m, now_ns) if m is not None and known else None,
             state,
             0 if m is None else m.frame_id,
             self._seen,
@@ -197,6 +196,19 @@ class LandingPilot:
             battery=1.0 if math.isnan(share) else share,
             wind=0.0 if math.isnan(wind) else wind,
         )
+
+    def _lags(self, motion: Motion) -> bool:
+        """Whether pictures come and their motions do not; where no pictures come, that is what is told."""
+        newest = self.pictures.newest_ns
+        return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
+
+    def _position(self, motion: Motion, now_ns: int) -> F64 | None:
+        """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
+        then, now = self._vehicle.place_at(motion.t_ns), self._vehicle.place_at(now_ns)
+        if then is None or now is None:
+            return None
+        a, b = (self._local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
+        return np.asarray(motion.world_from_body.translation + (b - a))
 
     def _note_position(self, known: bool) -> None:
         if known is not self._had_position:
