@@ -104,7 +104,8 @@ class Flown:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
             recorder = Recorder(Path(folder) / "recording.mcap", head) if not memory else None
             live = Live(
-                source.rig, settings, Listener(verdict=lambda verdict, t_ns: self.verdicts.append(verdict)), Capacity(schedule=1000), Path(folder),
+                source.rig, settings, Listener(verdict=lambda verdict, t_ns: self.verdicts.append(verdict)),
+                Capacity(schedule=1000), Path(folder),
                 appearance_of(settings), source.imu_noise, recorder,
             )  # fmt: skip
             for p in live.posts.values():

@@ -1,8 +1,9 @@
-"""A landing as it is flown: orders reach a simulated autopilot, faults lead to the right state, and take-over ends all."""
+"""A landing as it is flown: orders reach an autopilot, faults lead to the right state, a take-over ends all."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -60,7 +61,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
 
 @BOTH
 def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
-    """No verdict comes for a while: the vehicle stays where it is, in guided mode, and is not handed to the autopilot."""
+    """No verdict comes for a while: the vehicle stays where it is, in guided mode."""
     r = rig(dialect)
     assert r.fly(S.LOOK)
     r.pilot._judge = lambda: None  # type: ignore[union-attr]
@@ -135,7 +136,7 @@ GONE = (take_over, move_sticks, lose_link, reboot)  # after which nothing may mo
 @pytest.mark.parametrize("when", [S.APPROACH, S.COMMIT], ids=lambda s: s.value)
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
 def test_a_fault_leads_to_the_right_state(fault: Callable[[PilotRig], None], when: FlightState, dialect: str) -> None:
-    """And after a take-over, a lost link or a reboot nothing is sent that moves the vehicle, not even when it is back."""
+    """After a take-over, a lost link or a reboot nothing is sent that moves the vehicle, not even when it is back."""
     event, above, below = FAULTS[fault]
     r = rig(dialect)
     assert r.fly(when)
@@ -291,4 +292,4 @@ def test_spoken_orders_are_said_once_until_they_change() -> None:
     r.run(20.0)
     places = [line for line in said if line.startswith("fly to")]
     assert 1 <= len(places) < 10
-    assert not [1 for a, b in zip(said, said[1:], strict=False) if a == b]
+    assert all(a != b for a, b in pairwise(said))

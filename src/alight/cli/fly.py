@@ -31,6 +31,7 @@ from alight.records.executive import FlightState
 if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.runner.fly import FlightOutcome, FlightStatus
+    from alight_sim.steered import SteeredFlight
 
 ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
 
@@ -91,6 +92,59 @@ def fly(
     tell_result(outcome.result)
     replay.write_run(outcome.result, out, force)
     say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def rehearse(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")
+    ],
+    folder: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Filled with the pictures: the --camera of alight fly.")
+    ],
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = 14550,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
+    height: Annotated[float, typer.Option(min=0.0, help="Metres above the ground at the start; 0: it stands.")] = 0.0,
+    width: Annotated[int, typer.Option(min=80, help="Of the pictures, pixels; the height follows.")] = 320,
+    rate: Annotated[float, typer.Option(min=1.0, help="Exposures a second.")] = 5.0,
+    wind: Annotated[float, typer.Option(min=0.0, help="From the west, m/s.")] = 0.0,
+    px4: Annotated[bool, typer.Option("--px4", help="Speak as PX4; else as ArduPilot.")] = False,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
+    verbose: VerboseOption = False,
+) -> None:
+    """Simulate an autopilot and its cameras by the clock, for alight fly to be tried on; Ctrl-C ends it."""
+    from alight_sim.rehearsal import Rehearsal
+    from alight_sim.steered import SteeredFlight
+
+    flight = SteeredFlight(
+        scene, seed, size=_size(width), rate_hz=rate, start=(-20.0, -12.0, height), wind=(wind, 0.0, 0.0),
+        steered_by="truth",
+    )  # fmt: skip
+    with Rehearsal(flight, folder, port, px4) as rehearsal:
+        say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {folder} --out OUT")
+        try:
+            rehearsal.wait(seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)
+            rehearsal.wait(5.0)
+        except KeyboardInterrupt:
+            pass
+    if flight.contact is None:
+        say("it has not touched the ground")
+        return
+    say(_touchdown(flight))
+
+
+def _size(width: int) -> tuple[int, int]:
+    return width, width * 3 // 4
+
+
+def _touchdown(flight: SteeredFlight) -> str:
+    from alight_sim.oracle import OracleLander, judge_touchdown
+
+    contact = flight.contact
+    assert contact is not None
+    found = judge_touchdown(flight.world, OracleLander(), contact.pose, contact.velocity_world, flight.seconds)
+    east, north, _ = contact.pose.translation
+    return f"touchdown at east {east:.2f} m north {north:.2f} m: {'safe' if found.safe else 'unsafe'}"
 
 
 def _answer(outcome: FlightOutcome) -> None:

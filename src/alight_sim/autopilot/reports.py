@@ -14,10 +14,9 @@ from scipy.spatial.transform import Rotation
 from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect
 from alight_sim.autopilot.flight_logic import FlightLogic
-from alight_sim.point_mass import PointMass
 
 if TYPE_CHECKING:
-    from alight_sim.autopilot.simulated import SimulatedHome
+    from alight_sim.autopilot.simulated import SimulatedHome, TrueVehicle
 
 _PRE_ARM = 0x10000000
 _GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes to stand still
@@ -30,7 +29,7 @@ class SimulatedState:
     """The autopilot at one instant."""
 
     logic: FlightLogic
-    vehicle: PointMass
+    vehicle: TrueVehicle
     degrees: tuple[float, float, float]  # latitude, longitude, altitude above sea level, as it believes
     metres: F64  # (3,) from the home, as it believes
     home: SimulatedHome

@@ -81,7 +81,8 @@ class FlightOutcome:
     set_point_times: Sequence[float] = ()  # s, exposure to the first set-point relative to its motion
 
 
-Tell, Say = Callable[[FlightStatus], None], Callable[[str], None]
+Tell = Callable[[FlightStatus], None]
+Say = Callable[[str], None]
 
 
 def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say = lambda line: None) -> FlightOutcome:

@@ -107,7 +107,7 @@ class LandingPilot:
         self._number, self._asked = 0, -math.inf
         self._tick_ns: int | None = None
         self._starts = vehicle.starts
-        self._flying, self._had_position, self._written = False, True, [0, 0]
+        self._flying, self._had_position, self._written = False, True, (0, 0)
         self._order = ""
         self.way_point_times = deque[float](maxlen=KEPT)  # s, exposure to the first order of the verdict that holds it
         self.set_point_times = deque[float](maxlen=KEPT)  # s, exposure to the first set-point relative to its motion
@@ -237,10 +237,12 @@ class LandingPilot:
             self.set_point_times.append((now_ns - self.motion.t_ns) * 1e-9)
 
     def _write_diary(self, now_ns: int) -> None:
-        for k, entries in enumerate((self.diary.transitions, self.diary.looks)):
-            for entry in entries[self._written[k] :]:
-                self._log.landing(now_ns, entry)
-            self._written[k] = len(entries)
+        first_look, first_transition = self._written
+        fresh: list[LookRecord | Transition] = [*self.diary.looks[first_look:]]
+        fresh += self.diary.transitions[first_transition:]
+        for entry in fresh:
+            self._log.landing(now_ns, entry)
+        self._written = len(self.diary.looks), len(self.diary.transitions)
 
     def _view(self, now: Situation) -> PilotView:
         place = self.executive.target

@@ -176,7 +176,9 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
     if free < LEAST_MB:
         disk = bad("disk", f"{free:.0f} MB are free in {out}", "free some space, or choose another folder with --out")
     elif free < need:
-        disk = warning("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}", "give --no-record, or less")
+        disk = warning(
+            "disk", f"{free:.0f} MB are free, the recording may need {need:.0f}", "give --no-record, or less"
+        )
     else:
         disk = good("disk", f"{free:.0f} MB are free, the recording may need {need:.0f}")
     return [loops, disk]
