@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,6 +35,13 @@ if TYPE_CHECKING:
     from alight_sim.steered import SteeredFlight
 
 ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
+
+
+class Dialects(StrEnum):
+    """Autopilots that can be simulated."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
 
 
 @app.command()
@@ -108,7 +116,7 @@ def rehearse(
     width: Annotated[int, typer.Option(min=80, help="Of the pictures, pixels; the height follows.")] = 320,
     rate: Annotated[float, typer.Option(min=1.0, help="Exposures a second.")] = 5.0,
     wind: Annotated[float, typer.Option(min=0.0, help="From the west, m/s.")] = 0.0,
-    px4: Annotated[bool, typer.Option("--px4", help="Speak as PX4; else as ArduPilot.")] = False,
+    autopilot: Annotated[Dialects, typer.Option(help="Whose dialect it speaks.")] = Dialects.ARDUPILOT,
     seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
     verbose: VerboseOption = False,
 ) -> None:
@@ -120,7 +128,7 @@ def rehearse(
         scene, seed, size=_size(width), rate_hz=rate, start=(-20.0, -12.0, height), wind=(wind, 0.0, 0.0),
         steered_by="truth",
     )  # fmt: skip
-    with Rehearsal(flight, folder, port, px4) as rehearsal:
+    with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
         say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {folder} --out OUT")
         try:
             rehearsal.wait(seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)
