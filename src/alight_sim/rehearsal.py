@@ -73,7 +73,7 @@ class Rehearsal:
         if flight.height_above_ground > 1.0:
             self.autopilot.hover(Doing.PILOT)
         self._cameras, self._shift_ns = CameraFolder(folder, flight), 0
-        self.server = UdpServer(self.autopilot, ("127.0.0.1", port), after_step=self._expose)
+        self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self) -> None:
         """Stamps are of the steady clock: the simulation's own time, and when that began."""

@@ -67,6 +67,7 @@ def fly(
     separation: Annotated[
         float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
     ] = None,
+    imu: Annotated[float, typer.Option(min=0.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")] = 50.0,
     record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
@@ -81,7 +82,7 @@ def fly(
 
     request = FlightRequest(
         link, camera, out, chosen, rig, dry_run, None if home is None else Home.parse(home), separation, take_off,
-        record, force,
+        imu, record, force,
     )  # fmt: skip
     if stderr.is_terminal:
         with Display(console=stderr, transient=True, auto_refresh=False) as display:

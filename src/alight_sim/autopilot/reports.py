@@ -80,7 +80,7 @@ class Reports:
             number = self._dialect.number(now.logic.doing)
             self._send(mavlink.MAVLink_heartbeat_message(self._kind, self._dialect.autopilot, base, number, 4, 3))
         for message, interval in self._interval.items():
-            if interval > 0 and t >= self._due[message]:
+            if interval > 0 and t >= self._due[message] - 1e-9:
                 self._due[message] = max(self._due[message] + interval, t)
                 self._send(self._make[message](now))
         self._events(now)

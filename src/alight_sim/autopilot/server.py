@@ -57,17 +57,19 @@ class UdpServer:
         self._socket.close()
 
     def _run(self) -> None:
-        begin, steps = time.monotonic(), 0
-        while not self._stop.wait(max(0.0, begin + steps * self._step / self._speed - time.monotonic())):
-            now, steps = time.monotonic(), steps + 1
+        pace = self._step / self._speed
+        due = time.monotonic() + pace
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            while due <= (now := time.monotonic()):  # all that is due: its clock is right when it answers
+                self.autopilot.step(self._step)
+                self._after_step()
+                due += pace
             with suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
                     data, self._peer = self._socket.recvfrom(65_535)
                     self._inwards.put(data, now)
             for data in self._inwards.get(now):
                 self.autopilot.receive(data)
-            self.autopilot.step(self._step)
-            self._after_step()
             for data in self.autopilot.pending():
                 self._outwards.put(data, now)
             for data in self._outwards.get(now):

@@ -54,6 +54,7 @@ class FlightRequest:
     home: Home | None = None  # for route.plan; None: the autopilot's
     separation: float | None = None  # metres, ellipsoid minus sea level; None: as the receiver reports it
     take_off: float | None = None  # metres above home; None: it flies already
+    imu_rate: float = 50.0  # Hz that the autopilot is asked for; 0: no IMU
     record: bool = True
     overwrite: bool = False
 
@@ -108,7 +109,7 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
     )
     if any(c.verdict is Judged.BAD for c in machine):
         return FlightOutcome(machine, REFUSED)
-    feed = TelemetryFeed(plan.link, None, plan.separation)
+    feed = TelemetryFeed(plan.link, None, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
     try:
         met = _Meeting(plan, feed, tell)
         checks = met.wait(machine)

@@ -206,7 +206,7 @@ class LandingPilot:
         """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
         then, now = self._vehicle.place_at(motion.t_ns), self._vehicle.place_at(now_ns)
         if then is None or now is None:
-            return None
+            return motion.world_from_body.translation if (now_ns - motion.t_ns) * 1e-9 <= self._stale else None
         a, b = (self._local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
         return np.asarray(motion.world_from_body.translation + (b - a))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from alight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
@@ -24,16 +24,20 @@ class TelemetryFeed:
         link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
         local: the world; None: it begins at the first good position.
         separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+        rates: Hz of further streams, as of `Autopilot`.
 
     Raises:
         InputError: the link cannot be opened.
     """
 
-    def __init__(self, link: str, local: LocalFrame | None = None, separation: float | None = None) -> None:
+    def __init__(
+        self, link: str, local: LocalFrame | None = None, separation: float | None = None,
+        rates: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
         self.name = link
         self._link = open_link(link)
         self.events_of = TelemetryEvents(local, separation)
-        self.autopilot = Autopilot(events=self.events_of)
+        self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
         self._sending = threading.Lock()  # orders leave at once, and not only when the listener comes by
