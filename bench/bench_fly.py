@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from alight.arrays import F64
 from alight.autopilot import Autopilot, TelemetryEvents
 from alight.pipeline import Pipeline
 from alight.records import Event, Frame
@@ -42,6 +43,7 @@ class Loop:
     later: list[tuple[int, Callable[[], None]]] = field(default_factory=list)
     pilot: LandingPilot | None = None
     asked: bool = False
+    about: F64 | None = None
 
     def __post_init__(self) -> None:
         size = (self.width, self.width * 3 // 4)
@@ -99,12 +101,12 @@ class Loop:
         if motion is None:
             return
         self.later.append((now + MOTION, lambda: pilot.moved(motion)))
-        if self.asked and (verdict := self.pipeline.judge_now()) is not None:
+        if self.asked and (verdict := self.pipeline.judge_now(self.about)) is not None:
             self.asked = False
             self.later.append((now + VERDICT, lambda: pilot.judged(verdict, event.t_ns)))
 
-    def _ask(self) -> None:
-        self.asked = True
+    def _ask(self, about: F64 | None) -> None:
+        self.asked, self.about = True, about
 
     def order(self, t_ns: int, state: str, words: str) -> None:
         """Nothing: there are many."""

@@ -64,7 +64,7 @@ def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
     """No verdict comes for a while: the vehicle stays where it is, in guided mode."""
     r = rig(dialect)
     assert r.fly(S.LOOK)
-    r.pilot._judge = lambda: None  # type: ignore[union-attr]
+    r.pilot._judge = lambda about: None  # type: ignore[union-attr]
     assert r.run(20.0, lambda: r.view is not None and r.view.order == "stay")
     r.run(1.5)
     before = r.truth()

@@ -112,7 +112,7 @@ class PilotRig(Rig):
         motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
         self._later.append((self.t + LATE, lambda: self.pilot.moved(motion)))  # type: ignore[union-attr]
 
-    def _judge(self) -> None:
+    def _judge(self, about: np.ndarray | None) -> None:
         at, t, t_ns = self.truth(), self.t - self._begun, self.now_ns
         self._number += 1
         number = self._number

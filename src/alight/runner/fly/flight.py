@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from alight import compiled
+from alight.arrays import F64
 from alight.autopilot import RemoteVehicle
 from alight.checks import CheckResult, Judged
 from alight.checks.result import bad
@@ -208,9 +209,7 @@ class _Cabin:
         self._hand: OrderTaker = SpokenVehicle(self._said_order) if plan.dry_run else self._vehicle
         sites = plan.settings.sites.model_copy(update={"every": 0})  # judged when the executive asks
         settings = plan.settings.model_copy(update={"sites": sites})
-        self._pilot = LandingPilot(
-            settings, feed.events_of.local, self._vehicle, self._hand, lambda: self._run.live.judge_now(), self
-        )
+        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
         listener = Listener(self._pilot.moved, self._pilot.judged)
         self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
         self._arrivals, self._failed = _Arrivals(), list[BaseException]()
@@ -270,6 +269,9 @@ class _Cabin:
 
     def _said_order(self, words: str) -> None:
         self._say(f"order, not sent: {words}")
+
+    def _judge(self, about: F64 | None) -> None:
+        self._run.live.judge_now(about)
 
     def _hear(self) -> Telemetry:
         """Take what the autopilot says."""

@@ -86,13 +86,13 @@ class LandingPilot:
         local: the world.
         vehicle: what the autopilot reports.
         hand: takes the orders: the vehicle itself, or one that says them.
-        judge: asks for a verdict on the ground below.
+        judge: asks for a verdict on the ground below, and about a place, (2,) metres in the map's frame, if given.
         log: is told what is done.
     """
 
     def __init__(
         self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, hand: OrderTaker,
-        judge: Callable[[], None], log: LandingLog,
+        judge: Callable[[F64 | None], None], log: LandingLog,
     ) -> None:  # fmt: skip
         self._vehicle, self._local, self._judge, self._log = vehicle, local, judge, log
         self._begin_ns: int | None = None
@@ -219,7 +219,8 @@ class LandingPilot:
         every = JUDGE_EVERY.get(self.state)
         if every is not None and now.t - self._asked >= every:
             self._asked = now.t
-            self._judge()
+            place = self.executive.target
+            self._judge(None if place is None else np.array([place.east, place.north]))
         order = self.executive.tick(now)
         self._order = self._sender.obey(order, self.state, self.motion, now_ns)
         if not self.over:

@@ -20,6 +20,7 @@ from threading import Thread
 from typing import Any, Protocol
 
 from alight import terrain
+from alight.arrays import F64
 from alight.pipeline import Decision, Lanes, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
@@ -152,6 +153,7 @@ class Live:
         self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
         self._asked = threading.Event()  # a verdict is wanted now
+        self._about: F64 | None = None  # and about which place
         self._newest: Motion | None = None
         self._pace = EffortControl()
         self._failed: list[BaseException] = []
@@ -243,8 +245,13 @@ class Live:
         if batch is not None:
             self._batches.put(batch)
 
-    def judge_now(self) -> None:
-        """Judge the map after the next exposure, whatever `sites.every` says, or as soon as the lane is free."""
+    def judge_now(self, about: F64 | None = None) -> None:
+        """Judge the map after the next exposure, whatever `sites.every` says, or as soon as the lane is free.
+
+        Args:
+            about: (2,) metres in the map's frame, a place that the map is to show too.
+        """
+        self._about = about
         self._asked.set()
 
     def finish(self) -> Decision:
@@ -409,7 +416,7 @@ class Live:
 
     def _hand_to_judge(self, navigation: Navigation) -> None:
         try:
-            seen = self._mapping.snapshot()
+            seen = self._mapping.snapshot(self._about)
         except LaneLost:
             return
         if seen is not None:
