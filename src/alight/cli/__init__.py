@@ -5,13 +5,14 @@ import os
 # before NumPy is imported: the filter's matrices are small, and several threads spend their time waiting
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from alight.cli import campaign, check, hazards, live, runs, simulate, terrain
+from alight.cli import campaign, check, fly, hazards, live, runs, simulate, terrain
 from alight.cli.app import call, main, progress_bar, read_settings
 
 __all__ = [
     "call",
     "campaign",
     "check",
+    "fly",
     "hazards",
     "live",
     "main",
