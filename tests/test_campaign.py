@@ -21,7 +21,7 @@ from alight.records.campaign import Conditions, FaultRecord, LandingRecord, Touc
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.report.campaign import campaign_numbers, unsafe_bound
 from alight.runner import campaign as runner
-from alight.runner.campaign import Campaign, LandingLog, again, continued, fly_campaign
+from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign
 from alight.runner.campaign.faults import FAULTS, Happenings
 from alight.runner.campaign.flying import fly_conditions
 from alight.runner.campaign.plan import MOST_WIND, conditions_of, scenes_of
@@ -99,7 +99,7 @@ def lines(out: Path) -> list[str]:
 
 
 def repeatable(out: Path) -> dict[int, dict]:  # type: ignore[type-arg]
-    return {k: r.repeatable() for k, r in LandingLog(out).read().items()}
+    return {k: r.repeatable() for k, r in CampaignFolder(out).read().items()}
 
 
 # -- the plan
@@ -186,7 +186,7 @@ def test_a_torn_last_line_is_mended_and_its_landing_flown_again(tmp_path: Path) 
     fly_campaign(campaign, out, fly=lands)
     whole, path = repeatable(out), out / "landings.jsonl"
     path.write_bytes(path.read_bytes()[:-40])
-    assert set(LandingLog(out).read()) == {0, 1}
+    assert set(CampaignFolder(out).read()) == {0, 1}
     fly_campaign(campaign, out, fly=lands)
     assert repeatable(out) == whole
     assert len(lines(out)) == 3
@@ -296,7 +296,7 @@ def test_a_landing_that_raises_is_failed_and_the_campaign_goes_on(tmp_path: Path
     campaign = small([scene(tmp_path)], 3)
     second = conditions_of(campaign.scenes, campaign.seed, 1).flight_seed
     numbers = fly_campaign(campaign, tmp_path / "out", fly=sometimes)
-    record = LandingLog(tmp_path / "out").read()[1]
+    record = CampaignFolder(tmp_path / "out").read()[1]
     assert (numbers.outcomes["landed safely"], numbers.outcomes["failed"]) == (2, 1)
     assert record.error is not None
     assert record.error.startswith("ArithmeticError: the world ended (test_campaign.py:")

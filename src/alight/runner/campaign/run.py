@@ -16,7 +16,7 @@ from alight.records import InputError
 from alight.records.campaign import CampaignHead, LandingRecord
 from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
 from alight.runner.campaign.flying import FlyLanding, fly_conditions
-from alight.runner.campaign.log import PAGE, LandingLog
+from alight.runner.campaign.folder import PAGE, CampaignFolder
 from alight.runner.campaign.plan import conditions_of, scenes_of
 from alight.runner.campaign.workers import fly_all
 from alight.runner.landing import fly_landing
@@ -69,8 +69,8 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
     Raises:
         InputError: the folder holds no campaign.
     """
-    log = LandingLog(out)
-    head = log.head()
+    folder = CampaignFolder(out)
+    head = folder.head()
     if head is None:
         raise InputError(f"{out}: holds no campaign; name scenes, or 'all', to begin one")
     wanted = head.landings if landings is None else landings
@@ -103,29 +103,29 @@ def fly_campaign(
     """
     if beside is not None:
         numbers_in(beside)  # a wrong name is told before hours of work
-    log = LandingLog(out)
-    log.begin(campaign.head)
-    done = log.read()
+    folder = CampaignFolder(out)
+    folder.begin(campaign.head)
+    done = folder.read()
     open_ = [k for k in range(campaign.landings) if k not in done]
     job = partial(fly_conditions, settings=campaign.settings, fly=fly)
     begun, before = time.monotonic(), campaign.landings - len(open_)
     drawn = [conditions_of(campaign.scenes, campaign.seed, k) for k in open_]
     for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
-        log.append(record, picture)
+        folder.append(record, picture)
         each = (time.monotonic() - begun) / n
         tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
-    return _report(log, campaign.head, beside)
+    return _report(folder, campaign.head, beside)
 
 
-def _report(log: LandingLog, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
+def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
     """Write campaign.json and campaign.html from the lines of a campaign."""
-    records = list(log.read().values())
+    records = list(folder.read().values())
     numbers = campaign_numbers(records)
     other = None if beside is None else (beside.resolve().name, numbers_in(beside))
-    log.write_head(head, {"numbers": numbers.as_json()})
-    pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(log.out / r.picture))}
-    page = render_campaign(log.out.resolve().name, head, records, numbers, pictures, other)
-    write_whole(log.out / PAGE, page.encode())
+    folder.write_head(head, {"numbers": numbers.as_json()})
+    pictures = {r.number: uri for r in records if r.picture and (uri := _embedded(folder.out / r.picture))}
+    page = render_campaign(folder.out.resolve().name, head, records, numbers, pictures, other)
+    write_whole(folder.out / PAGE, page.encode())
     return numbers
 
 
@@ -142,10 +142,10 @@ def numbers_in(out: Path) -> CampaignNumbers:
     Raises:
         InputError: it holds none.
     """
-    log = LandingLog(out)
-    if log.head() is None:
+    folder = CampaignFolder(out)
+    if folder.head() is None:
         raise InputError(f"{out}: holds no campaign; name a folder that 'alight campaign' left")
-    return campaign_numbers(list(log.read().values()))
+    return campaign_numbers(list(folder.read().values()))
 
 
 def again(
@@ -157,9 +157,9 @@ def again(
         the landing, and the names of the fields that differ: none where it is the same or has no line.
     """
     record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
-    log = LandingLog(out)
-    there = log.head()
-    old = log.read().get(landing) if there is not None and there.differing(campaign.head) is None else None
+    folder = CampaignFolder(out)
+    there = folder.head()
+    old = folder.read().get(landing) if there is not None and there.differing(campaign.head) is None else None
     if old is None:
         return record, []
     one, two = record.repeatable(), old.repeatable()

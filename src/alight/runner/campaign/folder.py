@@ -16,7 +16,7 @@ from alight.records.campaign import CampaignHead, LandingRecord
 LINES, HEAD, PAGE = "landings.jsonl", "campaign.json", "campaign.html"
 
 
-class LandingLog:
+class CampaignFolder:
     """One campaign's folder.
 
     Args:
