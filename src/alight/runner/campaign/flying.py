@@ -88,7 +88,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
         outcome=judged.outcome, why=judged.why, touchdown=touchdown, safe_share=judged.safe_share,
         state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
         found_after=found[0].t if found else None,
-        looks=tuple(LookLine(**{name: getattr(x, name) for name in LookLine.model_fields}) for x in landing.diary.looks),
+        looks=tuple(LookLine(**{k: getattr(x, k) for k in LookLine.model_fields}) for x in landing.diary.looks),
         transitions=tuple(
             TransitionLine(
                 t=x.t, before=x.before.value, event=x.event.value, after=x.after.value, reason=x.reason, p_safe=x.p_safe
