@@ -53,6 +53,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert {E.FOUND, E.LOWER, E.CONFIRMED, E.TOUCHED_DOWN} <= set(events(r))
     assert not r.of(NoticeKind.TAKEOVER)
     assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)  # type: ignore[union-attr]
+    assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)  # type: ignore[union-attr]
     assert r.pilot.way_point_times  # type: ignore[union-attr]
     t = r.t
     r.run(5.0)
