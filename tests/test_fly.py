@@ -270,7 +270,7 @@ def test_a_take_off_ends_when_somebody_else_flies() -> None:
 @BOTH
 def test_a_dry_run_says_its_orders_and_sends_none(dialect: str) -> None:
     """The wire is read: heartbeats, requests for streams and time alone leave."""
-    r = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect)
+    r = PilotRig(Ground({PLACE: lambda height: 0.97}).seen, dialect)
     r.up_and_flying(30.0)
     r.vehicle.release()
     said: list[str] = []
