@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,12 +21,15 @@ from alight import __version__
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
-MENDABLE, INTERRUPTED = 2, 130  # exit codes
+MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
 # typer's errors descend from the click it brings along or, older, from click itself; it shows this one leaf of both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
 stderr = Console(stderr=True)
+_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # asked for politely; Windows has no SIGHUP
+_unsaid: list[str] = []  # why stdout did not take the answer: told when the work is done
+_signals: list[int] = []  # that asked this process to end
 
 
 def _speak_up(verbose: bool) -> None:
@@ -85,18 +90,13 @@ def complain(line: str, style: str) -> None:
 
 
 def say(line: str) -> None:
-    """One line on stdout. That nobody reads it (`| head`) is no error.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """One line on stdout. That nobody reads it (`| head`) is no error; that it cannot be written ends no work."""
     try:
         typer.echo(line)
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
-        if isinstance(e, BrokenPipeError):
-            return
-        raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
+        if not isinstance(e, BrokenPipeError):
+            _unsaid.append(f"standard output: cannot be written ({e.strerror}); mend that or leave it open")
 
 
 def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
@@ -175,6 +175,9 @@ def call(arguments: Sequence[str] | None = None) -> int:
         code = _exit_code(arguments)
         if code == INTERRUPTED:
             complain("interrupted: files that were finished are whole, the rest was not written", "yellow")
+            return TERMINATED if _signals else code
+        if _unsaid:
+            raise OutputError(_unsaid[0])
         return code
     except AlightError as e:
         complain(f"error: {e}", "bold red")
@@ -182,9 +185,38 @@ def call(arguments: Sequence[str] | None = None) -> int:
         complain(f"error: {_usage(e)}", "bold red")
     except MemoryError:
         complain("error: not enough memory; choose a larger parallax.cell or a smaller parallax.store_mb", "bold red")
+    finally:
+        _unsaid.clear()
+        if "alight.outputs.folder_lock" in sys.modules:
+            sys.modules["alight.outputs.folder_lock"].release_all()
     return MENDABLE
+
+
+def _end(number: int, frame: object) -> None:
+    """A signal to end is as good as Ctrl-C."""
+    _signals.append(number)
+    raise KeyboardInterrupt
+
+
+def _mend_streams() -> None:
+    """Closed standard streams lead to nothing, or the next file would take their place; any name can be printed."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def main() -> None:
     """Run the command line of this process."""
-    sys.exit(call())
+    _mend_streams()
+    for number in _ENDINGS:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
+    code = call()
+    for number in (signal.SIGINT, *_ENDINGS):
+        signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more
+    sys.exit(code)
