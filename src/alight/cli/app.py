@@ -18,6 +18,7 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from alight import __version__
+from alight.documents import DocumentError, read_text
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
@@ -53,11 +54,11 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
         SettingsError: the file cannot be read, a key is unknown, a value is out of range.
     """
     try:
-        text = file.read_text(encoding="utf-8") if file else ""
-    except (OSError, UnicodeDecodeError) as e:
-        raise SettingsError(
-            f"{file}: cannot be read ({getattr(e, 'strerror', None) or 'not text'}); name a YAML file"
-        ) from e
+        text = read_text(file) if file else ""
+    except OSError as e:
+        raise SettingsError(f"{file}: cannot be read ({e.strerror}); name a YAML file") from e
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
     try:
         return load_settings(text, assignments or ())
     except ValueError as e:

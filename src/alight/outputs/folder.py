@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from alight import __version__, report
+from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
 from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
@@ -155,8 +155,8 @@ def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
 def is_run(folder: Path) -> bool:
     """Whether the folder holds a finished run of ours."""
     try:
-        tree = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        tree = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
+    except (OSError, DocumentError):
         return False
     return isinstance(tree, dict) and "alight" in tree
 

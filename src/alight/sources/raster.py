@@ -39,10 +39,14 @@ class GroundRaster:
 def _open(path: Path) -> Any:
     if not path.exists():
         raise InputError(f"{path}: there is no such file; name a raster such as a GeoTIFF")
+    if not path.is_file():
+        raise InputError(f"{path}: not a plain file; name a raster such as a GeoTIFF")
     try:
         with warnings.catch_warnings():  # what has no coordinates is said by us, once and in words
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.open(path)
+    except UnicodeEncodeError as e:
+        raise InputError(f"{path}: its name is not UTF-8; rename it") from e
     except RasterioError as e:
         raise InputError(f"{path}: not a raster that can be read ({' '.join(str(e).split())}); give a GeoTIFF") from e
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from alight.documents import LONGEST, DocumentError, parse_yaml, read_bytes
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records import InputError, RigCamera
 
@@ -31,14 +31,16 @@ def load_yaml(path: Path) -> dict[str, Any]:
         InputError: no such file, not YAML, or no mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = read_bytes(path, LONGEST).decode("utf-8-sig", errors="replace")
     except OSError as e:
         raise InputError(f"{path}: cannot be read ({e.strerror}); this calibration file is needed") from e
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}") from e
     lines = [line for line in text.splitlines() if not line.startswith("%")]  # %YAML:1.0 is OpenCV's, not YAML's
     try:
-        tree = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
-    except yaml.YAMLError as e:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(e).split())}") from e
+        tree = parse_yaml("\n".join(lines).replace("!!opencv-matrix", ""))
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}") from e
     if not isinstance(tree, dict):
         raise InputError(f"{path}: needs a mapping of keys such as 'intrinsics: [fu, fv, cu, cv]'")
     return tree
