@@ -57,7 +57,10 @@ def _assign(tree: Tree, assignment: str) -> None:
     key, sep, value = assignment.partition("=")
     if not sep or not key.strip():
         raise ValueError(f"--set takes key=value, got {assignment!r}")
-    _put(tree, key.strip(), parse_yaml(value))
+    try:
+        _put(tree, key.strip(), parse_yaml(value))
+    except DocumentError as e:
+        raise ValueError(f"{key.strip()}: {e}") from e
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:
