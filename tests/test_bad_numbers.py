@@ -10,7 +10,10 @@ import pytest
 import yaml
 from damage import change_field, write_photo, write_yaml
 
+from alight.cli import app as cli_app
 from alight.cli import call
+from alight.pipeline.mapping.size import refuse_too_large
+from alight.records import SettingsError
 
 
 def ran(source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], *options: str) -> tuple[int, str, str]:
@@ -141,3 +144,26 @@ def test_photos_that_fix_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[s
     code, out, err = ran(tmp_path / "survey", tmp_path, capsys)
     assert code in (0, 2)
     assert out.startswith("NO SITE") if code == 0 else err.count("\n") == 1
+
+
+def test_a_map_too_large_is_refused_with_the_cell_that_mends_it() -> None:
+    refuse_too_large((0.0, 0.0), (1000.0, 1000.0), 0.05, 22.0)
+    with pytest.raises(
+        SettingsError, match=r"1,000 x 1,000 m needs about 22,000,000 GB; parallax\.cell=0\.1 would need"
+    ):
+        refuse_too_large((0.0, 0.0), (1000.0, 1000.0), 1e-6 * 31.6227766, 22.0)
+
+
+@pytest.mark.parametrize(
+    ("command", "advice"),
+    [("hazards", "gdalwarp -tr"), ("run", "parallax.cell"), ("simulate", "smaller images"), ("check", "--seconds")],
+)
+def test_the_advice_where_memory_ends_fits_the_command(
+    command: str, advice: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(arguments: object) -> int:
+        raise MemoryError
+
+    monkeypatch.setattr(cli_app, "_exit_code", full)
+    assert call([command, "x"]) == 2
+    assert advice in capsys.readouterr().err

@@ -138,9 +138,9 @@ def _cells(path: Path, where: float, what: str) -> None:
     try:
         with rasterio.open(path, "r+") as d:
             z = d.read(1)
-            z[: max(1, int(where * len(z)))] = np.float32(float(what) if what else 0)
+            z[: max(1, int(where * len(z)))] = np.float32(min(max(float(what or 0), -3e38), 3e38))
             d.write(z, 1)
-    except (rasterio.errors.RasterioError, TypeError, ValueError, OverflowError):
+    except Exception:  # whatever the damaged file leads to: it stays as it is
         pass
 
 
@@ -150,7 +150,7 @@ def _place(path: Path, where: float, what: str) -> None:
         with rasterio.open(path, "r+") as d:
             cell = float(what or 0)
             d.transform = rasterio.Affine(cell, 0, cell * where, 0, -cell, 1e6 * where)
-    except (rasterio.errors.RasterioError, TypeError, ValueError):
+    except Exception:  # whatever the damaged file leads to: it stays as it is
         pass
 
 

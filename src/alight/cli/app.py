@@ -87,13 +87,17 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def complain(line: str, style: str) -> None:
     """One line on stderr, however long: a terminal wraps it by itself, and a log wants it whole."""
-    stderr.print(" ".join(line.split()), style=style, markup=False, highlight=False, soft_wrap=True)
+    from alight.report.words import printable
+
+    stderr.print(printable(" ".join(line.split())), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
     """One line on stdout. That nobody reads it (`| head`) is no error; that it cannot be written ends no work."""
+    from alight.report.words import printable
+
     try:
-        typer.echo(line)
+        typer.echo(printable(line))
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
         if not isinstance(e, BrokenPipeError):
@@ -169,6 +173,20 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
         return INTERRUPTED
 
 
+def _smaller(arguments: Sequence[str] | None) -> str:
+    """What makes a command need less memory."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    command = next((w for w in words if not w.startswith("-")), "")
+    advice = {
+        "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
+        "simulate": "choose smaller images or a lower rate in the scene",
+        "terrain": "give fewer or smaller pictures",
+        "evaluate": "give a smaller run",
+        "check": "read less with --seconds",
+    }
+    return advice.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
+
+
 def call(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 2 and one line on stderr for what a user can mend, 130 for Ctrl-C."""
     _log_to_stderr()
@@ -185,7 +203,7 @@ def call(arguments: Sequence[str] | None = None) -> int:
     except UsageError as e:
         complain(f"error: {_usage(e)}", "bold red")
     except MemoryError:
-        complain("error: not enough memory; choose a larger parallax.cell or a smaller parallax.store_mb", "bold red")
+        complain(f"error: not enough memory; {_smaller(arguments)}", "bold red")
     finally:
         _unsaid.clear()
         if "alight.outputs.folder_lock" in sys.modules:
