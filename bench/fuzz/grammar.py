@@ -15,7 +15,8 @@ import rasterio
 
 NUMBERS = (
     "", "nan", "inf", "-inf", "0", "-0.0", "-1", "1", "1e-300", "1e300", "-1e300", "1e200", "1e9", "-1e9", "1e5", "0.5",
-    "1e-9", "9" * 25, "0x10", "one", "\u00e9", "1e400", "[1]", "null", "true", "{a: 1}", "2026-13-45",
+    "1e-9", "1e-6", "1e-5", "100", "-2000", "9" * 25,
+    "0x10", "one", "\u00e9", "1e400", "[1]", "null", "true", "{a: 1}", "2026-13-45",
 )  # fmt: skip
 TIMES = ("shift", "scale", "jump", "reverse", "same")
 SECONDS = (-3600, -30, -1, 0, 1, 30, 3600, 86400 * 365, -1_600_000_000)
@@ -138,7 +139,8 @@ def _cells(path: Path, where: float, what: str) -> None:
     try:
         with rasterio.open(path, "r+") as d:
             z = d.read(1)
-            z[: max(1, int(where * len(z)))] = np.float32(min(max(float(what or 0), -3e38), 3e38))
+            value = float(what or 0)
+            z[: max(1, int(where * len(z)))] = value if abs(value) < 3e38 else np.nan
             d.write(z, 1)
     except Exception:  # whatever the damaged file leads to: it stays as it is
         pass
