@@ -84,7 +84,10 @@ def parse_yaml(text: str) -> Any:
         _measure(node, {}, 0)
         tree = loader.construct_document(node)
     except yaml.YAMLError as e:
-        raise DocumentError(f"not valid YAML: {' '.join(str(e).split())[:300]}") from e
+        mark = getattr(e, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark is not None else ""
+        why = " ".join(str(getattr(e, "problem", None) or e).split())[:300]
+        raise DocumentError(f"not valid YAML{where}: {why}") from e
     except RecursionError as e:
         raise DocumentError(_deep()) from e
     except DocumentError:
