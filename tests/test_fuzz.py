@@ -29,26 +29,22 @@ def fuzz(keep: Path, *options: str, before: str = "") -> tuple[int, str]:
 
 @pytest.mark.parametrize("kinds", ["noise,photos", "dem,protocol"])
 def test_a_short_run_finds_nothing(tmp_path: Path, kinds: str) -> None:
-    code, said = fuzz(tmp_path / "kept", "--minutes", "0.2", "--seed", "7", "--kinds", kinds)
+    code, said = fuzz(tmp_path / "kept", "--trials", "8", "--seed", "7", "--kinds", kinds)
     assert code == 0, said
     assert "0 kinds of failure" in said
     assert not (tmp_path / "kept").exists()
 
 
 def test_a_fault_is_found_shrunk_and_kept(tmp_path: Path) -> None:
-    """A reader of tables that raises on a field that is no number."""
+    """A notebook that raises at the first loss."""
     fault = """
-import alight.sources.tables as tables
-plain = tables.numbers_of
-def faulty(row, group, findings):
-    numbers = plain(row, group, findings)
-    if numbers is None:
-        raise OverflowError("a fault put in")
-    return numbers
-tables.numbers_of = faulty
+import alight.sources.source as source
+def faulty(self, group, item, why):
+    raise OverflowError("a fault put in")
+source.Findings.lose = faulty
 """
     keep = tmp_path / "kept"
-    code, said = fuzz(keep, "--minutes", "0.7", "--seed", "7", "--kinds", "noise", before=fault)
+    code, said = fuzz(keep, "--trials", "12", "--seed", "7", "--kinds", "noise", before=fault)
     assert code == 1, said
     kept = [json.loads(p.read_text(encoding="utf-8")) for p in keep.glob("*.json")]
     assert any("a fault put in" in k["fault"] and len(k["damages"]) == 1 for k in kept)

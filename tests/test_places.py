@@ -124,7 +124,7 @@ def running(flight: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     with subprocess.Popen(
         [*COMMAND, "run", flight, "--out", out], env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
-        end = time.monotonic() + 60
+        end = time.monotonic() + 300
         while not (out / ".alight.lock").exists() and time.monotonic() < end:
             time.sleep(0.01)
         yield process
@@ -137,7 +137,7 @@ def test_a_run_that_is_ended_leaves_nothing_that_harms_the_next(
 ) -> None:
     time.sleep(moment)
     running.send_signal(how)
-    _, err = running.communicate(timeout=60)
+    _, err = running.communicate(timeout=300)
     codes = {signal.SIGTERM: (143, 0), signal.SIGKILL: (-9, 0), signal.SIGINT: (130, 0)}
     assert running.returncode in codes[how]
     assert b"Traceback" not in err

@@ -117,6 +117,7 @@ def main() -> int:
     """Run for a time; return the exit code."""
     parser = argparse.ArgumentParser(description="Damage inputs and see that the answer is one of those promised.")
     parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--trials", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=None, help="default: another one each time")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"))
     parser.add_argument("--kinds", default=",".join([*seeds.INPUTS, "protocol"]))
@@ -134,7 +135,7 @@ def main() -> int:
             sys.stdout.write(f"{fault}\n")
             return int(fault is not None and not fault.startswith("None"))
         end, trials = time.monotonic() + 60 * given.minutes, 0
-        while time.monotonic() < end:
+        while time.monotonic() < end and trials < given.trials:
             fuzzer.once(kinds[trials % len(kinds)], 1_000_000 * seed + trials)
             trials += 1
     sys.stdout.write(f"seed {seed}: {trials} trials, {len(fuzzer.failures)} kinds of failure\n")
