@@ -84,6 +84,8 @@ class Loop:
             self._fly(self.pilot, k, now)
         for data in self.ours.pending():
             self.sim.receive(data)
+        for data in self.sim.pending():  # answers, TIMESYNC among them, without a step between
+            self.ours.receive(data, now)
 
     def _fly(self, pilot: LandingPilot, k: int, now: int) -> None:
         if k == round(BEGIN / STEP):

@@ -461,3 +461,23 @@ def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> No
     beside = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0]), m, 3.0)
     assert over == pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4)
     assert beside == pytest.approx(3.04, abs=1e-4)
+
+
+@pytest.mark.parametrize("trouble", ["motion", "pictures", "frame", "wind"])
+def test_just_above_the_ground_it_lands_whatever_comes(trouble: str) -> None:
+    """Going up again blind, or from a gust near the ground, is worse than the last metre."""
+
+    def change(now: Situation, executive: Executive) -> Situation:
+        assert now.position is not None
+        if executive.state is not S.COMMIT or now.position[2] > 1.2 or now.standing:
+            return now
+        return {
+            "motion": replace(now, state=MotionState.LOST, position=None),
+            "pictures": replace(now, picture_age=9.0),
+            "frame": replace(now, frame_id=now.frame_id + 1),
+            "wind": replace(now, wind=30.0),
+        }[trouble]
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), change)
+    assert f.fly() is S.LANDED
+    assert S.ABORT not in f.states

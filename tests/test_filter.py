@@ -15,7 +15,7 @@ from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
 from alight.motion.ekf.initial_attitude import attitude_from_course
-from alight.motion.ekf.state import GYRO
+from alight.motion.ekf.state import GYRO, FilterState
 from alight.motion.imu_buffer import ImuBuffer
 from alight.motion.preintegration import Segments, corrected, preintegrate, segments
 from alight.motion.projection import jacobians, project
@@ -411,3 +411,13 @@ def test_the_posterior_follows_from_the_window_alone() -> None:
         for a, b in zip(found.motions, wanted.motions, strict=True):
             np.testing.assert_array_equal(a.world_from_cams[0].matrix, b.world_from_cams[0].matrix)
             np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_a_measurement_that_makes_a_matrix_singular_is_left_out_and_counted() -> None:
+    state = FilterState(0, np.eye(3), np.zeros(31), np.eye(31))
+    before = state.P.copy()
+    for residual, H in ((np.ones(1), np.full((1, 1), np.nan)), (np.full(1, np.nan), np.ones((1, 1)))):
+        state.correct(residual, H, slice(0, 1))
+    state.correct_by(np.ones(1), np.ones((1, 31)), np.full((1, 1), -5.0))
+    assert state.refused == 3
+    np.testing.assert_allclose(state.P, before)

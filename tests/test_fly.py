@@ -53,6 +53,7 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert {E.FOUND, E.LOWER, E.CONFIRMED, E.TOUCHED_DOWN} <= set(events(r))
     assert not r.of(NoticeKind.TAKEOVER)
     assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)  # type: ignore[union-attr]
+    assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)  # type: ignore[union-attr]
     assert r.pilot.way_point_times  # type: ignore[union-attr]
     t = r.t
     r.run(5.0)
@@ -269,7 +270,7 @@ def test_a_take_off_ends_when_somebody_else_flies() -> None:
 @BOTH
 def test_a_dry_run_says_its_orders_and_sends_none(dialect: str) -> None:
     """The wire is read: heartbeats, requests for streams and time alone leave."""
-    r = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect)
+    r = PilotRig(Ground({PLACE: lambda height: 0.97}).seen, dialect)
     r.up_and_flying(30.0)
     r.vehicle.release()
     said: list[str] = []

@@ -126,7 +126,7 @@ def test_a_raster_that_cannot_be_judged_is_refused(
     ("option", "value", "says"),
     [
         ("--sigma", "other.tif", "the heights have 81 x 81"),
-        ("--sigma", "-1", "not below 0"),
+        ("--sigma", "-1", "metres from 0 to 1000"),
         ("--image", "other8.tif", "give 1, 2, 4, ... pixels a cell"),
         ("--image", "moved.tif", "lies elsewhere"),
         ("--image", "other.tif", "give 8 bit"),

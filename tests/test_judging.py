@@ -10,12 +10,13 @@ from some_run import candidate, elevation, hazards, site
 
 from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
+from alight.hazards import assess
 from alight.pipeline.judging import Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
 from alight.raster import block_mean, cells_as_blocks
 from alight.records import ElevationMap, NextView, Sites, View
-from alight.settings import TerrainSettings
+from alight.settings import Settings, TerrainSettings
 
 
 def look_down(t_ns: int, cam: int, focal: float) -> View:
@@ -87,3 +88,23 @@ def test_land_cover_is_found_on_cells_that_fit_its_evidence_and_given_on_those_o
     assert (blocks == blocks[:, :1, :, :1]).all()
     coarse = cells((20, 20), 0.2, 4)
     assert land_cover(coarse, TerrainSettings(), None).grid == coarse.grid
+
+
+def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
+    seen = cells((60, 60), 0.1, 1)
+    grey = replace(seen, rgb=np.repeat(seen.rgb[..., :1], 3, axis=2), fine=None, fine_sampling=None)
+    cover, coloured = (land_cover(e, TerrainSettings(), None) for e in (grey, replace(seen, fine=None)))
+    assert (cover.coloured, coloured.coloured) == (False, True)
+    assert cover.on(Grid(0.0, 0.0, 0.2, 30, 30)).coloured is False
+    stages = Settings().stages()
+    with_colour, without = (
+        assess(grey, replace(cover, coloured=known), stages.lander, stages.hazards).p_ground for known in (True, False)
+    )
+    judged = np.isfinite(without)
+    assert judged.any()
+    np.testing.assert_allclose(without[judged] / with_colour[judged], np.exp(-stages.hazards.grey_hazard), rtol=1e-4)
+    frame = MapFrame(0, np.zeros(3), np.eye(3))
+    verdict = Verdict(grey, cover, hazards(), Sites((), "fog"), frame)
+    assert "the pictures are grey" in verdict.warnings[0]
+    assert replace(verdict, cover=coloured).warnings == ()
+    assert "terrain.enabled=false" in replace(verdict, cover=None).warnings[0]

@@ -619,7 +619,7 @@ def test_scene_files_that_cannot_be_read(tmp_path):
     with pytest.raises(InputError, match=r"none.yaml: cannot be read"):
         build(tmp_path / "none.yaml")
     (tmp_path / "bad.yaml").write_text("ground:\n  size: [1, 2\nlight: {}\n")
-    with pytest.raises(InputError, match=r"bad.yaml: is not YAML at line"):
+    with pytest.raises(InputError, match=r"bad.yaml: not valid YAML at line"):
         build(tmp_path / "bad.yaml")
     (tmp_path / "list.yaml").write_text("- 1\n")
     with pytest.raises(InputError, match=r"list.yaml: holds a list"):

@@ -8,6 +8,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from alight.documents import DocumentError, read_text
 from alight.records import SettingsError
 from alight.result import Result
 from alight.settings import Lander, Settings, load_settings
@@ -67,8 +68,8 @@ def _of_mapping(given: Mapping[str, Any]) -> Settings:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as e:
+        return read_text(path)
+    except (OSError, DocumentError) as e:
         raise SettingsError(f"{path}: cannot be read; name a YAML file of settings") from e
 
 

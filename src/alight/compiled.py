@@ -7,14 +7,20 @@ simulator, which come in the same wheel.
 
 import hashlib
 import importlib
+import logging
 import os
-import tempfile
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, cast
+
+from alight.loop_cache import NAMED, cache_folder, mend_threads
 
 R = TypeVar("R")
+
+log = logging.getLogger(__name__)
+_DIGEST = hashlib.sha256().digest_size
 
 
 class _Compile(Protocol):
@@ -33,44 +39,94 @@ def kernel_sources() -> Iterator[Path]:
     yield from sorted((here.parent / "alight_sim" / "kernels").glob("*.py"))
 
 
-def _cache_dir() -> Path:
+def _sources_digest() -> str:
     digest = hashlib.sha256()
     for source in (Path(__file__), *kernel_sources()):
         digest.update(source.read_bytes())
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = root / "alight" / f"kernels-{digest.hexdigest()[:16]}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # no home to write to: a kernel cache for this machine's lifetime
-        folder = Path(tempfile.gettempdir()) / f"alight-kernels-{digest.hexdigest()[:16]}"
-        folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return digest.hexdigest()[:16]
 
 
-os.environ.setdefault("NUMBA_CACHE_DIR", str(_cache_dir()))
+CACHE = cache_folder(f"kernels-{_sources_digest()}")  # None: loops are kept in memory alone
+if CACHE is not None:
+    os.environ[NAMED] = str(CACHE)  # the children's as well
+mend_threads()
 
 import numba  # noqa: E402  (the environment must be set first)
 from numba.core import event  # noqa: E402
+from numba.core.caching import FunctionCache, IndexDataCacheFile  # noqa: E402
 from numba.core.registry import CPUDispatcher  # noqa: E402
 
 # who imported numba before us has it caching beside the sources, by each file's own time: stale callers again
-numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+numba.config.CACHE_DIR = str(CACHE or "")
+numba.config.CACHE_LOCATOR_CLASSES = "UserProvidedCacheLocator"  # nowhere else: not in the package
 if not numba.config.DISABLE_JIT:
     numba.config.THREADING_LAYER = "omp"  # two Python threads calling parallel kernels abort on `workqueue`
 
-kernel: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy")
-parallel_kernel: _Compile = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+
+class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
+    """The files of one loop, each compiled form with a digest: what is damaged counts as not there."""
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except Exception:  # pickle raises whatever the damaged bytes happen to ask for
+            return {}
+
+    def _load_data(self, name: str) -> Any:
+        content = Path(self._data_path(name)).read_bytes()
+        digest, data = content[:_DIGEST], content[_DIGEST:]
+        if hashlib.sha256(data).digest() != digest:
+            raise OSError(f"{name}: damaged")  # the compiler takes that for a file that is not there
+        return pickle.loads(data)
+
+    def _save_data(self, name: str, data: Any) -> None:
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """The compiled forms of one loop on disk; a full or read-only disk costs time and ends nothing."""
+
+    _cache_file: Any
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        own = self._cache_file
+        self._cache_file = _CheckedFile(own._cache_path, self._impl.filename_base, own._source_stamp)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled form, if that is possible."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as e:
+            log.info("%s: a compiled loop is not kept (%s)", CACHE, e.strerror)
+
+
+def _compiler(**options: Any) -> _Compile:
+    """A decorator that compiles with these options and keeps the result in the cache."""
+
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
+        loop: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+        if CACHE is not None and not numba.config.DISABLE_JIT:
+            with suppress(RuntimeError):  # the folder was taken away meanwhile
+                loop._cache = _Cache(function)
+        return cast(Callable[..., R], loop)
+
+    return decorate
+
+
+kernel: _Compile = _compiler()
+parallel_kernel: _Compile = _compiler(parallel=True)
 # for reductions to a minimum of numbers that are none of them NaN: any order gives the same bits
-minimum_kernel: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz", "reassoc"})
+minimum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc"})
 # for sums of numbers that are none of them NaN: their order, and so their last bits, are the machine's. Inlined into
 # the caller: a copy of its own, optimised once more or once less, made the compiling run differ from all later ones
-sum_kernel: _Compile = numba.njit(
-    cache=True, nogil=True, error_model="numpy", fastmath={"nnan", "nsz", "reassoc", "contract"}, forceinline=True
-)
-inline: _Compile = numba.njit(cache=True, nogil=True, inline="always", error_model="numpy")
+sum_kernel: _Compile = _compiler(fastmath={"nnan", "nsz", "reassoc", "contract"}, forceinline=True)
+inline: _Compile = _compiler(inline="always")
 prange = numba.prange
 # inside a loop over a row of pixels: inlined by LLVM before it vectorises (texture noise 27 -> 2.3 ns a sample)
-pixelwise: _Compile = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+pixelwise: _Compile = _compiler(forceinline=True)
 
 
 def use_threads(count: int) -> None:
@@ -99,6 +155,8 @@ def load_cached(parallel: bool) -> int:
         if bool(loop.targetoptions.get("parallel")) is not parallel:
             continue
         cache = loop._cache
+        if not isinstance(cache, _Cache):
+            continue
         for key in cache._cache_file._load_index():
             if key == cache._index_key(key[0], loop.targetctx.codegen()):
                 loop.compile(key[0])
@@ -108,13 +166,14 @@ def load_cached(parallel: bool) -> int:
 
 def is_warm() -> bool:
     """Whether every loop of a run was compiled on this machine, of these sources."""
-    return (Path(os.environ["NUMBA_CACHE_DIR"]) / "warm").exists()
+    return CACHE is not None and (CACHE / "warm").exists()
 
 
 def mark_warm() -> None:
     """Note that it was."""
-    with suppress(OSError):
-        (Path(os.environ["NUMBA_CACHE_DIR"]) / "warm").touch()
+    if CACHE is not None:
+        with suppress(OSError):
+            (CACHE / "warm").touch()
 
 
 class CompilationListener(event.Listener):  # type: ignore[misc]

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from pydantic import Field, ValidationError
 
 from alight.arrays import F64
+from alight.documents import DocumentError, parse_yaml, read_text
 from alight.geometry import LocalFrame
 from alight.records import InputError
 from alight_sim.exposure import Imaging
@@ -104,17 +104,13 @@ def read_scene(path: Path, seed: int = 0) -> Scene:
         InputError: not readable, not YAML, or a key or value that a scene does not know.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        tree = parse_yaml(read_text(path))
     except OSError as e:
         raise InputError(
             f"{path}: cannot be read ({e.strerror}); name a scene file or one of: {', '.join(built_in())}"
         ) from e
-    except UnicodeDecodeError as e:
-        raise InputError(f"{path}: is not text; a scene is a YAML file") from e
-    except yaml.YAMLError as e:
-        mark = getattr(e, "problem_mark", None)
-        where = f" at line {mark.line + 1}" if mark is not None else ""
-        raise InputError(f"{path}: is not YAML{where}: {getattr(e, 'problem', e)}; mend the indentation there") from e
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}; a scene is a YAML file") from e
     if tree is None:
         tree = {}
     if not isinstance(tree, dict):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,15 +18,19 @@ from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from alight import __version__
+from alight.documents import DocumentError, read_text
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
-MENDABLE, INTERRUPTED = 2, 130  # exit codes
+MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
 # typer's errors descend from the click it brings along or, older, from click itself; it shows this one leaf of both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
 stderr = Console(stderr=True)
+_ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # asked for politely; Windows has no SIGHUP
+_unsaid: list[str] = []  # why stdout did not take the answer: told when the work is done
+_signals: list[int] = []  # that asked this process to end
 
 
 def _speak_up(verbose: bool) -> None:
@@ -48,11 +54,11 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
         SettingsError: the file cannot be read, a key is unknown, a value is out of range.
     """
     try:
-        text = file.read_text(encoding="utf-8") if file else ""
-    except (OSError, UnicodeDecodeError) as e:
-        raise SettingsError(
-            f"{file}: cannot be read ({getattr(e, 'strerror', None) or 'not text'}); name a YAML file"
-        ) from e
+        text = read_text(file) if file else ""
+    except OSError as e:
+        raise SettingsError(f"{file}: cannot be read ({e.strerror}); name a YAML file") from e
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
     try:
         return load_settings(text, assignments or ())
     except ValueError as e:
@@ -81,22 +87,21 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def complain(line: str, style: str) -> None:
     """One line on stderr, however long: a terminal wraps it by itself, and a log wants it whole."""
-    stderr.print(" ".join(line.split()), style=style, markup=False, highlight=False, soft_wrap=True)
+    from alight.report.words import printable
+
+    stderr.print(printable(" ".join(line.split())), style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def say(line: str) -> None:
-    """One line on stdout. That nobody reads it (`| head`) is no error.
+    """One line on stdout. That nobody reads it (`| head`) is no error; that it cannot be written ends no work."""
+    from alight.report.words import printable
 
-    Raises:
-        OutputError: it cannot be written.
-    """
     try:
-        typer.echo(line)
+        typer.echo(printable(line))
     except OSError as e:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter trips over it at its end
-        if isinstance(e, BrokenPipeError):
-            return
-        raise OutputError(f"standard output: cannot be written ({e.strerror}); mend that or leave it open") from e
+        if not isinstance(e, BrokenPipeError):
+            _unsaid.append(f"standard output: cannot be written ({e.strerror}); mend that or leave it open")
 
 
 def tell_answer(sites: Sites, place: Callable[[Sequence[float]], str], more: str = "") -> None:
@@ -168,6 +173,20 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
         return INTERRUPTED
 
 
+def _smaller(arguments: Sequence[str] | None) -> str:
+    """What makes a command need less memory."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    command = next((w for w in words if not w.startswith("-")), "")
+    advice = {
+        "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
+        "simulate": "choose smaller images or a lower rate in the scene",
+        "terrain": "give fewer or smaller pictures",
+        "evaluate": "give a smaller run",
+        "check": "read less with --seconds",
+    }
+    return advice.get(command, "choose a larger parallax.cell or a smaller parallax.store_mb")
+
+
 def call(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 2 and one line on stderr for what a user can mend, 130 for Ctrl-C."""
     _log_to_stderr()
@@ -175,16 +194,48 @@ def call(arguments: Sequence[str] | None = None) -> int:
         code = _exit_code(arguments)
         if code == INTERRUPTED:
             complain("interrupted: files that were finished are whole, the rest was not written", "yellow")
+            return TERMINATED if _signals else code
+        if _unsaid:
+            raise OutputError(_unsaid[0])
         return code
     except AlightError as e:
         complain(f"error: {e}", "bold red")
     except UsageError as e:
         complain(f"error: {_usage(e)}", "bold red")
     except MemoryError:
-        complain("error: not enough memory; choose a larger parallax.cell or a smaller parallax.store_mb", "bold red")
+        complain(f"error: not enough memory; {_smaller(arguments)}", "bold red")
+    finally:
+        _unsaid.clear()
+        if "alight.outputs.folder_lock" in sys.modules:
+            sys.modules["alight.outputs.folder_lock"].release_all()
     return MENDABLE
+
+
+def _end(number: int, frame: object) -> None:
+    """A signal to end is as good as Ctrl-C."""
+    _signals.append(number)
+    raise KeyboardInterrupt
+
+
+def _mend_streams() -> None:
+    """Closed standard streams lead to nothing, or the next file would take their place; any name can be printed."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def main() -> None:
     """Run the command line of this process."""
-    sys.exit(call())
+    _mend_streams()
+    for number in _ENDINGS:
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, _end)
+    code = call()
+    for number in (signal.SIGINT, *_ENDINGS):
+        signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more
+    sys.exit(code)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 
 from alight.cli.app import (
     ForceOption,
@@ -22,6 +21,7 @@ from alight.cli.app import (
     say,
     tell_answer,
 )
+from alight.documents import DocumentError, parse_yaml, read_text
 from alight.records import RunResult, SettingsError
 
 
@@ -34,11 +34,11 @@ def _lander(file: Path | None) -> list[str]:
     if file is None:
         return []
     try:
-        tree: Any = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as e:
-        raise SettingsError(f"{file}: cannot be read ({getattr(e, 'strerror', None) or 'not text'})") from e
-    except yaml.YAMLError as e:
-        raise SettingsError(f"{file}: not valid YAML: {' '.join(str(e).split())}") from e
+        tree: Any = parse_yaml(read_text(file))
+    except OSError as e:
+        raise SettingsError(f"{file}: cannot be read ({e.strerror}); name a YAML file") from e
+    except DocumentError as e:
+        raise SettingsError(f"{file}: {e}") from e
     tree = tree.get("lander", tree) if isinstance(tree, dict) else tree
     if not isinstance(tree, dict) or not tree:
         raise SettingsError(f"{file}: needs keys of the lander such as 'radius: 1.5'; 'alight settings' lists them")

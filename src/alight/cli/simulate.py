@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-import yaml
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from alight.cli.app import VerboseOption, app, progress_bar, say
+from alight.documents import parse_yaml, read_text
 from alight.records import InputError, SettingsError
 
 if TYPE_CHECKING:  # the simulator is slow to import, and most commands do without
@@ -85,7 +85,7 @@ def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
     found = read_scene(path, seed)
     if not assignments:
         return found
-    tree = {"name": path.stem} | (yaml.safe_load(path.read_text(encoding="utf-8")) or {})
+    tree = {"name": path.stem} | (parse_yaml(read_text(path)) or {})
     for a in assignments:
         _assign(tree, a)
     try:
@@ -104,8 +104,8 @@ def _assign(tree: dict[str, Any], assignment: str) -> None:
     try:
         for part in path:
             at = at[int(part) - 1] if isinstance(at, list) else at.setdefault(part, {})
-        at[int(last) - 1 if isinstance(at, list) else last] = yaml.safe_load(value)
-    except (yaml.YAMLError, ValueError, IndexError, TypeError, AttributeError) as e:
+        at[int(last) - 1 if isinstance(at, list) else last] = parse_yaml(value)
+    except (ValueError, IndexError, TypeError, AttributeError) as e:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
 
 

@@ -16,7 +16,7 @@ from alight.arrays import F64
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run
-from alight.raster import clearance_of
+from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain
 from alight.settings import Lander, Settings
 from alight.sources import open_source, read_tum
@@ -137,7 +137,7 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
     if run.height is None or run.grid is None or run.flags is None:
         return offset
     e, n = np.meshgrid(*run.grid.xy())
-    south, east = (np.asarray(rise) for rise in np.gradient(run.height.astype(np.float64), run.grid.cell))
+    south, east = (np.asarray(rise) for rise in gradient(run.height.astype(np.float64), run.grid.cell))
     known = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(east) & np.isfinite(south)
     for _ in range(_REGISTRATIONS):
         error = run.height - offset[2] - at(truth.dem, truth.grid, e - offset[0], n - offset[1])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -12,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from alight.arrays import F64
+from alight.documents import read_bytes
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, LocalFrame
+from alight.learned import arrays_of
 from alight.outputs import Run, world_up
 from alight.raster import ellipse
 from alight.records import Flag, InputError
@@ -24,6 +25,8 @@ REFERENCE = ("origin_llh", "points_enu", "points_track", "points_err", "centers_
 SLAB = ("points", "inlier")
 FAR = 20_000.0  # metres between the origins of a run and of its reference, at most
 BAD_SHARE = 0.01  # of the height above ground
+
+LARGEST_REFERENCE = 4_000_000_000  # bytes
 
 
 def interpolated(height: NDArray[np.float32], grid: Grid, east: F64, north: F64) -> F64:
@@ -94,9 +97,9 @@ def read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
         InputError: it cannot be read, or lacks one of them.
     """
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in names}
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile) as e:
+        arrays = arrays_of(read_bytes(path, LARGEST_REFERENCE), largest=LARGEST_REFERENCE)
+        return {name: arrays[name] for name in names}
+    except (OSError, ValueError, KeyError) as e:
         raise InputError(f"{path}: not a reference with the arrays {', '.join(names)}; copy it again") from e
 
 

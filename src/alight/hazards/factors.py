@@ -80,6 +80,8 @@ def factors_of(
     expected = shown + np.maximum(found.hidden * about, found.unseen * usual)
     wet = np.exp(read_rate("ground_rate").log_rate(found.ground))
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
+    if terrain is not None and not terrain.coloured:
+        wet = wet + np.float32(settings.grey_hazard)
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
     sampling, pixel = sampled(elevation), pictured(elevation)
     enough = pixel_that_settles(curves, lander, settings)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import io
+import struct
+import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,6 +17,11 @@ from alight.arrays import F32
 from alight.learned.net import AffineLayer, Net
 from alight.learned.terms import LAND_COVER_TERMS
 
+LARGEST = 256_000_000  # bytes of the arrays of a table
+_DAMAGED = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, OSError, KeyError, IndexError, TypeError, SyntaxError,
+    NotImplementedError, OverflowError, RuntimeError, MemoryError,
+)  # fmt: skip
 TERMS_OF = {"land_cover": LAND_COVER_TERMS}
 
 
@@ -22,14 +30,28 @@ def table_path(name: str) -> Path:
     return Path(__file__).parent / f"{name}.npz"
 
 
-def arrays_of(content: bytes, terms: tuple[str, ...] | None = None) -> dict[str, NDArray[Any]]:
+def arrays_of(content: bytes, terms: tuple[str, ...] | None = None, largest: int = LARGEST) -> dict[str, NDArray[Any]]:
     """The arrays in the bytes of a table, by name; checked against `terms` where they are given.
 
+    Args:
+        content: of an archive (.npz) without Python objects, however damaged.
+        terms: that the table must have been fitted on.
+        largest: bytes that its arrays may need.
+
     Raises:
-        ValueError: the table was fitted on other terms, or holds Python objects.
+        ValueError: it is damaged, holds Python objects, unpacks to more than `largest`, or was fitted on other terms.
     """
-    with np.load(io.BytesIO(content), allow_pickle=False) as z:
-        arrays = {key: z[key] for key in z.files}
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > largest:
+            raise ValueError(f"the table unpacks to {unpacked / 1e6:.0f} MB")
+        with np.load(io.BytesIO(content), allow_pickle=False) as z:
+            arrays = {key: z[key] for key in z.files}
+    except _DAMAGED as e:
+        raise ValueError(f"the table is damaged ({e})") from e
+    if terms is not None and "terms" not in arrays:
+        raise ValueError("the table does not say what it was fitted on")
     if terms is not None and tuple(map(str, arrays["terms"])) != terms:
         raise ValueError("the table was fitted on other terms than this version computes; fit it anew (training/)")
     return arrays

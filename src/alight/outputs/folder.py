@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -12,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from alight import __version__, report
+from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
 from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
+from alight.outputs.folder_lock import LOCK, lock_folder, release_folder
 from alight.records import ElevationMap, OutputError, RunResult
 
 log = logging.getLogger(__name__)
@@ -94,7 +95,7 @@ def _trajectory(r: RunResult) -> Contents:
 
 def contents(result: RunResult) -> Contents:
     """Every file but run.json, in the order of writing; the caller's own reasons win."""
-    report_html: Contents = {"report.html": lambda: report.render(result).encode()}
+    report_html: Contents = {"report.html": lambda: report.render(result).encode("utf-8", vectors.UNSPEAKABLE)}
     # the answer first: where the disk is full, what is small and matters most has its place
     files = _sites(result) | _route(result) | _trajectory(result) | _rasters(result) | report_html
     return files | dict(result.not_written)
@@ -155,26 +156,29 @@ def common_error(elevation: ElevationMap | None) -> dict[str, Any] | None:
 def is_run(folder: Path) -> bool:
     """Whether the folder holds a finished run of ours."""
     try:
-        tree = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        tree = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
+    except (OSError, DocumentError):
         return False
     return isinstance(tree, dict) and "alight" in tree
 
 
 def _is_ours(folder: Path) -> bool:
-    """A finished run, or what an interrupted one left: nothing but files of these names."""
-    known = {RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
+    """A finished run, or what an interrupted one left: its lock or half a file, and no file of another name."""
+    known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
-    return is_run(folder) or all(p.name in known and p.is_file() for p in folder.iterdir())
+    there = list(folder.iterdir())
+    began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
+    return is_run(folder) or (began and all(p.name in known and p.is_file() for p in there))
 
 
 def prepare_folder(out: Path, overwrite: bool = False) -> None:
-    """Make the folder and see that it may be written, before any work is done for it.
+    """Make the folder, see that it may be written, and lock it, before any work is done for it.
 
     An earlier run of ours is replaced; anything else in the folder is somebody's, and refused.
 
     Raises:
-        OutputError: the folder is a file, holds other things (and not `overwrite`), or may not be written.
+        OutputError: the folder is a file, holds other things (and not `overwrite`), may not be written, or another
+            process writes there.
     """
     probe = out / ".alight.tmp"
     try:
@@ -187,6 +191,7 @@ def prepare_folder(out: Path, overwrite: bool = False) -> None:
             )
         probe.write_bytes(b"")
         probe.unlink()
+        lock_folder(out)
     except OSError as e:
         raise output_error(out, e) from e
 
@@ -261,6 +266,8 @@ def write_folder(
         elif (why := writer.write(name, made)) is not None:
             missing[name] = why
     writer.write(RUN_JSON, lambda: vectors.json_bytes(info(missing)))
+    if is_run(out) or not writer.written:
+        release_folder(out)
     writer.complain()
     return writer.written
 

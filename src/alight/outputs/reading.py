@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from alight.arrays import F32, U8, U16
+from alight.documents import LARGEST_JSON, parse_json, read_text
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
 from alight.records import InputError
@@ -59,7 +59,10 @@ def _bands(path: Path) -> tuple[NDArray[Any], Grid] | None:
 
 def _local(info: dict[str, Any]) -> LocalFrame | None:
     origin = info.get("origin")
-    return LocalFrame(origin["latitude"], origin["longitude"], origin["height"]) if origin else None
+    try:
+        return LocalFrame(*(float(origin[k]) for k in ("latitude", "longitude", "height"))) if origin else None
+    except (KeyError, TypeError, ValueError) as e:
+        raise InputError(f"{RUN_JSON}: its origin is damaged ({origin!r:.60}); run again to write it anew") from e
 
 
 def read_run(folder: Path) -> Run:
@@ -70,7 +73,7 @@ def read_run(folder: Path) -> Run:
     """
     if not is_run(folder):
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
-    info = json.loads((folder / RUN_JSON).read_text(encoding="utf-8"))
+    info = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
     rasters = {name: _bands(folder / f"{name}.tif") for name in ("dem", "flags", "terrain", "safe", "reasons", "ortho")}
     grid = next((r[1] for r in rasters.values() if r), None)
     bands = {name: None if r is None else r[0] for name, r in rasters.items()}

@@ -16,6 +16,7 @@ from alight.geometry import LocalFrame
 from alight.records import Home, Place, PlaceSigma, Route, Site, Sites, Waypoint
 from alight.settings import Settings
 
+UNSPEAKABLE = "backslashreplace"  # of names of files that are no UTF-8: `\\udcff`, which JSON reads as well
 ARDUPILOT, MULTICOPTER = 3, 2  # MAV_AUTOPILOT, MAV_TYPE
 NAME_WITH_HOME = "to site 1"
 NAME_WITHOUT_HOME = "to site 1, HEIGHTS RELATIVE TO THE SITE, NOT TO HOME"
@@ -230,4 +231,5 @@ def plain(thing: Any) -> Any:
 
 def json_bytes(tree: Any) -> bytes:
     """JSON that every reader takes: UTF-8, no NaN, a new line at the end."""
-    return (json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    text = json.dumps(tree, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", UNSPEAKABLE)

@@ -87,7 +87,7 @@ def _contents(result: RunResult, crs: CRS | None, sharpened: bool) -> Contents:
         "hazards.tif": lambda: rasters.encode(_findings(hazards), grid, place),
         **heights,
         "sites.geojson": NO_PLACE if sites is None else lambda: vectors.json_bytes(sites),
-        "report.html": lambda: report.render(result).encode(),
+        "report.html": lambda: report.render(result).encode("utf-8", vectors.UNSPEAKABLE),
     }
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from alight.arrays import F32, F64, I64
 from alight.geometry import Grid
 from alight.parallax.pose_error import Matched, sensitivity
-from alight.raster import nearest_known
+from alight.raster import gradient, nearest_known
 from alight.records import Datum, ElevationMap, KeyframePosterior
 
 SAMPLES = 900  # cells of the map that are asked, about
@@ -72,7 +72,7 @@ def steepness(found: ElevationMap) -> F32:
     height, known = np.nan_to_num(found.height), np.isfinite(found.height).astype(np.float32)
     share = np.maximum(_blurred(known), np.float32(1e-3))
     level = _blurred(height * known) / share
-    north, east = np.gradient(level, found.grid.cell)
+    north, east = gradient(level, found.grid.cell)
     return np.sqrt(_blurred((north**2 + east**2).astype(np.float32) * known) / share)
 
 

@@ -44,5 +44,6 @@ class Decision:
         """The verdict on the finished map, and the way to the best site."""
         return cls(
             verdict.sites, list(trajectory.motions), verdict.elevation, verdict.cover, verdict.danger, route,
-            seen.vehicle.height_above_ground, [*trajectory.warnings, *warnings], {**trajectory.notes, **notes},
+            seen.vehicle.height_above_ground, [*trajectory.warnings, *warnings, *verdict.warnings],
+            {**trajectory.notes, **notes},
         )  # fmt: skip

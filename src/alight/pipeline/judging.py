@@ -22,6 +22,11 @@ from alight.settings import Lander, StageSettings, TerrainSettings
 WET = np.uint16(Flag.WATER)
 MOST_LOST = 100  # sites whose loss is remembered
 NOTHING = Reserve()
+GREY = (
+    "the pictures are grey: no colour can refuse water, plants or buildings, so fewer are recognised and P(safe) is "
+    "lower; give colour pictures"
+)
+NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing refuses water, plants or buildings"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +38,13 @@ class Verdict:
     danger: HazardMap
     sites: Sites
     frame: MapFrame  # of the map, with what is known of its place in the world
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Evidence that the verdict had to do without."""
+        if self.cover is None:
+            return (NO_COVER,)
+        return () if self.cover.coloured else (GREY,)
 
     @property
     def look(self) -> NextView | None:

@@ -15,6 +15,7 @@ from alight.raster.disc import (
 )
 from alight.raster.distance import clearance_of, distance_to
 from alight.raster.fill import nearest_known
+from alight.raster.gradient import Rise, gradient
 from alight.raster.morphology import close_mask, ellipse, fill_pits, grow, local_max, without_specks
 from alight.raster.scalars import linear_ramp, log_at_least, log_offset
 from alight.raster.smoothing import (
@@ -27,6 +28,7 @@ from alight.raster.smoothing import (
 
 __all__ = [
     "DiscWindow",
+    "Rise",
     "WeightedMean",
     "block_max",
     "block_mean",
@@ -47,6 +49,7 @@ __all__ = [
     "ellipse",
     "fill_pits",
     "gaussian_mean",
+    "gradient",
     "grow",
     "linear_ramp",
     "local_max",

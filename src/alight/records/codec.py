@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64, U8
+from alight.documents import parse_json
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records.errors import InputError
 from alight.records.events import Event, Frame, ImuSample, NavSample, Rig, RigCamera
@@ -64,7 +65,7 @@ class FlightHead:
             InputError: it is damaged, or of another version.
         """
         try:
-            tree = json.loads(text)
+            tree = parse_json(text)
             cameras = tuple(
                 RigCamera(
                     str(c["name"]),
@@ -102,7 +103,7 @@ def unpack(topic: str, data: bytes) -> Event:
     try:
         if topic == CAMERAS:
             return _frame(data)
-        tree = json.loads(data)
+        tree = parse_json(data)
         values: dict[str, Any] = {k: None if v is None else _array(v) for k, v in tree.items() if k != "t_ns"}
         kind: type[NavSample | ImuSample] = NavSample if topic == NAV else ImuSample
         return kind(int(tree["t_ns"]), **values)
@@ -113,7 +114,7 @@ def unpack(topic: str, data: bytes) -> Event:
 def _frame(data: bytes) -> Frame:
     (size,) = _HEAD.unpack_from(data)
     at = _HEAD.size + size
-    head: Mapping[str, Any] = json.loads(data[_HEAD.size : at])
+    head: Mapping[str, Any] = parse_json(data[_HEAD.size : at])
     images = list[U8 | None]()
     for shape in head["shapes"]:
         if shape is None:

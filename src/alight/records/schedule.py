@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, fields
 
+from alight.documents import parse_json
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -27,5 +29,5 @@ class Schedule:
     @classmethod
     def from_json(cls, text: str) -> Schedule:
         """The way back."""
-        tree = json.loads(text)
+        tree = parse_json(text)
         return cls(**{f.name: tuple(int(v) for v in tree[f.name]) for f in fields(cls)})

@@ -182,6 +182,7 @@ class TerrainMap:
     enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
     novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
     bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
+    coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
     def on(self, grid: Grid) -> TerrainMap:
         """The same on another grid, each cell with the value of the nearest one; unknown outside."""
@@ -194,7 +195,7 @@ class TerrainMap:
             unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Terrain.UNKNOWN)
             return nearest_on(self.grid, grid, values, unknown)
 
-        arrays = [f.name for f in fields(self) if f.name != "grid"]
+        arrays = [f.name for f in fields(self) if f.name not in ("grid", "coloured")]
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
 
 

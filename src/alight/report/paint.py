@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import F32, U8
+from alight.raster import gradient
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, Terrain
 
 Colour = tuple[int, int, int]
@@ -94,7 +95,7 @@ def _smooth(height: F32, known: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 def hillshade(height: F32, known: NDArray[np.bool_], cell: float) -> NDArray[np.float32]:
     """Light from the north-west at 45 degrees on the relief, (R, C), about 0.4 to 1.15; 1 on the flat."""
-    down, right = np.gradient(_smooth(height, known), cell)
+    down, right = gradient(_smooth(height, known), cell)
     nx, ny = -right, down  # east, north parts of the upward normal
     light = (-nx + ny + np.sqrt(2.0)) / np.sqrt(2.0 * (1 + nx**2 + ny**2))
     edge = cv2.erode(known.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0

@@ -6,9 +6,13 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+MOST = 1e9  # no length, time or weight of ours is larger: beyond it arithmetic overflows somewhere
+Positive = Annotated[float, Field(ge=1e-9, le=MOST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
+Vehicle = Annotated[float, Field(ge=1e-3, le=100.0, allow_inf_nan=False)]  # metres, of a part of a vehicle
+Incline = Annotated[float, Field(ge=1e-9, le=1.5707964, allow_inf_nan=False)]  # rad, to the vertical
+Offset = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]  # metres, within a vehicle
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 

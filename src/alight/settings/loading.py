@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
+from alight.documents import DocumentError, parse_yaml
 from alight.settings.keys import all_keys, moved_to, nearest
 from alight.settings.whole import Settings
 
@@ -22,13 +22,13 @@ def load_settings(text: str = "", assignments: Iterable[str] = ()) -> Settings:
             key.
     """
     try:
-        tree = yaml.safe_load(text) or {}
+        tree = parse_yaml(text) or {}
         if not isinstance(tree, dict):
             raise ValueError("settings: needs a mapping of keys at the top")
         for a in assignments:
             _assign(tree, a)
-    except yaml.YAMLError as e:
-        raise ValueError(f"settings: not valid YAML: {' '.join(str(e).split())}") from e
+    except DocumentError as e:
+        raise ValueError(f"settings: {e}") from e
     return _validated(tree)
 
 
@@ -57,7 +57,10 @@ def _assign(tree: Tree, assignment: str) -> None:
     key, sep, value = assignment.partition("=")
     if not sep or not key.strip():
         raise ValueError(f"--set takes key=value, got {assignment!r}")
-    _put(tree, key.strip(), yaml.safe_load(value))
+    try:
+        _put(tree, key.strip(), parse_yaml(value))
+    except DocumentError as e:
+        raise ValueError(f"{key.strip()}: {e}") from e
 
 
 def _put(tree: Tree, key: str, value: Any) -> None:

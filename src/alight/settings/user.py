@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from alight.settings.base import Finite, Fraction, FrozenModel, NonNegative, Positive
+from alight.settings.base import Finite, Fraction, FrozenModel, Incline, NonNegative, Offset, Positive, Vehicle
 
 
 class SourcesKeys(FrozenModel):
@@ -17,8 +17,8 @@ class SourcesKeys(FrozenModel):
     calibration: str | None = Field(
         None, description="Kalibr camchain.yaml that replaces the calibration of the recording; null: none"
     )
-    skip: int = Field(0, ge=0, description="Number of exposures left out at the start")
-    every: int = Field(1, ge=1, description="Use every n-th exposure")
+    skip: int = Field(0, ge=0, le=10**9, description="Number of exposures left out at the start")
+    every: int = Field(1, ge=1, le=10**9, description="Use every n-th exposure")
 
 
 class FilterKeys(FrozenModel):
@@ -82,12 +82,21 @@ class ParallaxKeys(FrozenModel):
     cell: Positive | None = Field(
         None, description="Size of a cell of the map, m; null: about 1.8 pixels on the ground"
     )
-    height_range: tuple[float, float] | None = Field(
+    height_range: tuple[Finite, Finite] | None = Field(
         None, description="Lowest and highest ground that is searched, m above the origin; null: found by itself"
     )
     store_mb: int = Field(
-        1500, ge=64, description="Memory for the images of keyframes, MB; a long recording is mapped part by part"
+        1500,
+        ge=64,
+        le=10**6,
+        description="Memory for the images of keyframes, MB; a long recording is mapped part by part",
     )
+
+    @model_validator(mode="after")
+    def _sound(self) -> ParallaxKeys:
+        if self.height_range is not None and not self.height_range[0] < self.height_range[1]:
+            raise ValueError("height_range: the lowest ground must lie below the highest")
+        return self
 
 
 class ElevationKeys(FrozenModel):
@@ -99,6 +108,7 @@ class ElevationKeys(FrozenModel):
     most_cells: int = Field(
         16_000_000,
         ge=10_000,
+        le=10**9,
         description="Most cells of the written rasters; a larger map is written with coarser cells",
     )
 
@@ -124,29 +134,29 @@ def _spread(feet: tuple[tuple[float, float], ...]) -> bool:
 class Lander(FrozenModel):
     """The vehicle that lands: its size, its gear and its limits."""
 
-    radius: Positive = Field(1.5, description="Radius of the footprint, m")
-    max_slope: Positive = Field(math.radians(10.0), description="Steepest slope of the ground, rad")
-    max_roughness: Positive = Field(0.15, description="Largest deviation of the ground from the footprint's plane, m")
-    belly_clearance: Positive | None = Field(
+    radius: Vehicle = Field(1.5, description="Radius of the footprint, m")
+    max_slope: Incline = Field(math.radians(10.0), description="Steepest slope of the ground, rad")
+    max_roughness: Vehicle = Field(0.15, description="Largest deviation of the ground from the footprint's plane, m")
+    belly_clearance: Vehicle | None = Field(
         None, description="Clearance between the contact plane of the feet and the belly, m; null: not judged"
     )
-    feet: tuple[tuple[float, float], ...] | None = Field(
+    feet: tuple[tuple[Offset, Offset], ...] | None = Field(
         None, description="Position (forward, left) of each foot from the centre, m; null: no feet"
     )
-    foot_radius: NonNegative = Field(0.0, description="Radius of a foot, m")
+    foot_radius: NonNegative = Field(0.0, le=100.0, description="Radius of a foot, m")
     foot_contact: Literal["highest", "mean"] = Field(
         "highest", description="A foot stands on the highest ground under it, or sinks in to the mean"
     )
     support: Literal["resting", "any"] = Field(
         "resting", description="Planes judged: those on which the lander can rest or rock, or any three feet (stricter)"
     )
-    skids: tuple[float, float] | None = Field(
+    skids: tuple[Offset, Offset] | None = Field(
         None, description="Length of the skids and distance between them, m; null: no skids"
     )
-    max_step: Positive | None = Field(
+    max_step: Vehicle | None = Field(
         None, description="Largest step between neighbouring cells, m; null: only the roughness counts"
     )
-    rotor_radius: Positive | None = Field(
+    rotor_radius: Vehicle | None = Field(
         None, description="Radius of the circle that the rotors sweep, m; null: the footprint"
     )
     rotor_rise: NonNegative = Field(
@@ -196,14 +206,17 @@ class HazardsKeys(FrozenModel):
 class SitesKeys(FrozenModel):
     """Which sites are listed."""
 
-    count: int = Field(8, ge=1, description="Most sites listed")
+    count: int = Field(8, ge=1, le=10_000, description="Most sites listed")
     margin: NonNegative = Field(0.5, description="Least distance between the footprint and the nearest hazard, m")
     separation: Positive | None = Field(
         None, description="Least distance between two listed places, m; never below four footprint radii, null: those"
     )
     distance_weight: NonNegative = Field(0.0, description="Loss of quality per metre from the vehicle to the site, 1/m")
     every: int = Field(
-        32, ge=0, description="Keyframes from one judgement to the next in flight (parallax.method=ring); 0: at the end"
+        32,
+        ge=0,
+        le=10**9,
+        description="Keyframes from one judgement to the next in flight (parallax.method=ring); 0: at the end",
     )
 
 

@@ -10,17 +10,20 @@ from typing import Any, Literal
 
 import numpy as np
 
-from alight.arrays import U8
+from alight.arrays import I64, U8
 from alight.geometry import LocalFrame, Pose
 from alight.records import Event, Frame, InputError, Rig
 from alight.settings import ImuNoise, Settings
+from alight.sources.clocks import apart, said_apart
 from alight.sources.exposures import Exposure, group_exposures
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
 from alight.sources.source import Findings, RecordedSource, Trajectory
-from alight.sources.streams import imu_samples, nav_samples, read_imu, read_nav, read_trajectory
+from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory
 from alight.sources.tables import read_names
+
+NOISE = (1e-9, 1e3)  # of an IMU, in the units of imu0/sensor.yaml
 
 
 class CalibratedFolder(RecordedSource):
@@ -74,6 +77,11 @@ class CalibratedFolder(RecordedSource):
         tree = load_yaml(path)
         stated = (f.name for f in fields(ImuNoise) if f.name in tree)
         self.imu_noise = ImuNoise(**{k: float(numbers(tree | {k: [tree[k]]}, k, (1,), path)[0]) for k in stated})
+        for name in (f.name for f in fields(ImuNoise)):
+            if name in tree and not NOISE[0] <= getattr(self.imu_noise, name) <= NOISE[1]:
+                raise InputError(
+                    f"{path}: {name} is {tree[name]!r:.40}; give a number from {NOISE[0]:g} to {NOISE[1]:g}"
+                )
         self.notes["imu_noise"] = self.imu_noise.stated()
         pose = body_from_sensor(tree, path)
         if (arm := float(np.linalg.norm(pose.translation))) > 0.02:
@@ -111,6 +119,10 @@ class FlightLog(CalibratedFolder):
         if not self._exposures:
             raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
         self.length = len(self._exposures)
+        shift = round(1e9 * settings.motion.filter.time_offset)
+        stamps = np.array([e.t_ns - shift for e in (self._exposures[0], self._exposures[-1])])
+        self._nav = self._meeting(self._nav, "nav0 (GPS/INS)", stamps)
+        self._imu = self._meeting(self._imu, "imu0", stamps)
         self.truth_trajectory = read_trajectory(self._root, self._findings)
         self._note(self._nav is not None, self._imu is not None)
 
@@ -128,10 +140,27 @@ class FlightLog(CalibratedFolder):
             raise InputError(f"{self._root / 'cam0'}: no image of data.csv is there; put the images into cam0/data/")
         for cam, stream in zip(self.rig.cameras, streams, strict=True):
             self._check_size(cam.name, (cam.camera.width, cam.camera.height), stream)
-        exposures, apart = group_exposures(streams)
-        if apart:
-            self._findings.say(f"the cameras do not expose together: paired images are {apart / 1e6:.1f} ms apart")
+        stamps = [np.array([t for t, _ in s], dtype=np.int64) for s in streams]
+        for k in range(1, len(streams)):
+            if streams[k] and (gap := apart(stamps[k], stamps[0])):
+                self._findings.say(said_apart(self.rig.cameras[k].name, gap, "cam0"))
+                streams[k] = []
+        exposures, between = group_exposures(streams)
+        if between:
+            self._findings.say(f"the cameras do not expose together: paired images are {between / 1e6:.1f} ms apart")
+        for k in range(1, len(streams)):
+            if streams[k] and not any(e.names[0] and e.names[k] for e in exposures):
+                self._findings.say(
+                    f"{self.rig.cameras[k].name} never exposes together with cam0: no pair of images shows one moment"
+                )
         return exposures
+
+    def _meeting(self, table: Table | None, name: str, stamps: I64) -> Table | None:
+        """A stream, unless it shares no moment with the images; then that is said, and by how much."""
+        if table is None or not (gap := apart(table.t_ns, stamps)):
+            return table
+        self._findings.say(said_apart(name, gap, "the images"))
+        return None
 
     def _images(self, cam: str) -> list[tuple[int, str]]:
         """The images of a camera that exist; rows without image at the ends are an excerpt's, and no loss."""

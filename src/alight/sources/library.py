@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
-import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight.arrays import U8
-from alight.learned import table_path
+from alight.documents import read_bytes
+from alight.learned import arrays_of, table_path
 from alight.records import InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.terrain.features import LEVELS, names
@@ -25,6 +26,8 @@ DEFAULT_MODEL = table_path("appearance")
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres a pixel, where nothing says otherwise
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
+LARGEST = 64_000_000  # bytes of a model
+LONGEST_PROVENANCE = 20_000  # characters
 MOST_TILES = 25  # of one picture
 KINDS = {
     Terrain.BARE: "bare gravel soil sand dirt",
@@ -194,27 +197,39 @@ def _default_model() -> Model:
 
 def _model_of(path: Path) -> Model:
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as z:
-            heads = tuple(_head(z, level) for level in range(LEVELS))
-            classes, provenance = z["classes"].astype(np.uint8), str(z["provenance"])
+        arrays = arrays_of(read_bytes(path, LARGEST))
+        classes = _classes(arrays["classes"])
+        heads = tuple(_head(arrays, len(classes), level) for level in range(LEVELS))
+        provenance = str(arrays["provenance"])[:LONGEST_PROVENANCE]
     except OSError as e:
         raise InputError(
             f"{path}: cannot be read ({e.strerror or 'no model'}); name a file of 'alight terrain train'"
         ) from e
-    except (KeyError, ValueError, zipfile.BadZipFile, EOFError) as e:
-        raise InputError(f"{path}: no model of this version; make one with 'alight terrain train'") from e
+    except (KeyError, ValueError, TypeError) as e:
+        raise InputError(f"{path}: no model of this version ({e}); make one with 'alight terrain train'") from e
     return Model(classes, heads, provenance)
 
 
-def _head(z: np.lib.npyio.NpzFile, level: int) -> Head | None:
+def _classes(codes: NDArray[Any]) -> U8:
+    """The classes of a model, refused as a ValueError where they are no codes of land cover."""
+    if codes.ndim != 1 or codes.dtype.kind not in "ui" or not 1 < codes.size == np.unique(codes).size:
+        raise ValueError("its classes are no list of different codes")
+    if codes.min() < 1 or codes.max() > max(Terrain):
+        raise ValueError("a class that is none of ours")
+    return codes.astype(np.uint8)
+
+
+def _head(z: Mapping[str, NDArray[Any]], classes: int, level: int) -> Head | None:
     if f"{level}.names" not in z:
         return None
     if tuple(z[f"{level}.names"]) != names(level):
         raise ValueError("other features")
-    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"] for f in fields(Head)}
+    if any(z[f"{level}.{f.name}"].dtype.kind not in "fiu" for f in fields(Head)):
+        raise ValueError("an array of other than numbers")
+    values: dict[str, Any] = {f.name: z[f"{level}.{f.name}"].astype(np.float32) for f in fields(Head)}
     numbers: dict[str, Any] = {k: float(v) if v.ndim == 0 else v for k, v in values.items()}
     head = Head(**numbers)
-    _check(head, len(z["classes"]), len(names(level)))
+    _check(head, classes, len(names(level)))
     return head
 
 
@@ -228,3 +243,5 @@ def _check(head: Head, classes: int, features: int) -> None:
         value = np.asarray(getattr(head, name))
         if value.shape != shape or not np.isfinite(value).all():
             raise ValueError(f"{name} is not {shape} finite numbers")
+    if not ((head.spread > 0).all() and head.reach > 0 and head.temperature > 0):
+        raise ValueError("spread, reach and temperature must be above 0")

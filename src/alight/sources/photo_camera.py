@@ -9,6 +9,7 @@ from PIL import ExifTags
 
 from alight.geometry import Camera
 from alight.records import InputError
+from alight.sources.lens_bounds import why_no_lens
 from alight.sources.photo_tags import PhotoTags, finite
 
 Base = ExifTags.Base
@@ -27,7 +28,11 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
         InputError: the photo carries no focal length in any form.
     """
     for known in (_from_dewarp, _from_calibrated, _from_sensor, _from_film):
-        if (found := known(tags)) is not None:
+        try:
+            found = known(tags)
+        except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
+            continue
+        if found is not None and why_no_lens(found[0]) is None:
             camera, notes = found
             return camera, notes | {"focal_px": round(camera.fu, 2)}
     raise InputError(

@@ -17,8 +17,12 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from alight.arrays import F32, U8
 from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, InputError
+from alight.sources.raster_heights import doubt_of_heights
 
 MOST_CELLS = 100_000_000
+CELL_SIZES = (1e-3, 1e3)  # metres
+FARTHEST = 1e8  # metres, of a coordinate: beyond it a float32 image of the Earth's maps ends as well
+LARGEST_SIGMA = 1000.0  # metres
 SEEN_BY = 9  # views that a height made elsewhere counts as: more than doubt asks for
 
 
@@ -35,10 +39,14 @@ class GroundRaster:
 def _open(path: Path) -> Any:
     if not path.exists():
         raise InputError(f"{path}: there is no such file; name a raster such as a GeoTIFF")
+    if not path.is_file():
+        raise InputError(f"{path}: not a plain file; name a raster such as a GeoTIFF")
     try:
         with warnings.catch_warnings():  # what has no coordinates is said by us, once and in words
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.open(path)
+    except UnicodeEncodeError as e:
+        raise InputError(f"{path}: its name is not UTF-8; rename it") from e
     except RasterioError as e:
         raise InputError(f"{path}: not a raster that can be read ({' '.join(str(e).split())}); give a GeoTIFF") from e
 
@@ -57,6 +65,13 @@ def _grid(path: Path, dataset: Any) -> Grid:
         raise InputError(
             f"{path}: {dataset.width} x {dataset.height} cells are too many; cut it: gdal_translate -srcwin"
         )
+    if not CELL_SIZES[0] <= t.a <= CELL_SIZES[1]:
+        raise InputError(
+            f"{path}: cells of {t.a:g} m; the ground is judged on cells of {CELL_SIZES[0]:g} to {CELL_SIZES[1]:g} m, "
+            "check its geotransform: gdal_edit.py -a_ullr"
+        )
+    if not max(abs(t.c), abs(t.f)) <= FARTHEST:
+        raise InputError(f"{path}: lies at {t.c:g}, {t.f:g} m, which is nowhere; check it: gdal_edit.py -a_ullr")
     return Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, dataset.height, dataset.width)
 
 
@@ -72,14 +87,16 @@ def _band(path: Path, dataset: Any, band: int) -> F32:
         values = dataset.read(band, masked=True)
     except RasterioError as e:
         raise InputError(f"{path}: cannot be read to its end ({' '.join(str(e).split())}); copy it again") from e
-    out: F32 = values.astype(np.float32).filled(np.nan)
+    with np.errstate(over="ignore", invalid="ignore"):
+        stored = values.astype(np.float64).filled(np.nan) * dataset.scales[band - 1] + dataset.offsets[band - 1]
+        out: F32 = stored.astype(np.float32)
     return np.where(np.isfinite(out), out, np.float32(np.nan))
 
 
 def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tuple[F32, str | None]:
     """Sigma of every cell: a number, a raster, the heights' own second band, or what is usual, with a warning."""
     if given is None and own is not None:
-        return own, None
+        return _sensible_sigma(own), None
     if given is None:
         say = f"no sigma given: {usual:g} m is taken for every height; P(safe) is no better than that (--sigma)"
         return np.full(grid.shape, usual, np.float32), say
@@ -87,8 +104,8 @@ def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tupl
         value = float(given)
     except ValueError:
         return _sigma_raster(Path(given), grid), None
-    if not (math.isfinite(value) and value >= 0):
-        raise InputError(f"--sigma {given}: needs a raster, or metres not below 0")
+    if not 0 <= value < LARGEST_SIGMA:
+        raise InputError(f"--sigma {given}: needs a raster, or metres from 0 to {LARGEST_SIGMA:g}")
     return np.full(grid.shape, value, np.float32), None
 
 
@@ -101,7 +118,12 @@ def _sigma_raster(path: Path, grid: Grid) -> F32:
         )
     if (sigma < 0).any():
         raise InputError(f"{path}: sigma below 0; give 1-sigma in metres")
-    return sigma
+    return _sensible_sigma(sigma)
+
+
+def _sensible_sigma(sigma: F32) -> F32:
+    """Sigma with what is no 1-sigma of a height taken for unknown."""
+    return np.where((sigma >= 0) & (sigma < LARGEST_SIGMA), sigma, np.float32(np.nan))
 
 
 def _image(path: Path, grid: Grid) -> U8:
@@ -140,14 +162,17 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
     with _open(path) as d:
         grid, crs = _grid(path, d), d.crs
         height = _band(path, d, 1)
+        suspect = doubt_of_heights(path, height, d)
         own = _band(path, d, 2) if d.count > 1 and d.descriptions[1] == "sigma" else None
     known = np.isfinite(height)
     if not known.any():
         raise InputError(f"{path}: no height is known; check its nodata value")
     spread, doubt = _sigma(sigma, grid, own, usual_sigma)
     known &= np.isfinite(spread)
+    if not known.any():
+        raise InputError(f"{path}: no height has a sigma; give --sigma in metres")
     doubts = [] if crs is not None else [f"{path.name} has no coordinate system: metres east and north are assumed"]
-    doubts += [doubt] if doubt else []
+    doubts += [say for say in (doubt, suspect) if say]
     pixels = None if image is None else _image(image, grid)
     return GroundRaster(_as_map(grid, height, spread, known, pixels), crs, pixels, tuple(doubts))
 

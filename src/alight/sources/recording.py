@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +10,7 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
+from alight.documents import parse_json
 from alight.records import Event, Frame, InputError, Schedule
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead, unpack
 from alight.settings import Settings
@@ -70,13 +70,13 @@ class Recording(RecordedSource):
             elif topic == CAMERAS:
                 frames += 1
             elif topic == SCHEDULE:
-                entry = json.loads(data)
+                entry = parse_json(data)
                 if entry["kind"] in entries:
                     entries[entry["kind"]].append(int(entry["t_ns"]))
                     if entry["kind"] == "mapped":
                         entries["effort"].append(int(entry["value"]))
             elif topic == NOTES:
-                note = json.loads(data)
+                note = parse_json(data)
                 notes.append(f"{note['lane']}: {note['note']}")
         if head is None:
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")

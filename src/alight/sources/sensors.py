@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from alight.documents import LONGEST, DocumentError, parse_yaml, read_bytes
 from alight.geometry import Camera, LocalFrame, Pose
 from alight.records import InputError, RigCamera
+from alight.sources.lens_bounds import why_no_lens
 
 MODELS = {  # what the field calls them -> what we call them
     "radial-tangential": "radial-tangential",
@@ -21,6 +22,9 @@ MODELS = {  # what the field calls them -> what we call them
     "none": "none",
     "None": "none",
 }
+WIDEST = 100_000  # pixels
+HIGHEST = 100_000.0  # m
+FARTHEST = 1_000.0  # m, of a sensor from the body's origin
 MATRIX_HINT = "write {cols: 4, rows: 4, data: [16 numbers, row by row]} of a rotation and a translation in metres"
 
 
@@ -31,14 +35,16 @@ def load_yaml(path: Path) -> dict[str, Any]:
         InputError: no such file, not YAML, or no mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = read_bytes(path, LONGEST).decode("utf-8-sig", errors="replace")
     except OSError as e:
         raise InputError(f"{path}: cannot be read ({e.strerror}); this calibration file is needed") from e
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}") from e
     lines = [line for line in text.splitlines() if not line.startswith("%")]  # %YAML:1.0 is OpenCV's, not YAML's
     try:
-        tree = yaml.safe_load("\n".join(lines).replace("!!opencv-matrix", ""))
-    except yaml.YAMLError as e:
-        raise InputError(f"{path}: not valid YAML: {' '.join(str(e).split())}") from e
+        tree = parse_yaml("\n".join(lines).replace("!!opencv-matrix", ""))
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}") from e
     if not isinstance(tree, dict):
         raise InputError(f"{path}: needs a mapping of keys such as 'intrinsics: [fu, fv, cu, cv]'")
     return tree
@@ -78,9 +84,12 @@ def rigid(matrix: Any, key: str, path: Path, hint: str = MATRIX_HINT) -> Pose:
     if values.size != 16:
         raise InputError(f"{path}: {key} has {values.size} numbers instead of 16; {hint}")
     try:
-        return Pose.from_matrix(values.reshape(4, 4))
+        pose = Pose.from_matrix(values.reshape(4, 4))
     except ValueError as e:
         raise InputError(f"{path}: {key} is {e}; {hint}") from e
+    if (np.abs(pose.translation) > FARTHEST).any():
+        raise InputError(f"{path}: {key} is farther than {FARTHEST:g} m from the body; {hint}")
+    return pose
 
 
 def body_from_sensor(tree: Mapping[str, Any], path: Path) -> Pose:
@@ -110,10 +119,15 @@ def camera(tree: Mapping[str, Any], coefficients_key: str, path: Path) -> Camera
     distortion = numbers(tree, coefficients_key, counts, path).tolist() if counts else []
     width, height = numbers(tree, "resolution", (2,), path).tolist()
     fu, fv, cu, cv = numbers(tree, "intrinsics", (4,), path).tolist()
+    if not all(1 <= n <= WIDEST for n in (width, height)):
+        raise InputError(f"{path}: resolution is {width:g}x{height:g}; write the width and height of the images")
     try:
-        return Camera(int(width), int(height), fu, fv, cu, cv, model, tuple(distortion))
+        lens = Camera(int(width), int(height), fu, fv, cu, cv, model, tuple(distortion))
     except ValueError as e:
         raise InputError(f"{path}: intrinsics or resolution: {e}") from e
+    if (why := why_no_lens(lens)) is not None:
+        raise InputError(f"{path}: intrinsics or {coefficients_key}: {why}; write the calibration of these images")
+    return lens
 
 
 def rig_camera(folder: Path) -> RigCamera:
@@ -132,7 +146,10 @@ def origin(path: Path) -> LocalFrame:
     want = "write origin: {latitude: degrees, longitude: degrees, height: metres above the WGS84 ellipsoid}"
     given = load_yaml(path).get("origin")
     try:
-        return LocalFrame(*(float(given[k]) for k in ("latitude", "longitude", "height")))  # type: ignore[index]
+        place = [float(given[k]) for k in ("latitude", "longitude", "height")]  # type: ignore[index]
+        if not (abs(place[0]) < 90 and abs(place[1]) <= 360 and abs(place[2]) <= HIGHEST):
+            raise ValueError("no place near the ground of the Earth; at a pole there is no east")
+        return LocalFrame(*place)
     except KeyError as e:
         raise InputError(f"{path}: origin has no {e.args[0]}; {want}") from e
     except (TypeError, ValueError) as e:

@@ -13,7 +13,11 @@ from alight.geometry import LocalFrame, Pose, matrix_from_quaternion
 from alight.records import ImuSample, NavSample
 from alight.sources.source import Findings, Trajectory
 from alight.sources.tables import read_numbers
+from alight.sources.tum import FAR
 
+# no aircraft moves or turns like that; a sigma this small makes a matrix singular, one this large says nothing
+HIGHEST, FASTEST, QUICKEST, STRONGEST = 100_000.0, 3_000.0, 200.0, 5_000.0  # m, m/s, rad/s, m/s^2
+SIGMAS = (1e-6, 1e6)  # of whatever unit; 0 is "not known"
 NAV_COLUMNS, IMU_COLUMNS, TRUTH_COLUMNS = (23,), (7,), (17, 8)  # 8: truth without velocity and biases
 
 
@@ -50,11 +54,17 @@ def read_nav(root: Path, findings: Findings) -> Table | None:
 def usable_nav(table: Table, lines: list[int], findings: Findings) -> Table | None:
     """The rows of `nav0` that can be used; None when there is none."""
     v = table.values
-    with np.errstate(invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         checks = {
             "latitude or longitude is no place on Earth": (np.abs(v[:, 0]) > 90) | (np.abs(v[:, 1]) > 360),
             "the quaternion is not of unit length": np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) > 0.05,
+            "the height is none of an aircraft": np.abs(v[:, 2]) > HIGHEST,
+            "the velocity is none of an aircraft": (np.abs(v[:, 7:10]) > FASTEST).any(axis=1),
+            "the angular rate is none of an aircraft": (np.abs(v[:, 10:13]) > QUICKEST).any(axis=1),
             "a sigma is negative": (v[:, 13:22] < 0).any(axis=1),
+            f"a sigma is not between {SIGMAS[0]:g} and {SIGMAS[1]:g}": (
+                (v[:, 13:22] > 0) & ((v[:, 13:22] < SIGMAS[0]) | (v[:, 13:22] > SIGMAS[1]))
+            ).any(axis=1),
         }
     bad = {int(i): why for why, mask in checks.items() for i in np.flatnonzero(mask)}
     return _without(table, lines, bad, "nav0", findings)
@@ -69,7 +79,14 @@ def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | Non
 def usable_imu(table: Table, lines: list[int], body_from_imu: Pose, findings: Findings) -> Table | None:
     """The rows of `imu0` that can be used, turned into the body's axes; None when there is none."""
     holes = np.flatnonzero(~np.isfinite(table.values).all(axis=1))
-    used = _without(table, lines, {int(i): "a field is empty" for i in holes}, "imu0", findings)
+    with np.errstate(invalid="ignore"):
+        rates, forces = (np.abs(table.values[:, a:b]).max(axis=1) for a, b in ((0, 3), (3, 6)))
+    bad = {
+        int(i): "no turn or acceleration of an aircraft"
+        for i in np.flatnonzero((rates > QUICKEST) | (forces > STRONGEST))
+    }
+    bad |= {int(i): "a field is empty" for i in holes}
+    used = _without(table, lines, bad, "imu0", findings)
     if used is None:
         return None
     R = body_from_imu.rotation
@@ -82,7 +99,8 @@ def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:
     if (found := _read(root, stream, TRUTH_COLUMNS, findings)) is None:
         return None
     v = found[0].values[:, :7]
-    bent = ~(np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) < 0.05) | ~np.isfinite(v).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        bent = ~(np.abs(np.linalg.norm(v[:, 3:7], axis=1) - 1) < 0.05) | ~(np.abs(v[:, :3]) < FAR).all(axis=1)
     bad = {int(i): "no position or no unit quaternion" for i in np.flatnonzero(bent)}
     table = _without(*found, bad, stream, findings)
     if table is None:

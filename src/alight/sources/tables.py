@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from alight.arrays import I64
 from alight.sources.source import Findings
 
+LONGEST_NAME = 255  # of a file below the folder; file systems take no longer one
 LATE_NS = 2_000_000_000  # by which a row may come after one of a later time: links deliver out of order
 Row = tuple[int, int, list[str]]  # line number, time, the fields after the time
 
@@ -93,9 +94,10 @@ def read_names(path: Path, group: str, findings: Findings) -> list[tuple[int, st
 def named(row: Row, group: str, findings: Findings) -> bool:
     """Whether a row names a file of the folder."""
     name = row[2][0]
-    if name and ".." not in Path(name).parts and not Path(name).is_absolute():
+    fits = len(name) <= LONGEST_NAME and "\0" not in name
+    if name and fits and ".." not in Path(name).parts and not Path(name).is_absolute():
         return True
-    findings.lose(group, f"line {row[0]}", f"{name!r} names no file of the folder")
+    findings.lose(group, f"line {row[0]}", f"{name[:40]!r} names no file of the folder")
     return False
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from alight.documents import DocumentError, read_bytes
 from alight.geometry import LocalFrame, Pose
 from alight.records import InputError
 from alight.sources.source import Trajectory
 
+LARGEST = 1_000_000_000  # bytes
 FAR = 200_000.0  # m; an aircraft's local frame ends long before: beyond it the numbers are of another system
 HINT = "each line needs: seconds x y z qx qy qz qw"
 
@@ -33,9 +35,11 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
             no local ones (UTM, ECEF).
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        lines = read_bytes(path, LARGEST).decode("utf-8-sig", errors="replace").splitlines()
     except OSError as e:
         raise InputError(f"{path}: cannot be read ({e.strerror}); --poses takes a file in TUM format") from e
+    except DocumentError as e:
+        raise InputError(f"{path}: {e}; --poses takes a file in TUM format") from e
     times: list[int] = []
     poses: list[Pose] = []
     for number, line in enumerate(lines, 1):

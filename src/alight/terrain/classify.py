@@ -118,6 +118,7 @@ class _Found(NamedTuple):
     bears: F32
     probability: F32
     novelty: F32
+    coloured: bool
 
 
 def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model | None, tables: Tables) -> _Found:
@@ -142,7 +143,8 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
 
     landable = surely(OPEN)
     label = _labels(odds, landable, colours, shape, settings)
-    return _Found(label, landable, surely(BEARS), each[0], _novelty(tables.known, some, landable.shape))
+    novelty = _novelty(tables.known, some, landable.shape)
+    return _Found(label, landable, surely(BEARS), each[0], novelty, colours.coloured)
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
@@ -204,4 +206,5 @@ def classify(
         shut,
         np.where(known, found.novelty, nothing),
         np.where(known, found.bears, nothing),
+        found.coloured,
     )

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from alight.arrays import F32, I64, Mask
-from alight.raster import block_quantile, linear_ramp, nearest_known, upsample
+from alight.raster import block_quantile, gradient, linear_ramp, nearest_known, upsample
 from alight.records import ElevationMap
 from alight.settings import TerrainSettings
 from alight.terrain.relief import ground_under
@@ -22,7 +22,7 @@ def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings)
     """Connected parts (R, C) of ground that does not rise, numbered from 1, and their number plus 1."""
     known = np.isfinite(bed)
     filled = nearest_known(np.nan_to_num(bed), known)
-    north, east = np.gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
+    north, east = gradient(cv2.GaussianBlur(filled, (0, 0), 0.8) / np.float32(block))
     flat = known & (np.hypot(north, east) < settings.water_slope + 2 * tilt)
     flat = cv2.morphologyEx(flat.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     count, parts = cv2.connectedComponents(flat * known.astype(np.uint8), connectivity=4)

@@ -12,7 +12,7 @@ import numpy as np
 
 from alight.arrays import F32
 from alight.learned.terms import FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
-from alight.raster import gaussian_mean, linear_ramp, local_max, log_at_least, log_offset, nearest_known
+from alight.raster import gaussian_mean, gradient, linear_ramp, local_max, log_at_least, log_offset, nearest_known
 from alight.records import REFUSED, ElevationMap, Flag
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.picture_bands import picture_bands
@@ -86,7 +86,7 @@ def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -
     standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
     moving, residual = flagged(Flag.MOVING | Flag.INCONSISTENT), np.nan_to_num(elevation.residual)
     reach = max(1, round(REACH / cell))
-    north, east = np.gradient(means[0.5] / np.float32(cell))
+    north, east = gradient(means[0.5] / np.float32(cell))
     local = means[0.2] - means[1.0]
     return {
         SurfaceTerm.ROUGH_02: rough(0.2),

@@ -35,6 +35,7 @@ class SimulatedState:
     home: SimulatedHome
     ready: bool
     boot: float  # s
+    middle: float  # s, of the interval that inertial measurements are of
     battery: float  # share
 
     @property
@@ -121,7 +122,9 @@ class Reports:
 
     def _highres_imu(self, now: SimulatedState) -> Any:
         force, rates = self._imu_values(now)
-        return mavlink.MAVLink_highres_imu_message(round(now.boot * 1e6), *force, *rates, 0, 0, 0, 950, 0, 500, 20, 63)
+        return mavlink.MAVLink_highres_imu_message(
+            round(now.middle * 1e6), *force, *rates, 0, 0, 0, 950, 0, 500, 20, 63
+        )
 
     def _attitude(self, now: SimulatedState) -> Any:
         yaw, pitch, roll = Rotation.from_matrix(now.ned_from_frd).as_euler("ZYX")

@@ -111,7 +111,7 @@ class SimulatedAutopilot:
         self._start()
 
     def _start(self) -> None:
-        self._boot = 0.0  # s, of its own clock
+        self._boot = self._middle = 0.0  # s, of its own clock
         self.logic = FlightLogic(self.dialect)
         self.missions = MissionStore(self.dialect, self._send)
         self.reports = Reports(self.dialect, self._send, self._kind)
@@ -154,6 +154,7 @@ class SimulatedAutopilot:
 
     def step(self, dt: float) -> None:
         """Let `dt` seconds of true time pass."""
+        self._middle = self._boot + 0.5 * dt * (1 + self._drift)
         self._boot += dt * (1 + self._drift)
         self.estimate.step(dt)
         wanted = self.logic.step(self._boot, self.estimated, self.vehicle.stands)
@@ -174,7 +175,7 @@ class SimulatedAutopilot:
     def _snapshot(self) -> SimulatedState:
         here = self.home.degrees(self.estimated)
         return SimulatedState(
-            self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot,
+            self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot, self._middle,
             max(0.0, 1 - self._flown / _ENDURANCE),
         )  # fmt: skip
 

@@ -53,6 +53,7 @@ class Executive:
         self._lanes: Iterator[tuple[float, float]] | None = None
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
+        self._left = math.inf  # metres above the target, as known last
         self._leg: list[F64] = []  # what is left of a look leg
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
@@ -76,6 +77,8 @@ class Executive:
         """Take over the frame and the height of the ground."""
         if now.position is not None and self._home is None:
             self._home, self._frame = now.position.copy(), now.frame_id
+        if now.position is not None and self.target is not None and now.frame_id == self._frame:
+            self._left = float(now.position[2]) - self.target.up
         if now.seen is not None and now.seen.frame_id == self._frame:
             self._ground = now.seen.ground
             self._note(now.seen)
@@ -92,7 +95,7 @@ class Executive:
             return E.LINK_LOST, "no heartbeat"
         if now.standing and self.state in (S.COMMIT, S.RETURN):
             return E.TOUCHED_DOWN, "the autopilot says so"
-        if self.state is S.RETURN:
+        if self.state is S.RETURN or (self.state is S.COMMIT and self._left < self._keys.abort_height):
             return None, ""
         if (trouble := self._trouble(now)) is not None:
             return trouble
@@ -107,7 +110,8 @@ class Executive:
             return E.WAITED, f"for {waited:.0f} s"
         if self.state is not S.ABORT:
             if astray or weak:
-                return E.NAVIGATION_LOST, f"the motion is {now.state.name.lower()}"
+                lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)
+                return E.NAVIGATION_LOST, "no position" if lost else f"the motion is {now.state.name.lower()}"
             if blind:
                 return E.CAMERA_LOST, f"the newest picture is {now.picture_age:.1f} s old"
         if now.frame_id != self._frame and now.position is not None:
@@ -159,8 +163,7 @@ class Executive:
         assert self.target is not None
         said = self._opinion(now)
         if said is not None and said.standing is Standing.REFUSED:
-            low = self.state is S.COMMIT and self._above(now) < self._keys.abort_height
-            if self._refusals >= self._keys.sure and not low:
+            if self._refusals >= self._keys.sure:
                 return E.REFUSED, said.why
         elif said is not None and said.standing is not Standing.NOT_SEEN:
             self.target = said.place
@@ -295,12 +298,12 @@ class Executive:
             return Order("nothing")
         if self.state is S.RETURN:
             return Order("return")
-        if self.state is S.HOLD or now.position is None:
-            return Order("hold")
         if self.state is S.COMMIT:
             assert self.target is not None
             place = np.array([self.target.east, self.target.north, self.target.up])
             return Order("land", place, r.cruise_speed, k.landing_speed)
+        if self.state is S.HOLD or now.position is None:
+            return Order("hold")
         to = self._leg[0] if self.state is S.LOOK and self._leg else self._way
         if to is None:
             return Order("hold")

@@ -248,6 +248,7 @@ class MotionFilter:
                 "motion: started anew from GPS/INS in map %d, which poses from before do not belong to", m.map_number
             )
             state.core[TIME], state.P[TIME, TIME] = m.state.core[TIME], m.state.P[TIME, TIME]
+            state.refused = m.state.refused
         m.state, m.nav_sigma, m.inflations = state, sigma, 0
         m.visual.reset(state)
         m.health.restart(sample.t_ns)

@@ -111,8 +111,7 @@ class Health:
 
 
 def is_diverged(state: FilterState) -> bool:
-    """Whether the covariance of tilt or velocity is too large for the estimate to be of use."""
+    """Whether the covariance of tilt or velocity is too large for the estimate to be of use, or no number any more."""
     variance = np.diag(state.P)
-    return bool(
-        np.sqrt(variance[ATT][:2].max()) > _MAX_TILT_SIGMA or np.sqrt(variance[VEL].max()) > _MAX_VELOCITY_SIGMA
-    )
+    small = variance[ATT][:2].max() <= _MAX_TILT_SIGMA**2 and variance[VEL].max() <= _MAX_VELOCITY_SIGMA**2
+    return not (bool(small) and bool(np.isfinite(state.core).all()))

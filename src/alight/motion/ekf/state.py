@@ -110,6 +110,7 @@ class FilterState:
     )
     rate: F64 = field(default_factory=lambda: np.zeros(3))  # rad/s, angular velocity in the body frame
     rate_variance: float = 0.0  # (rad/s)^2
+    refused: int = 0  # measurements that no update could be made of: not finite, or a singular matrix
 
     def copy(self) -> FilterState:
         """Return an independent copy."""
@@ -205,7 +206,7 @@ class FilterState:
         self.correct_by(residual, HP, HP[:, columns] @ H.T)
 
     def correct_by(self, residual: F64, HP: F64, S: F64) -> None:
-        """EKF update by a measurement of unit noise.
+        """EKF update by a measurement of unit noise; one that makes a matrix singular is left out and counted.
 
         Args:
             residual: (m,)
@@ -216,9 +217,10 @@ class FilterState:
             return
         S[np.diag_indices(len(S))] += 1.0
         U, failed = dpotrf(S.T, lower=0, clean=0, overwrite_a=1)
-        if failed:
-            raise np.linalg.LinAlgError("the covariance of an innovation is not positive definite")
-        half = dtrsm(1.0, U, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
+        half = HP.T if failed else dtrsm(1.0, U, HP.T, side=1, overwrite_b=1)  # (S^-1/2 H P)'
+        if failed or not (np.isfinite(residual).all() and np.isfinite(half).all()):  # LAPACK lets NaN pass
+            self.refused += 1
+            return
         dsyrk(-1.0, half, 1.0, self.P.T, overwrite_c=1)  # symmetric by construction: one half is enough
         mirror_lower(self.P)
         self._apply(half @ dtrsm(1.0, U, residual[:, None], trans_a=1)[:, 0])

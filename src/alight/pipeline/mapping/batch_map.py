@@ -11,6 +11,7 @@ from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.parallax import Images, Matched, ground_sampling, match_tile, with_datum
 from alight.pipeline.mapping.ground_map import GroundMap
+from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import ElevationMap, Heights, KeyframePosterior, View
 
@@ -63,8 +64,9 @@ class BatchMap(GroundMap):
     ) -> int:
         assert self.elevation is not None
         assert self.ground is not None
-        images = Images(views, self.elevation.cell_at(level), self.ground)
         (west, south), (east, north) = bounds(asking, self.ground)
+        refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
+        images = Images(views, self.elevation.cell_at(level), self.ground)
         camera = float(np.median([v.centre[2] for v in asking]))
         keys = list(self.elevation.cover((west, east), (south, north), level))
         done = 0

@@ -12,6 +12,7 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
+from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 
@@ -88,6 +89,7 @@ class RecursiveMap(GroundMap):
     def _improve(self, down: list[View], ring: RecursiveParallax, ground: float, effort: int) -> bool:
         assert self.elevation is not None
         low, high = bounds(down, ground)
+        refuse_too_large(tuple(low), tuple(high), self.elevation.cell_at(self.level), BYTES_A_STEP)
         grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self.level)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         parts = ring.step(grid, known, *self._range(grid, up, known, ring.beginning), effort)

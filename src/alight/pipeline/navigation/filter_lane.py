@@ -185,6 +185,8 @@ class FilterHalf:
             out.append(_left_out(self._filter.too_late, "came late"))
         if self._lost:
             out.append(f"motion: lost in {self._lost} of {self._given} exposures, which are not used for the map")
+        if (state := self._filter.state) is not None and state.refused:
+            out.append(f"motion: {state.refused} measurements led to no update (a singular matrix) and are left out")
         if anew := max((m.frame_id for m in motions), default=0):
             out.append(f"motion: began anew {anew} times; the parts are tied together by GPS alone")
         if self._settings.smooth and motions and not smoothed:

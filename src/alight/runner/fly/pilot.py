@@ -18,7 +18,7 @@ from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Order, Seen, Situation, Transition
 from alight.runner.fly.orders import OrderSender, OrderTaker
-from alight.runner.landing import JUDGE_EVERY, as_seen
+from alight.runner.landing import JUDGE_EVERY, as_seen, look_picture
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
@@ -239,6 +239,9 @@ class LandingPilot:
 
     def _write_diary(self, now_ns: int) -> None:
         first_look, first_transition = self._written
+        for look in self.diary.looks[first_look:]:
+            if self._seen is not None:
+                self.diary.pictures.append(look_picture(look, self._seen))
         fresh: list[LookRecord | Transition] = [*self.diary.looks[first_look:]]
         fresh += self.diary.transitions[first_transition:]
         for entry in fresh:

@@ -52,6 +52,10 @@ class HazardsTuning(FrozenModel):
     novel_hazard: NonNegative = Field(
         0.3, description="Hazards expected for every limit by which ground is more unlike all known ground than usual"
     )
+    grey_hazard: NonNegative = Field(
+        0.02,
+        description="Hazards expected of a footprint of which only grey pictures are known: no colour can refuse it",
+    )
     clearly_sigmas: NonNegative = Field(
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
     )

@@ -1,0 +1,56 @@
+"""Healthy inputs to be damaged: small, so that a trial takes seconds, and real enough to reach every stage."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import rasterio
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
+
+from damage import dji_tags, write_flight, write_photo, xmp_packet
+from grammar import NUMBERS, Damage
+
+import alight_sim
+
+
+def noise(folder: Path) -> None:
+    """A flight log over noise: every reader, no map."""
+    write_flight(folder, 8)
+
+
+def flight(folder: Path) -> None:
+    """A second of simulated flight: every stage."""
+    alight_sim.write(alight_sim.fly("demo", 0, 1.5), folder, lambda done, total: None, overwrite=True)
+
+
+def dem(folder: Path) -> None:
+    """A raster of heights."""
+    folder.mkdir(parents=True)
+    z = np.random.default_rng(0).normal(100.0, 0.005, (60, 60)).astype(np.float32)
+    place = rasterio.Affine(0.1, 0, 550000, 0, -0.1, 4180000)
+    profile = {"driver": "GTiff", "width": 60, "height": 60, "count": 1, "dtype": "float32"}
+    with rasterio.open(folder / "dem.tif", "w", crs="EPSG:32610", transform=place, **profile) as d:
+        d.write(z, 1)
+
+
+def photos(folder: Path, damages: tuple[Damage, ...] = ()) -> None:
+    """Photos of noise with tags, some of them damaged: `what` of a damage replaces the tag that its file names."""
+    for k in range(4):
+        tags = {d.file: d.what for d in damages if d.kind == "tag" and int(4 * d.where) in (k, 3)}
+        known = {name: value for name, value in tags.items() if name in dji_tags()}
+        place: list[float] = [45.0 + 3e-5 * k, 7.6, 350.0]
+        for d in damages:
+            if d.kind == "place":
+                place = {"pole": [90.0, 0.0, 350.0], "one": [45.0, 7.6, 350.0], "high": [45.0, 7.6, 1e6]}[d.what]
+        write_photo(
+            folder / f"DJI_{k:04d}.JPG", 0 if any(d.kind == "same" for d in damages) else k, second=f"{10 + 3 * k}",
+            place=(place[0], place[1], place[2]), xmp=xmp_packet(dji_tags(**known)),
+        )  # fmt: skip
+
+
+TAG_VALUES = (*(n for n in NUMBERS if "\u00e9" not in n), "50;1,2,3", "+91.00", "1/0", "-9999999")
+INPUTS: dict[str, Callable[[Path], None]] = {"noise": noise, "flight": flight, "dem": dem, "photos": photos}

@@ -1,0 +1,99 @@
+"""One trial: a damaged input through the command in a process of its own, and whether the answer is allowed."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+
+from grammar import Damage
+
+import alight.cli
+import alight.runner.judge
+import alight.runner.replay  # imported once: every trial is a fork of this process
+
+MEMORY = 6 * 2**30  # bytes of address space, beyond which a trial may not ask for more
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a trial gave."""
+
+    fault: str | None  # None: allowed
+    seconds: float  # of the processor
+    megabytes: float  # at the most
+    said: str
+
+
+def command(kind: str, folder: Path, out: Path, damages: list[Damage]) -> list[str]:
+    """The command for an input."""
+    name = ["hazards", str(folder / "dem.tif")] if kind == "dem" else ["run", str(folder)]
+    sets = [part for d in damages if d.kind == "set" for part in ("--set", f"{d.file}={d.what}")]
+    return [*name, "--out", str(out), *sets]
+
+
+def run(arguments: list[str], limit: float) -> Outcome:
+    """Run a command in a child with a limit of processor time in seconds."""
+    with tempfile.TemporaryDirectory() as spare:
+        streams = [Path(spare) / name for name in ("out", "err")]
+        start = time.monotonic()
+        child = os.fork()
+        if child == 0:
+            _child(arguments, streams, limit)
+        status, used = _wait(child, start, 5 * limit)
+        out, err = (p.read_text(encoding="utf-8", errors="replace") if p.exists() else "" for p in streams)
+    seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
+    return Outcome(_fault(status, out, err), seconds, megabytes, (out + err)[-3000:])
+
+
+def _child(arguments: list[str], streams: list[Path], limit: float) -> None:
+    code = 1
+    try:
+        for number, path in enumerate(streams, 1):
+            os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 2))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        sys.stdout, sys.stderr = (os.fdopen(n, "w", errors="backslashreplace") for n in (1, 2))
+        alight.cli.app.stderr.file = sys.stderr
+        code = alight.cli.call(arguments)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _wait(child: int, start: float, limit: float) -> tuple[int, resource.struct_rusage]:
+    while True:
+        done, status, used = os.wait4(child, os.WNOHANG)
+        if done:
+            return status, used
+        if time.monotonic() - start > limit:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(0.02)
+
+
+def _fault(status: int, out: str, err: str) -> str | None:
+    """What is wrong with an answer; None: it is a site, none with a reason, or one line that says what to mend."""
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        return "too slow" if number in (signal.SIGXCPU, signal.SIGKILL) else f"ended by signal {number}"
+    code = os.WEXITSTATUS(status)
+    if "Traceback" in err:
+        last = [line for line in err.splitlines() if line and not line.startswith(" ")]
+        return f"traceback: {last[-1][:200]}"
+    if code == 0:
+        if not out.startswith(("SITE", "NO SITE")):
+            return "no answer"
+        return f"could not be made: {err[-200:]}" if "could not be made" in err else None
+    if code != 2:
+        return f"exit code {code}"
+    errors = [line for line in err.splitlines() if line.startswith("error: ")]
+    return None if len(errors) == 1 and len(errors[0]) < 2000 else "no single line of an error"

@@ -1,0 +1,156 @@
+"""YAML, JSON and plain text from outside: of a size, depth and kind that no settings file or scene exceeds."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+LONGEST = 1_000_000  # bytes of a YAML file: the largest of ours has 20,000
+LARGEST_JSON = 64_000_000  # bytes
+DEEPEST = 40  # of mappings and lists in each other
+MOST_VALUES = 50_000  # aliases counted as often as they are used
+LARGEST_INTEGER = 2**63
+
+
+class DocumentError(ValueError):
+    """A text that is no document; the message says why, in one line."""
+
+
+def read_bytes(path: Path, largest: int) -> bytes:
+    """The bytes of a plain file.
+
+    Raises:
+        DocumentError: it is a pipe or a device, which may never end, or larger than `largest` bytes.
+        OSError: it cannot be read.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise DocumentError("is a pipe or a device; give a plain file")
+    with path.open("rb") as file:
+        data = file.read(largest + 1)
+    if len(data) > largest:
+        raise DocumentError(f"is larger than {largest / 1e6:g} MB; give the right file")
+    return data
+
+
+def read_text(path: Path, largest: int = LONGEST) -> str:
+    """The text of a plain file, a byte order mark left out.
+
+    Raises:
+        DocumentError: as `read_bytes`, or it is not text.
+        OSError: it cannot be read.
+    """
+    try:
+        return read_bytes(path, largest).decode("utf-8-sig")
+    except UnicodeDecodeError as e:
+        raise DocumentError("not text in UTF-8; give a text file") from e
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML of words and numbers: no dates, and keys are words."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        """A mapping whose keys are words."""
+        tree = super().construct_mapping(node, deep=deep)
+        for key in tree:
+            if not isinstance(key, str):
+                raise DocumentError(f"the key {str(key)[:40]!r} is no word; put it into quotes")
+        return tree
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in some if tag != "tag:yaml.org,2002:timestamp"]
+    for first, some in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def parse_yaml(text: str) -> Any:
+    """The value of a YAML text.
+
+    Raises:
+        DocumentError: it is no YAML, too deep or too large with its aliases written out, refers to itself, or holds
+            what is neither a word nor a number.
+    """
+    if len(text) > LONGEST:
+        raise DocumentError(f"not valid YAML: longer than {LONGEST} characters")
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        _measure(node, {}, 0)
+        tree = loader.construct_document(node)
+    except yaml.YAMLError as e:
+        mark = getattr(e, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark is not None else ""
+        why = " ".join(str(getattr(e, "problem", None) or e).split())[:300]
+        raise DocumentError(f"not valid YAML{where}: {why}") from e
+    except RecursionError as e:
+        raise DocumentError(_deep()) from e
+    except DocumentError:
+        raise
+    except (ValueError, TypeError, OverflowError, AttributeError) as e:
+        raise DocumentError(f"not valid YAML: {' '.join(str(e).split())[:300]}") from e
+    _check(tree, 0)
+    return tree
+
+
+def _deep() -> str:
+    return f"nested more than {DEEPEST} deep; write it flat"
+
+
+def _measure(node: yaml.Node, sizes: dict[int, int], depth: int) -> int:
+    """Number of values under a node, aliases written out."""
+    if depth > DEEPEST:
+        raise DocumentError(_deep())
+    known = sizes.get(id(node))
+    if known == 0:
+        raise DocumentError("an alias that refers to itself; write the value out")
+    if known is not None:
+        return known
+    sizes[id(node)] = 0  # being measured
+    total = 1
+    if isinstance(node, yaml.SequenceNode):
+        total += sum(_measure(v, sizes, depth + 1) for v in node.value)
+    elif isinstance(node, yaml.MappingNode):
+        total += sum(_measure(k, sizes, depth + 1) + _measure(v, sizes, depth + 1) for k, v in node.value)
+    if total > MOST_VALUES:
+        raise DocumentError(f"more than {MOST_VALUES} values, aliases written out; write it shorter")
+    sizes[id(node)] = total
+    return total
+
+
+def parse_json(text: str | bytes) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        DocumentError: it is no JSON, too deep, or holds numbers out of range.
+    """
+    try:
+        tree = json.loads(text)
+    except RecursionError as e:
+        raise DocumentError(_deep()) from e
+    except ValueError as e:
+        raise DocumentError(f"not valid JSON: {e}") from e
+    _check(tree, 0)
+    return tree
+
+
+def _check(tree: Any, depth: int) -> None:
+    """Refuse what is too deep, an integer that no number of ours reaches, and other than words, numbers and lists."""
+    if depth > DEEPEST:
+        raise DocumentError(_deep())
+    if isinstance(tree, Mapping):
+        for value in tree.values():
+            _check(value, depth + 1)
+    elif isinstance(tree, list):
+        for value in tree:
+            _check(value, depth + 1)
+    elif isinstance(tree, int):
+        if abs(tree) > LARGEST_INTEGER:
+            raise DocumentError("an integer of more than 19 digits; check the number")
+    elif not isinstance(tree, str | float | None):
+        raise DocumentError(f"a {type(tree).__name__} is neither a word nor a number; put it into quotes")

@@ -1,0 +1,115 @@
+"""Where compiled loops are kept: a folder of the user's own that nobody else can write, else a private temporary one.
+
+What is in the cache is run as the user. A folder that another user owns or can write to is therefore never read.
+"""
+
+import atexit
+import logging
+import os
+import shutil
+import stat
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+NAMED = "NUMBA_CACHE_DIR"  # names another folder; child processes find the one of their parent there
+COST = "loops are compiled anew by this command, about 4 minutes"
+THREADS = "NUMBA_NUM_THREADS"
+MOST_THREADS = 16  # a processor; more is a slip of the pen and ends in a process that starts no thread at all
+
+
+def is_private(folder: Path) -> bool:
+    """Whether the folder is this user's, no link, and nobody else can write to it."""
+    try:
+        about = folder.lstat()
+    except OSError:
+        return False
+    own = not hasattr(os, "getuid") or about.st_uid == os.getuid()
+    return stat.S_ISDIR(about.st_mode) and own and (os.name == "nt" or not about.st_mode & 0o022)
+
+
+def is_writable(folder: Path) -> bool:
+    """Whether a file can be made and filled there."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(4096))
+            file.flush()
+    except OSError:
+        return False
+    return True
+
+
+def _usual(name: str) -> Path | None:
+    """The folder of that name in the user's own cache, made where it can be; None without a home."""
+    given = os.environ.get("XDG_CACHE_HOME") or ""
+    try:
+        root = Path(given) if Path(given).is_absolute() else Path.home() / ".cache"
+    except RuntimeError:  # no HOME, and a user whom the system does not know
+        return None
+    folder = root / "alight" / name
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if is_private(folder):
+            folder.chmod(0o700)
+    return folder
+
+
+def _temporary(source: Path | None) -> Path | None:
+    """A private folder for this process and its children, with a copy of `source`; None where none can be made."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="alight-kernels-"))
+    except OSError:
+        return None
+    atexit.register(_remove, folder, os.getpid())
+    if source is not None:
+        try:
+            shutil.copytree(source, folder, dirs_exist_ok=True)
+            folder.chmod(0o700)
+        except (OSError, shutil.Error):
+            shutil.rmtree(folder, ignore_errors=True)
+            return _temporary(None)
+    return folder
+
+
+def _remove(folder: Path, maker: int) -> None:
+    if os.getpid() == maker:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def cache_folder(name: str) -> Path | None:
+    """The folder to load compiled loops from and to keep them in; None: they are kept in memory alone.
+
+    A folder that may not be trusted or written is replaced, with a warning that says what it costs.
+
+    Args:
+        name: of the folder, of these sources.
+    """
+    named = os.environ.get(NAMED)
+    folder = Path(named) if named else _usual(name)
+    if named:
+        with suppress(OSError):
+            Path(named).mkdir(mode=0o700, parents=True, exist_ok=True)
+    if folder is not None and is_private(folder) and is_writable(folder):
+        return folder
+    where = "the home folder" if folder is None else str(folder)
+    if folder is not None and is_private(folder):
+        kept, why = _temporary(folder), "cannot be written; it is copied for this command, and new loops are not kept"
+    else:
+        there = folder is not None and folder.exists()
+        why = f"{'is not yours alone' if there else 'cannot be made'}; {COST}"
+        kept = _temporary(None)
+    log.warning("%s: the cache of compiled loops %s; name a folder of your own with %s", where, why, NAMED)
+    return kept
+
+
+def mend_threads() -> None:
+    """Take a number of threads out of the environment that the compiler would refuse or no machine has."""
+    given = os.environ.get(THREADS)
+    if given is None:
+        return
+    most = MOST_THREADS * (os.cpu_count() or 1)
+    if not (given.isascii() and given.isdigit() and 1 <= int(given[:9]) <= most):
+        del os.environ[THREADS]
+        log.warning("%s=%s: not a number from 1 to %d; all processors are used", THREADS, given[:40], most)

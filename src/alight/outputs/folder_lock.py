@@ -1,0 +1,68 @@
+"""One run a folder at a time: a lock that the system gives back however the run ends.
+
+The lock's file stays where a run was ended before its folder was whole: what lies beside it is then a run's.
+"""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+from alight.records import OutputError
+
+LOCK = ".alight.lock"
+_held: dict[Path, IO[str]] = {}  # of this process
+
+
+def lock_folder(out: Path) -> None:
+    """Take the folder for this process, until `release_folder` or its end; a second time is the same.
+
+    Raises:
+        OutputError: another process writes there.
+        OSError: the folder cannot be written.
+    """
+    folder = out.resolve()
+    if folder in _held:
+        return
+    file = (folder / LOCK).open("a+", encoding="ascii")
+    try:
+        import fcntl  # not on Windows; a record lock: processes that are forked do not inherit it
+
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:
+        pass
+    except (BlockingIOError, PermissionError) as e:
+        with file:
+            file.seek(0)
+            process = file.read(20).strip()
+        raise OutputError(
+            f"{out}: another run writes there (process {process or 'unknown'}); wait for its end or choose another "
+            "folder with --out"
+        ) from e
+    except OSError:  # a file system without locks: nothing to hold on to
+        pass
+    with suppress(OSError):  # a full disk is told of by what is written next
+        file.truncate(0)
+        file.write(str(os.getpid()))
+        file.flush()
+    _held[folder] = file
+
+
+def release_folder(out: Path) -> None:
+    """Give the folder back; its lock's file goes, too."""
+    folder = out.resolve()
+    file = _held.pop(folder, None)
+    if file is not None:
+        (folder / LOCK).unlink(missing_ok=True)
+        with suppress(OSError):
+            file.close()
+
+
+def release_all() -> None:
+    """Give back what this process still holds; a folder that a run began to fill keeps the file as its sign."""
+    for folder in list(_held):
+        with suppress(OSError):
+            if {p.name for p in folder.iterdir()} <= {LOCK}:
+                release_folder(folder)

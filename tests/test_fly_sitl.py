@@ -1,0 +1,85 @@
+"""A landing flown by a real ArduPilot, where `ALIGHT_SITL` names its binary: take-off, looks, touchdown."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from autopilot_rig import LOCAL
+from test_autopilot_links import drive, sitl  # noqa: F401  (a fixture)
+from test_executive import Ground, clearer_from_below
+
+from alight.autopilot import Autopilot, TelemetryEvents, open_link
+from alight.geometry import Pose
+from alight.records import Frame, InputError, Motion, NavSample, NoticeKind
+from alight.records.executive import FlightState, LookRecord, Transition
+from alight.runner.fly.pilot import LandingPilot
+from alight.runner.fly.take_off import TakeOff
+from alight.settings import load_settings
+
+PLACE = (10.0, 5.0)
+
+
+class Silent:
+    """A log that nobody reads."""
+
+    def order(self, t_ns: int, state: str, words: str) -> None: ...
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None: ...
+    def note(self, lane: str, words: str) -> None: ...
+
+
+def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
+    """Pictures and verdicts are made up; motions are the autopilot's own rows; orders and protocol are real."""
+    link, end = None, time.monotonic() + 30
+    while link is None:
+        try:
+            link = open_link(sitl)
+        except InputError:
+            assert time.monotonic() < end
+            time.sleep(0.5)
+    ours = Autopilot(events=TelemetryEvents(LOCAL))
+    assert drive(link, ours, 90, lambda: ours.telemetry is not None and ours.telemetry.ready), ours.notices()
+    vehicle = ours.vehicle
+    assert vehicle is not None
+    climb = TakeOff(vehicle, vehicle, 20.0, time.monotonic_ns())
+
+    def climbed() -> bool:
+        climb.tick(time.monotonic_ns())
+        return climb.done
+
+    assert drive(link, ours, 120, climbed), climb.failed
+    ground, settings = Ground({PLACE: clearer_from_below}), load_settings("", ["executive.search_height=20"])
+    number = 0
+
+    def judge(about: np.ndarray | None) -> None:
+        nonlocal number
+        t_ns, m, number = time.monotonic_ns(), pilot.motion, number + 1
+        if m is not None:
+            pilot.take_seen(ground.seen(number, (t_ns - begin) * 1e-9, m.world_from_body.translation), t_ns)
+
+    pilot, begin = LandingPilot(settings, LOCAL, vehicle, vehicle, judge, Silent()), time.monotonic_ns()
+    pilot.begin(begin)
+    image, notices = np.zeros((8, 8), np.uint8), []
+
+    def landed() -> bool:
+        nonlocal image
+        now, image = time.monotonic_ns(), image + np.uint8(1)
+        for row in ours.samples():
+            if isinstance(row, NavSample) and row.position_world is not None:
+                pilot.saw(Frame(now, (image,)), now)
+                pilot.moved(Motion(row.t_ns, Pose(np.eye(3), row.position_world), (), np.eye(6)))
+        for notice in ours.notices():
+            notices.append(notice)
+            pilot.noticed(notice)
+        pilot.tick(now)
+        return pilot.over
+
+    assert drive(link, ours, 300, landed), notices
+    assert pilot.state is FlightState.LANDED, pilot.diary.transitions
+    assert ours.telemetry is not None
+    assert ours.telemetry.place is not None
+    place = ours.telemetry.place
+    at = LOCAL.to_enu(place.latitude, place.longitude, 0.0)
+    assert np.hypot(*(at[:2] - PLACE)) < 2.0  # without PLND_ENABLED it lands straight down where it began to
+    assert not [n for n in notices if n.kind is NoticeKind.TAKEOVER]
+    link.close()

@@ -1,0 +1,129 @@
+"""The cache of compiled loops: never another user's, never the end of a command."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NOBODY = 65534
+SCRIPT = """
+from alight import compiled
+@compiled.kernel
+def twice(x):
+    return 2 * x
+assert twice(21) == 42
+loaded = bool(getattr(twice.stats, "cache_hits", {}))
+print(compiled.CACHE, "loaded" if loaded else "compiled")
+"""
+
+
+@pytest.fixture
+def loop(tmp_path: Path) -> Path:
+    """A file with one loop, and room for a cache beside it."""
+    path = tmp_path / "loop.py"
+    path.write_text(SCRIPT)
+    return path
+
+
+def run(loop: Path, user: int | None = None, **environment: str) -> tuple[str, str]:
+    """Compile or load the loop in a process; where its cache was and whether it was loaded, and stderr."""
+    env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    env |= {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(loop.parent / "cache")} | environment
+    done = subprocess.run([sys.executable, loop], env=env, capture_output=True, text=True, user=user, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip(), done.stderr
+
+
+def folder_of(answer: str) -> Path:
+    """Where the cache was."""
+    return Path(answer.rsplit(" ", 1)[0])
+
+
+def test_the_second_process_loads_what_the_first_compiled(loop: Path) -> None:
+    first, said = run(loop)
+    assert first.endswith(" compiled")
+    assert said == ""
+    assert folder_of(first).stat().st_mode & 0o777 == 0o700
+    assert run(loop) == (first.replace(" compiled", " loaded"), "")
+
+
+def test_a_folder_that_others_can_write_is_never_read(loop: Path) -> None:
+    folder = folder_of(run(loop)[0])
+    folder.chmod(0o777)
+    answer, said = run(loop)
+    assert answer.endswith(" compiled")
+    assert folder_of(answer) != folder
+    assert "is not yours alone; loops are compiled anew by this command, about 4 minutes" in said
+    assert not folder_of(answer).exists()  # private, and gone with the process
+
+
+def test_a_folder_named_in_the_environment_is_held_to_the_same(loop: Path, tmp_path: Path) -> None:
+    named = tmp_path / "named"
+    assert folder_of(run(loop, NUMBA_CACHE_DIR=str(named))[0]) == named
+    named.chmod(0o777)
+    assert folder_of(run(loop, NUMBA_CACHE_DIR=str(named))[0]) != named
+
+
+def test_a_link_is_never_followed(loop: Path, tmp_path: Path) -> None:
+    folder = folder_of(run(loop)[0])
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    assert run(loop)[0].endswith(" compiled")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid") or os.getuid() != 0, reason="needs root")
+def test_a_folder_of_another_user_is_never_read(loop: Path) -> None:
+    folder = folder_of(run(loop)[0])
+    os.chown(folder, NOBODY, NOBODY)
+    answer, said = run(loop)
+    assert answer.endswith(" compiled")
+    assert "is not yours alone" in said
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x80\x04garbage", b"cos\nsystem\n(S'touch planted'\ntR.", bytes(5000)])
+def test_damaged_files_are_compiled_anew(loop: Path, damage: bytes) -> None:
+    folder = folder_of(run(loop)[0])
+    for path in folder.rglob("*.nbi"):
+        path.write_bytes(damage)
+    assert run(loop)[0].endswith(" compiled")
+    assert run(loop)[0].endswith(" loaded")  # the file is mended
+    compiled = list(folder.rglob("*.nbc"))
+    assert compiled
+    for path in compiled:
+        data = path.read_bytes()
+        path.write_bytes(damage + data[len(damage) : -100])
+    assert run(loop)[0].endswith(" compiled")
+    assert run(loop)[0].endswith(" loaded")
+
+
+def test_no_home_to_write_to(loop: Path) -> None:
+    answer, said = run(loop, HOME="/dev/null", XDG_CACHE_HOME="")
+    assert answer.endswith(" compiled")
+    assert "cannot be made; loops are compiled anew" in said
+
+
+def test_a_cache_that_is_read_only_is_copied_and_loaded(loop: Path) -> None:
+    folder = folder_of(run(loop)[0])
+    loop.write_text("import alight.loop_cache\nalight.loop_cache.is_writable = lambda folder: False\n" + SCRIPT)
+    answer, said = run(loop)  # the loop stands on another line: nothing of it is there yet, but the folder is
+    assert folder_of(answer) != folder
+    assert "cannot be written; it is copied for this command" in said
+
+
+def test_nowhere_to_write_at_all(loop: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Loops live in memory alone."""
+    loop.write_text("import tempfile\ntempfile.mkdtemp = lambda **k: (_ for _ in ()).throw(OSError())\n" + SCRIPT)
+    answer, said = run(loop, XDG_CACHE_HOME="/dev/null/cache")
+    assert answer == "None compiled"
+    assert "loops are compiled anew" in said
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "many", "99999999", ""])
+def test_a_number_of_threads_that_no_machine_has(loop: Path, count: str) -> None:
+    _, said = run(loop, NUMBA_NUM_THREADS=count)
+    assert "not a number from 1 to" in said
