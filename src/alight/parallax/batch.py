@@ -20,7 +20,7 @@ from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import Prepared, choose_views, maps, prepare_view, rgb_of, stack
+from alight.parallax.views import Prepared, choose_views, coarser, maps, prepare_view, rgb_of, stack
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
@@ -43,17 +43,20 @@ class Images:
         self.views = views
         self.cell = cell
         self.height = height  # metres, of the ground in general: for the ground sampling distance
-        self._ready: OrderedDict[int, Prepared] = OrderedDict()
+        self._ready: OrderedDict[int, list[Prepared]] = OrderedDict()
         self._keep = keep
 
-    def get(self, index: int) -> Prepared:
-        """View `index` at the cell of the grid."""
+    def get(self, index: int, halved: int = 0) -> Prepared:
+        """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
         if index not in self._ready:
-            self._ready[index] = prepare_view(self.views[index], self.cell, self.height)
+            self._ready[index] = [prepare_view(self.views[index], self.cell, self.height)]
             if len(self._ready) > self._keep:
                 self._ready.popitem(last=False)
         self._ready.move_to_end(index)
-        return self._ready[index]
+        levels = self._ready[index]
+        while len(levels) <= halved:
+            levels.append(coarser(levels[-1]))
+        return levels[halved]
 
 
 class Match(NamedTuple):
@@ -84,9 +87,10 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     few, of = (
         choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
     )
-    swept = [fine[k] for k in few]
+    levels = [fine, *([images.get(i, k) for i in chosen] for k in range(1, plan.halvings + 1))]
+    swept = [[prepared[k] for k in few] for prepared in levels]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
-    rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start), plan)
+    rest, its_ratio = sweep_unseen(levels, grid, (low, high), ground, np.isnan(start), plan)
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None

@@ -79,10 +79,14 @@ class GroundMap:
         self._points = self._points[:: -(-len(self._points) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
-            sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
+            sampling = float(np.median([self.sampling_of(v, self.ground) for v in down]))
             cell = self.settings.parallax.cell or nice_cell(sampling, self.settings.mapping.cell_over_pixel)
             self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
+
+    def sampling_of(self, view: View, ground: float) -> float:
+        """Metres of ground at a height that a view's pixels see, for the size of the cells."""
+        return ground_sampling(view, ground)
 
     def _range(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
