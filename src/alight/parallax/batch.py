@@ -26,6 +26,11 @@ from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
 
+MOST_BYTES = 400_000_000  # of views that are kept ready
+LEAST_KEPT = 16  # of them, however large
+PYRAMID = 4 / 3  # an image with all its halvings over itself
+
+
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
     """Median height over the sweeps of several reference views (the lower of two), with that sweep's cost ratio."""
     heights = np.stack([h for h, _ in sweeps])
@@ -39,18 +44,19 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 class Images:
     """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept."""
 
-    def __init__(self, views: Sequence[View], cell: float, height: float, keep: int = 64) -> None:
+    def __init__(self, views: Sequence[View], cell: float, height: float, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
         self.cell = cell
         self.height = height  # metres, of the ground in general: for the ground sampling distance
         self._ready: OrderedDict[int, list[Prepared]] = OrderedDict()
-        self._keep = keep
+        self._most_bytes = most_bytes
 
     def get(self, index: int, halved: int = 0) -> Prepared:
         """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
         if index not in self._ready:
             self._ready[index] = [prepare_view(self.views[index], self.cell, self.height)]
-            if len(self._ready) > self._keep:
+            each = PYRAMID * (self._ready[index][0].grey.nbytes + self._ready[index][0].norm.nbytes)
+            while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                 self._ready.popitem(last=False)
         self._ready.move_to_end(index)
         levels = self._ready[index]

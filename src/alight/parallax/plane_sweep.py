@@ -24,6 +24,7 @@ from alight.settings.tuning.parallax import SweepTuning
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
 LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
 BESIDE = 1  # coarse cells about one whose heights a ray tries
+BORDER = 6  # the same where none of these has a height
 SLACK = 2  # planes beyond these
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
@@ -174,9 +175,10 @@ class Spans:
 
         Beside a step a ray tries what stands on both sides of it and between (Rothermel et al. 2012, tSGM).
         """
-        beside, known = np.ones((2 * BESIDE + 1,) * 2, np.uint8), np.isfinite(found)
-        low = cv2.erode(np.where(known, found, np.float32(np.inf)), beside)
-        high = cv2.dilate(np.where(known, found, np.float32(-np.inf)), beside)
+        low, high = extremes(found, BESIDE)
+        beyond = extremes(found, BORDER)  # smaller pixels reach further towards the border of a picture
+        for ends, further in zip((low, high), beyond, strict=True):
+            np.copyto(ends, further, where=~np.isfinite(ends))
         none = low > high  # two views see nothing there, at any resolution
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
@@ -238,6 +240,14 @@ def sweep(
         ratio = np.fmax(doubt, enlarged(ratio, rays.shape)) if narrow else doubt
         searched = narrowed(found, searched, float(levels[1] - levels[0]))
     return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
+
+
+def extremes(found: F32, reach: int) -> tuple[F32, F32]:
+    """Lowest and highest known height within `reach` cells; infinite, the lowest above the highest, where none is."""
+    near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
+    low = cv2.erode(np.where(known, found, np.float32(np.inf)), near)
+    high = cv2.dilate(np.where(known, found, np.float32(-np.inf)), near)
+    return np.asarray(low, np.float32), np.asarray(high, np.float32)
 
 
 def narrowed(found: F32, searched: Span, spacing: float) -> Span:

@@ -31,6 +31,11 @@ def core(heights: Heights, margin: int) -> Heights:
     return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
 
 
+def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
+    """Sorts tiles along a Z-order curve (Morton 1966): neighbours are matched soon after, with the same views."""
+    return [(tile[0] >> k, tile[1] >> k) for k in range(16, -1, -1)]
+
+
 @dataclass(eq=False)
 class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
@@ -102,7 +107,7 @@ class BatchMap(GroundMap):
         block = BLOCK if BLOCK * tile.rows * tile.cell <= SHARE * side else 1
         size = block * tile.rows + 2 * MARGIN
         out = []
-        for row, col in sorted({(block * (r // block), block * (c // block)) for r, c in keys}):
+        for row, col in sorted({(block * (r // block), block * (c // block)) for r, c in keys}, key=_near_before_far):
             corner = self.elevation.tile_grid((row + block - 1, col), MARGIN, level)
             out.append(corner.window(0, 0, size, size))
         return out
