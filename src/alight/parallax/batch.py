@@ -25,7 +25,6 @@ from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
-
 MOST_BYTES = 400_000_000  # of views that are kept ready
 LEAST_KEPT = 16  # of them, however large
 PYRAMID = 4 / 3  # an image with all its halvings over itself

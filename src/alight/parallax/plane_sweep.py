@@ -177,16 +177,13 @@ class Spans:
         """
         low, high = extremes(found, BESIDE)
         beyond = extremes(found, BORDER)  # smaller pixels reach further towards the border of a picture
-        for ends, further in zip((low, high), beyond, strict=True):
-            np.copyto(ends, further, where=~np.isfinite(ends))
+        for end, further in zip((low, high), beyond, strict=True):
+            np.copyto(end, further, where=~np.isfinite(end))
         none = low > high  # two views see nothing there, at any resolution
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
         ends = np.floor((low - levels[0]) / spacing) - SLACK, np.ceil((high - levels[0]) / spacing) + SLACK
-        wide = (
-            cv2.resize(v, (2 * v.shape[1], 2 * v.shape[0]), interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]]
-            for v in ends
-        )
+        wide = (doubled(v, shape) for v in ends)
         return cls(*(np.clip(v, 0, last).astype(np.int32) for v in wide))
 
     @property
@@ -237,7 +234,7 @@ def sweep(
         narrow = k == 0 and len(of) > 1
         spans = Spans.about(found, rays.shape, levels) if narrow else Spans.whole(of[k].shape, len(levels))
         found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
-        ratio = np.fmax(doubt, enlarged(ratio, rays.shape)) if narrow else doubt
+        ratio = np.fmax(doubt, doubled(ratio, rays.shape)) if narrow else doubt
         searched = narrowed(found, searched, float(levels[1] - levels[0]))
     return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
 
@@ -260,7 +257,7 @@ def narrowed(found: F32, searched: Span, spacing: float) -> Span:
     return max(searched[0], low - margin), min(searched[1], high + margin)
 
 
-def enlarged(values: F32, shape: tuple[int, int]) -> F32:
+def doubled(values: F32, shape: tuple[int, int]) -> F32:
     """The values of 2 x 2 cells on each of them."""
     size = (2 * values.shape[1], 2 * values.shape[0])
     return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]])

@@ -103,7 +103,7 @@ class BatchMap(GroundMap):
         assert self.ground is not None
         keys = list(self.elevation.cover(east, north, level))
         tile = self.elevation.tile_grid(keys[0], 0, level)
-        side = min(min(v.camera.width, v.camera.height) * ground_sampling(v, self.ground) for v in asking)
+        side = np.median([min(v.camera.width, v.camera.height) * ground_sampling(v, self.ground) for v in asking])
         block = BLOCK if BLOCK * tile.rows * tile.cell <= SHARE * side else 1
         size = block * tile.rows + 2 * MARGIN
         out = []
