@@ -33,7 +33,6 @@ import alight
 import alight_sim
 from alight.arrays import F64
 from alight.outputs.recorder import Recorder
-from alight.pipeline import Verdict
 from alight.records import Event, Frame, NavSample
 from alight.records.codec import MOTION, FlightHead
 from alight.runner.live import Capacity, Listener, Live
@@ -72,14 +71,15 @@ def around(source: Source, seconds: float) -> Iterator[Event]:
     known = [e for e in source.events() if isinstance(e, NavSample) and e.position_world is not None]
     frames = [e.t_ns for e in source.events() if isinstance(e, Frame)]
     period = frames[-1] - frames[0] + round((frames[-1] - frames[0]) / (len(frames) - 1))
-    per_ns = (known[-1].position_world - known[0].position_world) / (known[-1].t_ns - known[0].t_ns)  # type: ignore[operator]
+    stamps, places = np.array([e.t_ns for e in known]), np.array([e.position_world for e in known])
+    begin, end = (np.array([np.interp(t, stamps, axis) for axis in places.T]) for t in (frames[0], frames[0] + period))
     for k in range(int(seconds * 1e9 / period) + 1):
         for e in source.events():
             if not frames[0] <= e.t_ns < frames[0] + period:
                 continue
             if e.t_ns - frames[0] + k * period > seconds * 1e9:
                 return
-            yield moved(e, k * period, per_ns * (k * period))
+            yield moved(e, k * period, k * (end - begin))
 
 
 def moved(event: Event, later: int, by: F64) -> Event:
@@ -99,12 +99,12 @@ class Flown:
 
     def __init__(self, seconds: float, speed: float = 1.0, more: Sequence[str] = (), memory: float = 0.0) -> None:
         source, settings = open_source(recording()), load_settings("", [*SETTINGS, *more])
-        self.verdicts, self.memory = list[Verdict](), list[float]()
+        self.memory = list[float]()
         with tempfile.TemporaryDirectory() as folder:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)
             recorder = Recorder(Path(folder) / "recording.mcap", head) if not memory else None
             live = Live(
-                source.rig, settings, Listener(verdict=self.verdicts.append), Capacity(schedule=1000), Path(folder),
+                source.rig, settings, Listener(), Capacity(schedule=1000), Path(folder),
                 appearance_of(settings), source.imu_noise, recorder,
             )  # fmt: skip
             for p in live.posts.values():

@@ -171,6 +171,34 @@ def test_a_place_that_falls_gives_way_to_the_next() -> None:
     assert refused.place[:2] == (10.0, 5.0)
 
 
+def test_a_place_in_much_doubt_waits_until_all_was_searched() -> None:
+    """What the rest of the search shows may be better, and then that is looked at first."""
+    ground = Ground({(-8.0, 2.0): lambda h: 0.6, (22.0, 18.0): lambda h: 0.97 if h < 9 else 0.8}, sees=12.0)
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    found = [x for x in f.executive.diary.transitions if x.event is E.FOUND]
+    assert found[0].place is not None
+    assert found[0].place[:2] == (22.0, 18.0)
+    searched = np.array([p[:2] for s, _, p in f.orders if s is S.SEARCH])
+    assert np.abs(searched).max() > 25.0  # to its end first
+
+
+def test_a_site_breaks_the_search_off() -> None:
+    f = Flight(Ground({(10.0, 5.0): lambda h: 0.97}), Executive(settings()))
+    assert f.fly() is S.LANDED
+    assert f.events[0] is E.FOUND
+    assert f.executive.diary.transitions[0].t < 2.0
+
+
+def test_a_look_takes_the_better_place_beside() -> None:
+    """From 8 m up a better place 2.6 m away is seen; the next look is at that."""
+    ground = Ground({(10.0, 5.0): lambda h: 0.92, (12.4, 6.0): lambda h: 0.97 if h < 9 else 0.0})
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], [12.4, 6.0], atol=0.3)
+    assert E.REFUSED not in f.events
+
+
 def test_ground_without_a_place_is_searched_and_left() -> None:
     f = Flight(Ground({}), Executive(settings()))
     assert f.fly() is S.RETURN

@@ -6,6 +6,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -91,7 +92,7 @@ class Heard:
 
     @property
     def listener(self) -> Listener:
-        return Listener(self.motions.append, self.verdicts.append)
+        return Listener(self.motions.append, lambda verdict, t_ns: self.verdicts.append(verdict))
 
 
 # -- the prediction rule
@@ -270,7 +271,7 @@ def test_navigation_that_fails_begins_anew(nursery: Nursery, kind: str) -> None:
     """The exposure is lost, the motion has another frame number, the map is dropped; the replay does the same."""
     heard, lost = Heard(), list[tuple[str, float]]()
     fault = Fault(kind, frozenset({stamp(12)}))
-    listener = Listener(heard.motions.append, heard.verdicts.append, lambda lane, why: lost.append((why, time.time())))
+    listener = replace(heard.listener, lost=lambda lane, why: lost.append((why, time.time())))
     run = Live(
         flight()[0].rig, settings(), listener, WAIT, nursery=nursery, makers=faulty("navigation", fault)
     )  # fmt: skip

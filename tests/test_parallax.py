@@ -15,6 +15,7 @@ from parts import with_parts
 from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
+from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import triangulate_pair
 from alight.parallax.views import choose_views
@@ -350,3 +351,13 @@ def test_parallax_per_metre_is_the_widest_baseline_over_the_height() -> None:
     centres = np.array([[x, y, UP] for x, y in [(0, 0), (3, 4), (1, 1)]], float)
     assert parallax_per_metre(centres, 0.0) == pytest.approx(5.0 / UP)
     assert parallax_per_metre(centres, 10.0) == pytest.approx(5.0 / (UP - 10.0))
+
+
+def test_a_height_above_a_camera_hides_all_below_it_and_asks_for_no_more_memory_than_the_map() -> None:
+    """A spike above the cameras has rays of any length; how far they reach ends at the map."""
+    grid = Grid(0.0, 0.0, 0.1, 64, 80)
+    height = np.zeros(grid.shape, np.float32)
+    height[30:38, 40:48] = 500.0
+    centres = np.array([[2.0, -3.0, 6.0], [5.0, -3.0, 6.0]])
+    seen = Skyline.of(height, grid, centres)
+    assert (seen.tops == 500.0).all()  # the dilation reached all of it

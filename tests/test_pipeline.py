@@ -294,6 +294,24 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     assert [line.split(": ")[1] for line in end.notes.get("sites given up", [])] == given_up
 
 
+def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_not_look_there() -> None:
+    """The executive asks for the place that it flies to: the map keeps it from when it was seen."""
+    f, events = flight()
+    settings = settings_of("parallax.method=ring", "sites.every=0")
+    p = Pipeline(f.rig, "flight", settings, f.truth_trajectory, history=False)
+    for e in events:
+        p.feed(e)
+    now = p.judge_now()
+    assert now is not None
+    grid = now.elevation.grid
+    place = np.array([grid.east - 4.0, grid.north - grid.cell * grid.rows / 2])  # behind the vehicle, west of the map
+    there = p.judge_now(place)
+    assert there is not None
+    r, c = (int(np.rint(v)) for v in there.danger.grid.index(place[0], place[1]))
+    assert np.isfinite(there.elevation.height[r - 5 : r + 6, c - 5 : c + 6]).any()
+    assert there.elevation.grid.east <= place[0] - settings.stages().mapping.judged_about + 0.5
+
+
 def test_nothing_is_judged_in_flight_where_it_is_not_asked_for() -> None:
     f, events = flight()
     p = Pipeline(f.rig, "flight", settings_of("parallax.method=ring", "sites.every=0"), f.truth_trajectory)

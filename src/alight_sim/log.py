@@ -19,7 +19,7 @@ from rasterio.windows import Window
 
 from alight.arrays import U8
 from alight.geometry import Pose, quaternion_from_matrix
-from alight.records import Frame, ImuSample, NavSample, OutputError, RigCamera, Terrain
+from alight.records import Frame, ImuSample, NavSample, OutputError, Rig, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean
@@ -111,10 +111,15 @@ def _camera_yaml(cam: RigCamera, rate_hz: float) -> dict[str, Any]:
     }
 
 
-def _write_sensors(flight: SimulatedFlight, root: Path) -> None:
-    for cam in flight.rig.cameras:
-        _dump(root / cam.name / "sensor.yaml", _camera_yaml(cam, flight.rate_hz))
+def write_calibration(rig: Rig, rate_hz: float, root: Path) -> None:
+    """Write the calibration of all cameras, and make the folders for their images."""
+    for cam in rig.cameras:
+        _dump(root / cam.name / "sensor.yaml", _camera_yaml(cam, rate_hz))
         (root / cam.name / "data").mkdir()
+
+
+def _write_sensors(flight: SimulatedFlight, root: Path) -> None:
+    write_calibration(flight.rig, flight.rate_hz, root)
     local, imu = flight.local, flight.imu
     origin = {"latitude": local.latitude, "longitude": local.longitude, "height": local.height}
     _dump(root / "nav0" / "sensor.yaml", {"sensor_type": "nav", "rate_hz": flight.nav.rate_hz, "origin": origin})
@@ -163,7 +168,8 @@ def _truth_rows(flight: SimulatedFlight) -> Iterable[str]:
         yield _join(int(t), [f"{v:.10f}" for v in numbers])
 
 
-def _encode(image: U8, kind: str) -> bytes:
+def encode_image(image: U8, kind: str) -> bytes:
+    """An RGB image (H, W, 3) as the bytes of a `jpg` or `png` file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if kind == "jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 3]
     return bytes(cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), options)[1])
 
@@ -199,7 +205,7 @@ def file_names(flight: SimulatedFlight) -> list[str]:
 def _write_frame(flight: SimulatedFlight, root: Path, frame: Frame, name: str) -> None:
     for cam, picture in zip(flight.rig.cameras, frame.images, strict=True):
         if picture is not None:
-            (root / cam.name / "data" / name).write_bytes(_encode(picture, Path(name).suffix[1:]))
+            (root / cam.name / "data" / name).write_bytes(encode_image(picture, Path(name).suffix[1:]))
 
 
 # -- truth

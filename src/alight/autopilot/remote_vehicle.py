@@ -97,6 +97,11 @@ class RemoteVehicle:
         place = self.place_at(t_ns)
         return None if place is None else EstimateTie(local, position_world, place)
 
+    @property
+    def missing_streams(self) -> list[str]:
+        """Messages that were asked for and do not come."""
+        return self._streams.dry(self._pace.t_ns)
+
     # orders
 
     def set_mode(self, mode: FlightMode) -> int:
@@ -124,6 +129,12 @@ class RemoteVehicle:
         self._target = None
         parameters = self.firmware.take_off_parameters(height, self.telemetry)
         return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
+
+    def release(self) -> None:
+        """Give control away: nothing is sent any more that moves the vehicle, until control is taken again."""
+        self._control.released()
+        self._target = None
+        self._commands.drop()
 
     def change_speed(self, speed: float) -> int:
         """Fly at so many m/s over the ground."""
@@ -252,9 +263,7 @@ class RemoteVehicle:
     def _watch(self, takeover: str | None) -> None:
         if takeover is None:
             return
-        self._control.released()
-        self._target = None
-        self._commands.drop()
+        self.release()
         self._note(NoticeKind.TAKEOVER, takeover, ok=False, mode=self._state.telemetry(self._now_ns).mode)
 
     def _rebooted(self) -> None:

@@ -11,6 +11,7 @@ class Judged(StrEnum):
 
     GOOD = "good"
     BAD = "bad"
+    WARNING = "warning"
     UNKNOWN = "cannot tell"
 
 
@@ -38,6 +39,11 @@ def good(name: str, evidence: str) -> CheckResult:
 def bad(name: str, evidence: str, mend: str) -> CheckResult:
     """A check that found a fault."""
     return CheckResult(name, Judged.BAD, evidence, mend)
+
+
+def warning(name: str, evidence: str, mend: str) -> CheckResult:
+    """A check that found something that is not as it should be, and holds nothing up."""
+    return CheckResult(name, Judged.WARNING, evidence, mend)
 
 
 def unknown(name: str, why: str) -> CheckResult:

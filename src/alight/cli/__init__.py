@@ -5,7 +5,19 @@ import os
 # before NumPy is imported: the filter's matrices are small, and several threads spend their time waiting
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from alight.cli import check, hazards, live, runs, simulate, terrain
+from alight.cli import check, fly, hazards, live, runs, simulate, terrain
 from alight.cli.app import call, main, progress_bar, read_settings
 
-__all__ = ["call", "check", "hazards", "live", "main", "progress_bar", "read_settings", "runs", "simulate", "terrain"]
+__all__ = [
+    "call",
+    "check",
+    "fly",
+    "hazards",
+    "live",
+    "main",
+    "progress_bar",
+    "read_settings",
+    "runs",
+    "simulate",
+    "terrain",
+]

@@ -9,25 +9,41 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 import threading
 import time
 from collections import Counter, deque
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from mcap.writer import Writer
 
 from alight import __version__
 from alight.outputs.atomic_write import output_error
-from alight.records import Event, Motion, Sites
-from alight.records.codec import CAMERAS, IMU, MOTION, NAV, NOTES, SCHEDULE, SITES, FlightHead, pack
+from alight.records import Event, Motion, Sites, Telemetry
+from alight.records.codec import (
+    CAMERAS,
+    IMU,
+    LANDING,
+    MOTION,
+    NAV,
+    NOTES,
+    ORDERS,
+    SCHEDULE,
+    SITES,
+    TELEMETRY,
+    FlightHead,
+    pack,
+)
+from alight.records.executive import LookRecord, Transition
 
 log = logging.getLogger(__name__)
 
 HEAD = "alight"  # name of the metadata record
 ENCODINGS = {CAMERAS: "alight.frame", NAV: "json", IMU: "json", SCHEDULE: "json", NOTES: "json", MOTION: "json",
-             SITES: "json"}  # fmt: skip
+             SITES: "json", TELEMETRY: "json", ORDERS: "json", LANDING: "json"}  # fmt: skip
 SYNC = 0.5  # s between two times that the file is given to the disk
 WAITING_MB = 256  # that may wait for the disk
 
@@ -100,6 +116,26 @@ class Recorder:
         tree = {"t_ns": t_ns, "frame_id": sites.frame_id, "reason": sites.reason, "listed": listed}
         self._put(SITES, t_ns, [json.dumps(tree).encode()])
 
+    def telemetry(self, t_ns: int, heard: Telemetry) -> None:
+        """Record what the autopilot reports."""
+        place, gps = heard.place, heard.gps
+        tree = {
+            "t_ns": t_ns, "mode": heard.mode_name, "armed": heard.armed, "landed": heard.landed.name,
+            "place": None if place is None else [place.latitude, place.longitude, place.altitude_msl, place.above_home],
+            "velocity": heard.velocity_world.tolist(), "wind": heard.wind_world.tolist(),
+            "battery": heard.battery.share, "voltage": heard.battery.voltage, "fix": gps.fix,
+            "gps_sigma": [gps.horizontal, gps.vertical, gps.speed], "estimator_flags": heard.estimator_flags,
+        }  # fmt: skip
+        self._put(TELEMETRY, t_ns, [json.dumps(_without_nan(tree)).encode()])
+
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        """Record what the vehicle was told to do, in words."""
+        self._put(ORDERS, t_ns, [json.dumps({"t_ns": t_ns, "state": state, "order": words}).encode()])
+
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        """Record an entry of the landing's diary: a change of state, or a look at a place."""
+        self._put(LANDING, t_ns, [json.dumps({"t_ns": t_ns, **entry.as_tree()}).encode()])
+
     @property
     def behind(self) -> float:
         """MB that wait for the disk."""
@@ -113,8 +149,10 @@ class Recorder:
         return [f"recording: {total} messages are missing ({why}); a replay gives other results"] if total else []
 
     def close(self) -> None:
-        """Write what waits, and end the file."""
+        """Write what waits, and end the file; once is enough."""
         with self._changed:
+            if self._closed:
+                return
             self._closed = True
             self._changed.notify()
         self._thread.join()
@@ -170,3 +208,12 @@ class Recorder:
         self._broken = str(output_error(self.path, error)).partition(": ")[2].partition(";")[0]
         self.lost[self._broken] += 1
         log.warning("recording: %s; the flight goes on without it", self._broken)
+
+
+def _without_nan(value: Any) -> Any:
+    """The tree with None for what is not known."""
+    if isinstance(value, dict):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

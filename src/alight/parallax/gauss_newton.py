@@ -135,7 +135,8 @@ def _tops(solid: F32, grid: Grid, centres: F64) -> F32:
     xs, ys = grid.xy()
     corner = np.array([[x, y] for x in (xs[0], xs[-1]) for y in (ys[0], ys[-1])])
     flattest = max(np.linalg.norm(corner - c[:2], axis=1).max() / max(c[2] - high, 1e-2) for c in centres)
-    reach = math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1
+    # a height above a camera is out of reach of no ray: all of the map is
+    reach = min(math.ceil((high - low) * flattest / (grid.cell * BLOCK)) + 1, max(tops.shape))
     return np.asarray(cv2.dilate(tops, np.ones((2 * reach + 1,) * 2, np.uint8)), dtype=np.float32)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from alight import terrain
+from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.landing.reserve import Reserve
 from alight.pipeline.judging import JudgingLane, Verdict
@@ -114,9 +115,9 @@ class MappingAgain:
             self._lane = self._make()
         return self._lane.feed(navigation, effort)
 
-    def snapshot(self) -> MapSnapshot | None:
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
         """As the lane."""
-        return self._lane.snapshot()
+        return self._lane.snapshot(about)
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """As the lane."""

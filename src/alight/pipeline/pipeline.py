@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Literal
 
 from alight import terrain
+from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.landing import route
 from alight.landing.reserve import Reserve
@@ -74,15 +75,15 @@ class Pipeline:
         if not (turn := self._turns).maps(navigation):
             return None
         update = self._mapping.feed(navigation, turn.effort(navigation))  # docs/method/parallax.md
-        return self._mapping.snapshot() if update is not None and turn.judges(navigation, update) else None
+        return self._mapping.snapshot() if turn.judges(navigation, update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""
         return self._judging.judge(seen)  # docs/method/land-cover.md, docs/method/hazards.md
 
-    def judge_now(self) -> Verdict | None:
-        """Judge the ground under the newest keyframe, as an executive asks at its way-points; None without a map."""
-        seen = self._mapping.snapshot()
+    def judge_now(self, about: F64 | None = None) -> Verdict | None:
+        """Judge the ground under the newest keyframe, and about a place of the map, (2,) metres; None without a map."""
+        seen = self._mapping.snapshot(about)
         return None if seen is None else self.judge(seen)
 
     @property
@@ -105,8 +106,7 @@ class Pipeline:
         if found.snapshot is None:
             return Decision.none(trajectory, found.reason, *found.warnings)
         tell("judging", 0.2)
-        verdict = self.judge(found.snapshot)
-        way = self._route(verdict, found.snapshot)
+        way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
         tell("judging", 1.0)
         warnings, notes = (*found.warnings, *self._judging.warnings), self._judging.notes(verdict)
         return Decision.of(trajectory, found.snapshot, verdict, way, warnings, notes)
@@ -115,6 +115,6 @@ class Pipeline:
         """The way to the best site, planned in the world."""
         if not verdict.sites.sites:
             return None
-        elevation, vehicle = seen.frame.elevation(seen.elevation), seen.frame.point(seen.vehicle.position)
-        way = route.plan_route(verdict.sites.sites[0], elevation, vehicle, self._settings.route)
+        vehicle, site = seen.frame.point(seen.vehicle.position), verdict.sites.sites[0]
+        way = route.plan_route(site, seen.frame.elevation(seen.elevation), vehicle, self._settings.route)
         return replace(way, frame_id=seen.frame.frame_id)

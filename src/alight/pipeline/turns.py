@@ -21,8 +21,8 @@ class Turns(Protocol):
     def effort(self, navigation: Navigation) -> int:
         """How much the mapping lane does with an exposure, from 0 (all) to 3 (least)."""
 
-    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
-        """Whether the map is judged as an exposure left it."""
+    def judges(self, navigation: Navigation, update: MapUpdate | None) -> bool:
+        """Whether the map is judged as an exposure left it; `update` is None where it left it as it was."""
 
 
 class EveryTurn:
@@ -47,10 +47,10 @@ class EveryTurn:
         """All."""
         return 0
 
-    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
+    def judges(self, navigation: Navigation, update: MapUpdate | None) -> bool:
         """Every few keyframes."""
-        self._since += update.steps
-        if not self._every or self._since < self._every:
+        self._since += 0 if update is None else update.steps
+        if update is None or not self._every or self._since < self._every:
             return False
         self._since = 0
         return True
@@ -76,7 +76,7 @@ class ScheduledTurns:
         """As in flight."""
         return self._effort.get(navigation.frame.t_ns, 0)
 
-    def judges(self, navigation: Navigation, update: MapUpdate) -> bool:
+    def judges(self, navigation: Navigation, update: MapUpdate | None) -> bool:
         """The exposures whose map was judged."""
         return navigation.frame.t_ns in self._judged
 

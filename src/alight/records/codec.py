@@ -21,6 +21,7 @@ from alight.settings import ImuNoise, Settings
 
 CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of what came in
 SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # and of what was done
+TELEMETRY, ORDERS, LANDING = "/telemetry", "/orders", "/landing"  # and of a landing that was flown
 _HEAD = struct.Struct("<I")
 _DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError)
 

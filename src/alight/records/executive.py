@@ -103,6 +103,19 @@ class Transition:
     place: tuple[float, float, float] | None = None  # the place that it is about
     p_safe: float | None = None  # of it, as seen last
 
+    @property
+    def line(self) -> str:
+        """As one line of text."""
+        reason = "" if self.reason == self.event.value else f" ({self.reason})"
+        return f"{self.t:7.1f} s  {self.before.value} -> {self.after.value}: {self.event.value}{reason}"
+
+    def as_tree(self) -> dict[str, object]:
+        """As a tree of JSON."""
+        return {
+            "kind": "transition", "t": self.t, "before": self.before.value, "event": self.event.value,
+            "after": self.after.value, "reason": self.reason, "place": self.place, "p_safe": self.p_safe,
+        }  # fmt: skip
+
 
 @dataclass(frozen=True)
 class LookRecord:
@@ -115,6 +128,19 @@ class LookRecord:
     p_safe: float
     doubt: str = ""
 
+    @property
+    def line(self) -> str:
+        """As one line of text."""
+        doubt = f", {self.doubt}" if self.doubt else ""
+        return f"{self.t:7.1f} s  look from {self.height:.1f} m: {self.verdict}, P(safe) {self.p_safe:.3f}{doubt}"
+
+    def as_tree(self) -> dict[str, object]:
+        """As a tree of JSON."""
+        return {
+            "kind": "look", "t": self.t, "place": self.place, "height": self.height, "verdict": self.verdict,
+            "p_safe": self.p_safe, "doubt": self.doubt,
+        }  # fmt: skip
+
 
 @dataclass
 class FlightDiary:
@@ -122,3 +148,8 @@ class FlightDiary:
 
     transitions: list[Transition] = field(default_factory=list)
     looks: list[LookRecord] = field(default_factory=list)
+
+    @property
+    def entries(self) -> list[Transition | LookRecord]:
+        """Looks and changes of state in order of time; a look stands before what it led to."""
+        return sorted([*self.looks, *self.transitions], key=lambda e: e.t)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from alight.geometry import LocalFrame
+from alight.records.executive import FlightDiary
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
 from alight.records.surface import ElevationMap, TerrainMap
@@ -31,6 +32,7 @@ class RunResult:
     hazards: HazardMap | None = None
     route: Route | None = None
     home: Home | None = None  # of the vehicle that is to fly the route
+    diary: FlightDiary | None = None  # of a landing that was flown
     motions: Sequence[Motion] = ()
     height_above_ground: float | None = None  # metres, median over the exposures
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1

@@ -47,6 +47,7 @@ def render(result: RunResult) -> str:
         below=below,
         warnings=warnings(result),
         tables=facts.place_tables(result),
+        diary=facts.diary_rows(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         times=facts.times(result.timings),

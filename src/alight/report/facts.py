@@ -217,6 +217,18 @@ def _map_facts(result: RunResult) -> list[tuple[str, str]]:
     return facts
 
 
+def diary_rows(result: RunResult) -> list[tuple[str, str, str]]:
+    """What happened in a landing that was flown: second, what, why."""
+    if result.diary is None:
+        return []
+    rows = []
+    for e in result.diary.entries:
+        time, _, words = e.line.strip().partition(" s  ")
+        what, _, why = words.partition(": ")
+        rows.append((f"{time} s", what.replace("->", "\N{RIGHTWARDS ARROW}"), why))
+    return rows
+
+
 def run_facts(result: RunResult) -> list[tuple[str, str]]:
     """Facts about the input and its use."""
     facts = [("input", f"{result.source_name} ({result.source_kind})")]

@@ -141,7 +141,9 @@ class _Loop:
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
-        verdict = self._pipeline.judge_now()
+        place = self.executive.target
+        about = None if place is None else np.array([place.east, place.north])
+        verdict = self._pipeline.judge_now(about)
         if verdict is not None:
             self._number += 1
             self._landing.verdicts += 1

@@ -14,10 +14,9 @@ from scipy.spatial.transform import Rotation
 from alight.arrays import F64
 from alight_sim.autopilot.dialects import Dialect
 from alight_sim.autopilot.flight_logic import FlightLogic
-from alight_sim.point_mass import PointMass
 
 if TYPE_CHECKING:
-    from alight_sim.autopilot.simulated import SimulatedHome
+    from alight_sim.autopilot.simulated import SimulatedHome, TrueVehicle
 
 _PRE_ARM = 0x10000000
 _GOOD_ESTIMATE, _NO_POSITION = 831, 165  # flags of the estimator; without GPS it assumes to stand still
@@ -30,7 +29,7 @@ class SimulatedState:
     """The autopilot at one instant."""
 
     logic: FlightLogic
-    vehicle: PointMass
+    vehicle: TrueVehicle
     degrees: tuple[float, float, float]  # latitude, longitude, altitude above sea level, as it believes
     metres: F64  # (3,) from the home, as it believes
     home: SimulatedHome
@@ -81,7 +80,7 @@ class Reports:
             number = self._dialect.number(now.logic.doing)
             self._send(mavlink.MAVLink_heartbeat_message(self._kind, self._dialect.autopilot, base, number, 4, 3))
         for message, interval in self._interval.items():
-            if interval > 0 and t >= self._due[message]:
+            if interval > 0 and t >= self._due[message] - 1e-9:
                 self._due[message] = max(self._due[message] + interval, t)
                 self._send(self._make[message](now))
         self._events(now)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from threading import Event, Thread
 from types import TracebackType
@@ -14,7 +15,10 @@ from alight_sim.autopilot.simulated import SimulatedAutopilot
 
 
 class UdpServer:
-    """Speaks to `to`, and to whoever speaks to its own port; `speed` times as fast as the clock."""
+    """Speaks to `to`, and to whoever speaks to its own port; keeps up with the clock, or `speed` times as fast.
+
+    `after_step` is called in its thread after every step.
+    """
 
     def __init__(
         self,
@@ -24,10 +28,11 @@ class UdpServer:
         step: float = 0.02,
         outwards: LossyChannel | None = None,
         inwards: LossyChannel | None = None,
+        after_step: Callable[[], None] = lambda: None,
     ) -> None:
         self.autopilot = autopilot
         self._peer: Any = to
-        self._speed, self._step = speed, step
+        self._speed, self._step, self._after_step = speed, step, after_step
         self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
@@ -52,15 +57,19 @@ class UdpServer:
         self._socket.close()
 
     def _run(self) -> None:
-        while not self._stop.wait(self._step / self._speed):
-            now = time.monotonic()
+        pace = self._step / self._speed
+        due = time.monotonic() + pace
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            while due <= (now := time.monotonic()):  # all that is due: its clock is right when it answers
+                self.autopilot.step(self._step)
+                self._after_step()
+                due += pace
             with suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
                     data, self._peer = self._socket.recvfrom(65_535)
                     self._inwards.put(data, now)
             for data in self._inwards.get(now):
                 self.autopilot.receive(data)
-            self.autopilot.step(self._step)
             for data in self.autopilot.pending():
                 self._outwards.put(data, now)
             for data in self._outwards.get(now):

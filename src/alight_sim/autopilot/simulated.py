@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from alight.arrays import F64
+from alight.geometry import Pose
 from alight_sim.autopilot.dialects import Dialect, Doing, SpokenArduPilot
 from alight_sim.autopilot.estimate import EstimateError
 from alight_sim.autopilot.flight_logic import FlightItem, FlightLogic
@@ -22,6 +23,28 @@ _ENDURANCE = 1200.0  # s of flight with a full battery
 _ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
 _RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
+
+
+class TrueVehicle(Protocol):
+    """What moves: a point with limits, or a flight over a scene. ENU, metres; see `PointMass`."""
+
+    @property
+    def position(self) -> F64: ...
+    @property
+    def velocity(self) -> F64: ...
+    @property
+    def wind_world(self) -> F64: ...
+    @property
+    def heading(self) -> float: ...
+    @property
+    def stands(self) -> bool: ...
+    @property
+    def world_from_body(self) -> Pose: ...
+    @property
+    def angular_velocity_body(self) -> F64: ...
+    @property
+    def specific_force_body(self) -> F64: ...
+    def step(self, dt: float, wanted: Wanted | None) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +91,7 @@ class SimulatedAutopilot:
     def __init__(
         self,
         dialect: Dialect | None = None,
-        vehicle: PointMass | None = None,
+        vehicle: TrueVehicle | None = None,
         home: SimulatedHome | None = None,
         estimate: EstimateError | None = None,
         drift: float = 0.0,
@@ -76,7 +99,8 @@ class SimulatedAutopilot:
         kind: int = 2,
     ) -> None:
         self.dialect = dialect or SpokenArduPilot()
-        self.vehicle, self.home = vehicle or PointMass(), home or SimulatedHome()
+        self.vehicle: TrueVehicle = vehicle or PointMass()
+        self.home = home or SimulatedHome()
         self.estimate = estimate or EstimateError()
         self.healthy = True
         self._drift, self._system, self._kind = drift, system, kind
@@ -111,6 +135,13 @@ class SimulatedAutopilot:
     def reboot(self) -> None:
         """Start again: motors off, clock at 0, missions and streams forgotten."""
         self._start()
+
+    def hover(self, doing: Doing = Doing.HOLD) -> None:
+        """Be in the air where the vehicle is, as after a take-off."""
+        self.logic.armed, self._boot = True, _START_UP + 1.0
+        self.logic.step(self._boot, self.estimated, False)
+        self.logic.doing = Doing.TAKE_OFF
+        self.logic.enter(doing, self._boot)
 
     def pilot(self, doing: Doing = Doing.PILOT) -> None:
         """A person changes the mode."""

@@ -198,6 +198,11 @@ class SteeredFlight:
         return self._vehicle.world_from_body
 
     @property
+    def body(self) -> PointMass:
+        """The true vehicle, to be looked at."""
+        return self._vehicle
+
+    @property
     def true_velocity(self) -> F64:
         """(3,) m/s, world, likewise."""
         return self._vehicle.velocity.copy()

@@ -57,6 +57,8 @@ class Executive:
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
         self._banned: list[tuple[float, float]] = []
+        self._noted: list[Site] = []  # places that the search has seen, as seen last
+        self._noted_by = 0  # verdict
 
     # -- the step
 
@@ -76,6 +78,7 @@ class Executive:
             self._home, self._frame = now.position.copy(), now.frame_id
         if now.seen is not None and now.seen.frame_id == self._frame:
             self._ground = now.seen.ground
+            self._note(now.seen)
 
     # -- what happened
 
@@ -131,15 +134,20 @@ class Executive:
         return None, ""
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
-        found = self._best(now.seen)
-        if found is not None:
-            self.target = found
-            return E.FOUND, f"{found.kind}, P(safe) {found.p_safe:.2f}"
+        found = self._best()
+        if found is not None and (found.kind == "site" or found.p_safe >= self._keys.at_once):
+            return self._found(found)
         if self._way is not None and self._reached(now, self._way):
             self._way = None
         if self._way is None and not self._next_lane():
+            if found is not None:
+                return self._found(found)
             return E.SEARCHED, f"within {self._keys.search_side:.0f} m"
         return None, ""
+
+    def _found(self, place: Site) -> tuple[FlightEvent, str]:
+        self.target = place
+        return E.FOUND, f"{place.kind}, P(safe) {place.p_safe:.2f}"
 
     def _aborting(self, now: Situation) -> tuple[FlightEvent | None, str]:
         if now.position is None:
@@ -196,16 +204,27 @@ class Executive:
         if seen is None or seen.number <= self._judged or seen.frame_id != self._frame or self.target is None:
             return None
         self._judged = seen.number
-        said = opinion(self.target, seen, self._limit, self._keys.same_place)
+        low = self.state is S.COMMIT
+        same = self._keys.same_place if low else max(self._keys.same_place, self._keys.beside * self._height)
+        said = opinion(self.target, seen, self._limit, same)
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said
 
-    def _best(self, seen: Seen | None) -> Site | None:
-        """The best listed place that was not refused before: sites first, then candidates by their P(safe)."""
-        if seen is None or seen.frame_id != self._frame:
-            return None
-        places = seen.sites.sites if not self._keys.look_again else seen.sites.listed
-        free = [p for p in places if not self._is_banned(p)]
+    def _note(self, seen: Seen) -> None:
+        """Remember the listed places of a new verdict, in place of what earlier ones said of the same ground."""
+        if seen.number <= self._noted_by:
+            return
+        self._noted_by = seen.number
+        listed = seen.sites.listed if self._keys.look_again else seen.sites.sites
+        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + list(listed)
+
+    def _judged_in(self, place: Site, seen: Seen) -> bool:
+        """Whether a verdict has an opinion of its own on a place."""
+        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
+
+    def _best(self) -> Site | None:
+        """The best place known that was not refused before: sites first, then candidates by their P(safe)."""
+        free = [p for p in self._noted if not self._is_banned(p)]
         return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
 
     def _is_banned(self, place: Site) -> bool:
@@ -265,6 +284,7 @@ class Executive:
         self._frame, self._lanes, self._ground = now.frame_id, None, None
         self._home = now.position.copy()
         self._banned.clear()
+        self._noted.clear()
         self._judged = 0 if now.seen is None else now.seen.number
 
     # -- where to fly

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 
+from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.geometry import Grid
 from alight.pipeline.map_frame import MapFrame
@@ -45,7 +46,7 @@ class BatchMapper:
             self._make_room()
         return None
 
-    def snapshot(self) -> MapSnapshot | None:
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
         """None: there is a map at the end only."""
         return None
 

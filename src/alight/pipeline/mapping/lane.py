@@ -62,8 +62,11 @@ class MappingLane(Protocol):
         in the schedule: the same exposures with the same efforts give the same bits.
         """
 
-    def snapshot(self) -> MapSnapshot | None:
-        """The map under the newest keyframe as it is now; None without one there."""
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """The map under the newest keyframe as it is now; None without one there.
+
+        `about`: (2,) metres in the map's frame, a place that the map is to show too, from however long ago it is known.
+        """
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """The map of the whole recording."""

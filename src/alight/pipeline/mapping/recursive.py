@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping.frame_store import FrameStore, Keyframe, views_of
@@ -115,10 +116,10 @@ class RecursiveMapper:
         newer = {m.t_ns: m for m in known.motions} if known is not None else None
         return views_of(self.store.keyframes[-(most or self._tuning.kept_by_ring) :], self._rig, newer)
 
-    def snapshot(self) -> MapSnapshot | None:
-        """The map under the newest keyframe as it is now; None without one there."""
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """The map under the newest keyframe, and about a place, as it is now; None without one there."""
         views = looking_down(self._views_now())
-        elevation = self._map.under(views[-len(self._rig.cameras) :])
+        elevation = self._map.under(views[-len(self._rig.cameras) :], about)
         if elevation is None or self._frame is None:
             return None
         centre = views[-1].centre

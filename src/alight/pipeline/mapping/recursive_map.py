@@ -114,14 +114,18 @@ class RecursiveMap(GroundMap):
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
 
-    def under(self, views: Sequence[View]) -> ElevationMap | None:
-        """The map of what the views look at, None where nothing was seen yet.
+    def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
+        """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.
 
         On the newest keyframe's cells, or on coarser ones where these are finer than the lander needs.
         """
         if self.elevation is None or self.ground_here is None or not views:
             return None
-        (west, south), (east, north) = bounds(views, self.ground_here)
+        low, high = bounds(views, self.ground_here)
+        if about is not None:
+            reach = self.settings.mapping.judged_about
+            low, high = np.minimum(low, about - reach), np.maximum(high, about + reach)
+        (west, south), (east, north) = low, high
         level = self.level
         while self.elevation.cell_at(level + 1) <= self.settings.lander.judging_cell:
             level += 1

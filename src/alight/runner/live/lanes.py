@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from alight import compiled, terrain
+from alight.arrays import F64
 from alight.landing.reserve import Reserve
 from alight.outputs import FileStore
 from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict
@@ -61,9 +62,9 @@ class MappingProcess:
         """Improve the map."""
         return self._lane.feed(navigation, effort)
 
-    def snapshot(self) -> MapSnapshot | None:
-        """The map under the newest keyframe."""
-        return self._lane.snapshot()
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """The map under the newest keyframe, and about a place, (2,) metres in the map's frame."""
+        return self._lane.snapshot(about)
 
     def finish(self, trajectory: Trajectory) -> FinishedMap:
         """The map of the whole flight."""
@@ -197,9 +198,9 @@ class RemoteMapping:
         found: MapUpdate | None = self.post.call("feed", navigation, effort)
         return found
 
-    def snapshot(self) -> MapSnapshot | None:
-        """The map under the newest keyframe."""
-        found: MapSnapshot | None = self.post.call("snapshot")
+    def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
+        """The map under the newest keyframe, and about a place, (2,) metres in the map's frame."""
+        found: MapSnapshot | None = self.post.call("snapshot", about)
         return found
 
     def finish(self, trajectory: Trajectory, progress: Callable[[float], None]) -> FinishedMap:

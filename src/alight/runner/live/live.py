@@ -20,6 +20,7 @@ from threading import Thread
 from typing import Any, Protocol
 
 from alight import terrain
+from alight.arrays import F64
 from alight.pipeline import Decision, Lanes, Pipeline, Verdict
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
@@ -49,7 +50,7 @@ class Listener:
     """Who is told of results as soon as they are known, each on its lane's thread."""
 
     motion: Callable[[Motion], None] = lambda motion: None
-    verdict: Callable[[Verdict], None] = lambda verdict: None
+    verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
     lost: Callable[[str, str], None] = lambda lane, why: None
 
 
@@ -151,6 +152,8 @@ class Live:
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
         self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
+        self._asked = threading.Event()  # a verdict is wanted now
+        self._about: F64 | None = None  # and about which place
         self._newest: Motion | None = None
         self._pace = EffortControl()
         self._failed: list[BaseException] = []
@@ -241,6 +244,15 @@ class Live:
         batch = self._batcher.take(stamped)
         if batch is not None:
             self._batches.put(batch)
+
+    def judge_now(self, about: F64 | None = None) -> None:
+        """Judge the map after the next exposure, whatever `sites.every` says, or as soon as the lane is free.
+
+        Args:
+            about: (2,) metres in the map's frame, a place that the map is to show too.
+        """
+        self._about = about
+        self._asked.set()
 
     def finish(self) -> Decision:
         """Wait until all is done, and judge the map as it is then; the lanes end.
@@ -396,13 +408,15 @@ class Live:
             self._entry("mapped", t_ns, effort)
             self._entries.kinds["effort"].append(effort)
             since += 0 if update is None else update.steps
-            if self._every and since >= self._every and (self._judge_waits.is_set() or not self._capacity.drop):
+            due = self._asked.is_set() or (self._every and since >= self._every)
+            if due and (self._judge_waits.is_set() or not self._capacity.drop):
+                self._asked.clear()
                 self._hand_to_judge(navigation)
                 since = 0
 
     def _hand_to_judge(self, navigation: Navigation) -> None:
         try:
-            seen = self._mapping.snapshot()
+            seen = self._mapping.snapshot(self._about)
         except LaneLost:
             return
         if seen is not None:
@@ -422,4 +436,4 @@ class Live:
                 continue
             self._entry("judged", navigation.frame.t_ns)
             self.watch.known(VERDICT, navigation.frame.t_ns)
-            self._listener.verdict(verdict)
+            self._listener.verdict(verdict, navigation.frame.t_ns)

@@ -56,33 +56,67 @@ def fly_live(
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
-    prepare_folder(out, overwrite)
-    if not compiled.is_warm():  # a lane that compiles does not answer
-        log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
-        compile_kernels(lambda stage, share: None)
-    head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
-    recorder = Recorder(out / RECORDING, head) if record else None
-    told = _Told(listener, recorder)
-    live = Live(
-        source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
-        diary=recorder, clocks=Clocks if real_time else None,
-    )  # fmt: skip
+    run = LiveRun(source, out, settings, record, real_time, overwrite, listener)
     try:
-        live.posts[NAVIGATION].worker.wait_until_ready()
-        _feed(live, events, tell)
-        if not live.watch.counts["frames"]:
-            raise AlightError(f"{source.name}: not one image came; see that the camera or the folder gives pictures")
-        decision = live.finish()
+        run.live.posts[NAVIGATION].worker.wait_until_ready()
+        _feed(run.live, events, tell)
+        return run.finish()
     finally:
-        live.close()
+        run.close()
+
+
+class LiveRun:
+    """The lanes with their recording, from the start to the result. Feed `live`, then `finish`; `close` in any case.
+
+    Args:
+        source, out, settings, record, real_time, overwrite, listener: as of `fly_live`.
+
+    Raises:
+        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+    """
+
+    def __init__(
+        self, source: Source, out: Path, settings: Settings, record: bool = True, real_time: bool = False,
+        overwrite: bool = False, listener: Listener = SILENT,
+    ) -> None:  # fmt: skip
+        prepare_folder(out, overwrite)
+        if not compiled.is_warm():  # a lane that compiles does not answer
+            log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
+            compile_kernels(lambda stage, share: None)
+        self._source, self._settings = source, settings
+        head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
+        self.recorder = Recorder(out / RECORDING, head) if record else None
+        told = _Told(listener, self.recorder)
+        self.live = Live(
+            source.rig, settings, told.listener, folder=out, appearance=appearance_of(settings), imu=source.imu_noise,
+            diary=self.recorder, clocks=Clocks if real_time else None,
+        )  # fmt: skip
+
+    def finish(self) -> RunResult:
+        """Wait until all is done, judge what was seen, and end the lanes and the recording.
+
+        Raises:
+            AlightError: no image has come, or a lane could not be started again.
+        """
+        if not self.live.watch.counts["frames"]:
+            raise AlightError(
+                f"{self._source.name}: not one image came; see that the camera or the folder gives pictures"
+            )
+        decision = self.live.finish()
+        self.close()
+        recorder = self.recorder
+        warnings = [*decision.warnings, *(recorder.warnings if recorder else [])]
+        result = result_of(self._source, self._settings, replace(decision, warnings=warnings), self.live.timings())
+        counts = {**result.counts, **self.live.counts}
         if recorder is not None:
-            recorder.close()
-    warnings = [*decision.warnings, *(recorder.warnings if recorder else [])]
-    result = result_of(source, settings, replace(decision, warnings=warnings), live.timings())
-    counts = {**result.counts, **live.counts}
-    if recorder is not None:
-        counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
-    return replace(result, counts=counts)
+            counts |= {f"recording: messages missing, {why}": n for why, n in recorder.lost.items()}
+        return replace(result, counts=counts)
+
+    def close(self) -> None:
+        """End the lanes and the recording."""
+        self.live.close()
+        if self.recorder is not None:
+            self.recorder.close()
 
 
 def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
@@ -109,7 +143,7 @@ class _Told:
             self._recorder.motion(motion)
         self._to.motion(motion)
 
-    def _verdict(self, verdict: Verdict) -> None:
+    def _verdict(self, verdict: Verdict, t_ns: int) -> None:
         if self._recorder is not None:
-            self._recorder.sites(0, verdict.sites)
-        self._to.verdict(verdict)
+            self._recorder.sites(t_ns, verdict.sites)
+        self._to.verdict(verdict, t_ns)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from alight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
@@ -24,18 +24,23 @@ class TelemetryFeed:
         link: `udp:0.0.0.0:14550`, `tcp:HOST:PORT`, `serial:DEVICE:BAUD`.
         local: the world; None: it begins at the first good position.
         separation: metres, ellipsoid minus sea level; None: as the receiver reports it.
+        rates: Hz of further streams, as of `Autopilot`.
 
     Raises:
         InputError: the link cannot be opened.
     """
 
-    def __init__(self, link: str, local: LocalFrame | None = None, separation: float | None = None) -> None:
+    def __init__(
+        self, link: str, local: LocalFrame | None = None, separation: float | None = None,
+        rates: Mapping[str, float] | None = None,
+    ) -> None:  # fmt: skip
         self.name = link
         self._link = open_link(link)
         self.events_of = TelemetryEvents(local, separation)
-        self.autopilot = Autopilot(events=self.events_of)
+        self.autopilot = Autopilot(rates, self.events_of)
         self.lock = threading.Lock()  # of the autopilot, which takes orders from other threads
         self._samples: queue.Queue[Event] = queue.Queue()
+        self._sending = threading.Lock()  # orders leave at once, and not only when the listener comes by
         self._ended, self._located = threading.Event(), False
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -46,14 +51,28 @@ class TelemetryFeed:
             InputError: it does not, with the reason.
         """
         end = time.monotonic() + PATIENCE
-        while not self._located or self.events_of.local is None:
+        while not self.located:
             if time.monotonic() > end:
                 with self.lock:
                     heard = self.autopilot.telemetry is not None
                 why = self.events_of.missing if heard else "no heartbeat of an autopilot is heard"
                 raise InputError(f"{self.name}: no position within {PATIENCE:.0f} s: {why or 'no clock in common yet'}")
             time.sleep(READ)
+        assert self.events_of.local is not None
         return self.events_of.local
+
+    @property
+    def located(self) -> bool:
+        """Whether the autopilot knows where it is."""
+        return self._located and self.events_of.local is not None
+
+    def flush(self) -> None:
+        """Send what waits to be sent."""
+        with self._sending:
+            with self.lock:
+                out = self.autopilot.pending()
+            for datagram in out:
+                self._link.write(datagram)
 
     def events(self) -> Iterator[Event]:
         """Rows of GPS/INS and IMU samples as they come, until `close`."""
@@ -75,9 +94,8 @@ class TelemetryFeed:
                 for data in heard:
                     self.autopilot.receive(data, time.monotonic_ns())
                 self.autopilot.tick(time.monotonic_ns())
-                out, samples = self.autopilot.pending(), self.autopilot.samples()
-            for datagram in out:
-                self._link.write(datagram)
+                samples = self.autopilot.samples()
+            self.flush()
             for sample in samples:
                 self._located |= isinstance(sample, NavSample) and sample.position_world is not None
                 if self._located:

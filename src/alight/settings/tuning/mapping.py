@@ -32,4 +32,5 @@ class MappingTuning(FrozenModel):
     )
     least_given: Fraction = Field(0.25, description="Least share of neighbours given out with a height; below: UNSURE")
     given_cells: int = Field(41, ge=1, description="Window of these neighbours, cells")
+    judged_about: Positive = Field(8.0, description="Ground about a place in question that is judged with it, m")
     least_height: Positive = Field(1.0, description="Least height of the camera above the mapped ground, m")

@@ -1,0 +1,216 @@
+"""Command that flies a landing: fly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Group
+from rich.live import Live as Display
+from rich.table import Table
+from rich.text import Text
+
+from alight.cli.app import (
+    ForceOption,
+    OutOption,
+    SetOption,
+    SettingsOption,
+    VerboseOption,
+    app,
+    read_settings,
+    say,
+    stderr,
+)
+from alight.cli.check import WRONG
+from alight.cli.runs import tell_result
+from alight.records.executive import FlightState
+
+if TYPE_CHECKING:
+    from alight.checks import CheckResult
+    from alight.runner.fly import FlightOutcome, FlightStatus
+    from alight_sim.steered import SteeredFlight
+
+ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
+
+
+class Dialects(StrEnum):
+    """Autopilots that can be simulated."""
+
+    ARDUPILOT = "ardupilot"
+    PX4 = "px4"
+
+
+@app.command()
+def fly(
+    link: Annotated[
+        str, typer.Option(metavar="LINK", help="The autopilot: udp:127.0.0.1:14550, tcp:HOST:PORT, serial:DEVICE:BAUD.")
+    ],
+    camera: Annotated[
+        str, typer.Option(metavar="SOURCE", help="Cameras (camera:0,camera:2) or a folder that is being filled.")
+    ],
+    out: OutOption,
+    rig: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show every order instead of sending it.")] = False,
+    take_off: Annotated[
+        float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
+    ] = None,
+    home: Annotated[
+        str | None,
+        typer.Option(metavar="LAT,LON,ALT,SEP", help="Home for route.plan, where the autopilot's is not meant."),
+    ] = None,
+    separation: Annotated[
+        float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
+    ] = None,
+    imu: Annotated[float, typer.Option(min=0.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")] = 50.0,
+    record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
+    settings: SettingsOption = None,
+    assign: SetOption = None,
+    force: ForceOption = False,
+    verbose: VerboseOption = False,
+) -> None:
+    """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
+    chosen = read_settings(settings, assign)
+    from alight.records import Home
+    from alight.runner import replay
+    from alight.runner.fly import FlightRequest, fly_vehicle
+
+    request = FlightRequest(
+        link, camera, out, chosen, rig, dry_run, None if home is None else Home.parse(home), separation, take_off,
+        imu, record, force,
+    )  # fmt: skip
+    if stderr.is_terminal:
+        with Display(console=stderr, transient=True, auto_refresh=False) as display:
+            outcome = fly_vehicle(
+                request, lambda status: display.update(page(status), refresh=True),
+                lambda line: stderr.print(line, markup=False, highlight=False),
+            )  # fmt: skip
+    else:
+        plain = _PlainPage()
+        outcome = fly_vehicle(request, plain.tell, plain.say)
+    for check in outcome.checks:
+        say(check.line)
+    _answer(outcome)
+    if outcome.result is None:
+        raise typer.Exit(WRONG)
+    tell_result(outcome.result)
+    replay.write_run(outcome.result, out, force)
+    say(f"report: {out / 'report.html'}")
+
+
+@app.command()
+def rehearse(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")
+    ],
+    folder: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Filled with the pictures: the --camera of alight fly.")
+    ],
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = 14550,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
+    height: Annotated[float, typer.Option(min=0.0, help="Metres above the ground at the start; 0: it stands.")] = 0.0,
+    width: Annotated[int, typer.Option(min=80, help="Of the pictures, pixels; the height follows.")] = 320,
+    rate: Annotated[float, typer.Option(min=1.0, help="Exposures a second.")] = 5.0,
+    wind: Annotated[float, typer.Option(min=0.0, help="From the west, m/s.")] = 0.0,
+    autopilot: Annotated[Dialects, typer.Option(help="Whose dialect it speaks.")] = Dialects.ARDUPILOT,
+    seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
+    verbose: VerboseOption = False,
+) -> None:
+    """Simulate an autopilot and its cameras by the clock, for alight fly to be tried on; Ctrl-C ends it."""
+    from alight_sim.rehearsal import Rehearsal
+    from alight_sim.steered import SteeredFlight
+
+    flight = SteeredFlight(
+        scene, seed, size=_size(width), rate_hz=rate, start=(-20.0, -12.0, height), wind=(wind, 0.0, 0.0),
+        steered_by="truth",
+    )  # fmt: skip
+    with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
+        say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {folder} --out OUT")
+        try:
+            rehearsal.wait(seconds, lambda: flight.contact is not None and not rehearsal.autopilot.logic.armed)
+            rehearsal.wait(5.0)
+        except KeyboardInterrupt:
+            pass
+    if flight.contact is None:
+        say("it has not touched the ground")
+        return
+    say(_touchdown(flight))
+
+
+def _size(width: int) -> tuple[int, int]:
+    return width, width * 3 // 4
+
+
+def _touchdown(flight: SteeredFlight) -> str:
+    from alight_sim.oracle import OracleLander, judge_touchdown
+
+    contact = flight.contact
+    assert contact is not None
+    found = judge_touchdown(flight.world, OracleLander(), contact.pose, contact.velocity_world, flight.seconds)
+    east, north, _ = contact.pose.translation
+    return f"touchdown at east {east:.2f} m north {north:.2f} m: {'safe' if found.safe else 'unsafe'}"
+
+
+def _answer(outcome: FlightOutcome) -> None:
+    if outcome.state is None:
+        say(f"NOT FLOWN  {outcome.why}")
+    else:
+        say(f"{ANSWERS.get(outcome.state, 'ENDED')}  {outcome.why}")
+
+
+class _PlainPage:
+    """Lines for a log: what happened, the phase, and how it is every ten seconds."""
+
+    def __init__(self) -> None:
+        self._phase, self._at = "", -math.inf
+
+    def tell(self, status: FlightStatus) -> None:
+        """Say how it is, seldom."""
+        if status.phase != self._phase:
+            self._phase = status.phase
+            self.say(status.phase)
+        if status.view is not None and status.view.t - self._at >= 10.0:
+            self._at = status.view.t
+            self.say("; ".join(f"{name} {value}" for name, value in facts(status)))
+
+    def say(self, line: str) -> None:
+        """One line."""
+        stderr.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def page(status: FlightStatus) -> Group:
+    """The terminal's page."""
+    table = Table.grid(padding=(0, 2))
+    for name, value in facts(status):
+        table.add_row(Text(name, style="bold"), value)
+    return Group(table, *(Text(line) for line in _unwell(status.checks)))
+
+
+def _unwell(checks: Sequence[CheckResult]) -> list[str]:
+    return [c.line for c in checks if c.verdict != "good"]
+
+
+def facts(status: FlightStatus) -> Iterator[tuple[str, str]]:
+    """Name and value of everything that a person wants to see."""
+    view, heard = status.view, status.telemetry
+    yield "state", status.phase if view is None else view.state.value
+    if view is not None:
+        yield "time", f"{view.t:.0f} s"
+        yield "order", view.order
+        if view.place is not None:
+            east, north, _ = view.place
+            yield "place", f"{view.kind} at east {east:.1f} m north {north:.1f} m, P(safe) {view.p_safe or 0.0:.3f}"
+        if view.height is not None:
+            yield "height", f"{view.height:.1f} m above {'it' if view.place is not None else 'the ground'}"
+        yield "motion", f"{view.situation.state.name.lower()}, newest picture {view.situation.picture_age:.1f} s old"
+    if heard is not None:
+        age = heard.ages.get("HEARTBEAT", math.nan)
+        yield "link", f"{heard.firmware}, {heard.mode_name or 'no mode'}, heartbeat {age:.1f} s ago"
+        yield "battery", "not reported" if math.isnan(heard.battery.share) else f"{100 * heard.battery.share:.0f} %"
+    if status.health is not None:
+        yield "lanes", status.health.line

@@ -1,0 +1,392 @@
+"""The whole of a flown landing: checks, take-off, search to touchdown, and a folder of results."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from alight import compiled
+from alight.arrays import F64
+from alight.autopilot import RemoteVehicle
+from alight.checks import CheckResult, Judged
+from alight.checks.result import bad
+from alight.outputs import prepare_folder
+from alight.records import Event, FlightMode, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
+from alight.records.executive import FlightState, LookRecord, Transition
+from alight.runner.fly import preflight
+from alight.runner.fly.orders import OrderTaker, SpokenVehicle
+from alight.runner.fly.pilot import LandingPilot, PilotView
+from alight.runner.fly.take_off import TakeOff
+from alight.runner.live import FlightHealth, Listener
+from alight.runner.live.live import NAVIGATION
+from alight.runner.live.run import LiveRun
+from alight.runner.live.telemetry import TelemetryFeed, together
+from alight.settings import Settings
+from alight.sources.capture import PREFIXES
+from alight.sources.flight_log import CalibratedFolder
+from alight.sources.live import LiveSource, open_live
+
+STEP = 0.05  # s between two ticks
+PATIENCE = 45.0  # s that the checks may take until nothing is bad
+SETTLED = 8.0  # s after which warnings are taken as they are
+TELL_EVERY, TELEMETRY_EVERY = 0.2, 0.2  # s
+WINDOW = 3.0  # s over which the rate of the cameras is counted
+USUAL_RATE = 5.0  # exposures a second, to reckon with before the first has come
+HOLDS = 3.0  # s that the autopilot gets to hold when the user wants no more
+UNASKED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
+REFUSED = "the checks before the flight found something bad"
+
+
+@dataclass(frozen=True)
+class FlightRequest:
+    """What is to be flown."""
+
+    link: str  # udp:127.0.0.1:14550
+    camera: str  # cameras, or a folder that is being filled
+    out: Path
+    settings: Settings
+    rig: Path | None = None  # calibration of cameras
+    dry_run: bool = False  # orders are said, not sent
+    home: Home | None = None  # for route.plan; None: the autopilot's
+    separation: float | None = None  # metres, ellipsoid minus sea level; None: as the receiver reports it
+    take_off: float | None = None  # metres above home; None: it flies already
+    imu_rate: float = 50.0  # Hz that the autopilot is asked for; 0: no IMU
+    record: bool = True
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FlightStatus:
+    """How a flight is now."""
+
+    phase: str  # checks, take-off, landing
+    checks: Sequence[CheckResult] = ()
+    view: PilotView | None = None
+    telemetry: Telemetry | None = None
+    health: FlightHealth | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class FlightOutcome:
+    """What came of it."""
+
+    checks: Sequence[CheckResult]
+    why: str
+    state: FlightState | None = None  # None: it was not begun
+    result: RunResult | None = None
+    way_point_times: Sequence[float] = ()  # s, exposure to the first order of the verdict that holds it
+    set_point_times: Sequence[float] = ()  # s, exposure to the first set-point relative to its motion
+
+
+Tell = Callable[[FlightStatus], None]
+Say = Callable[[str], None]
+
+
+def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say = lambda line: None) -> FlightOutcome:
+    """Check, take off where that is wanted, search, look, land or give up. Ctrl-C ends it with the vehicle holding.
+
+    Args:
+        plan: what is to be flown.
+        tell: is told how it is, some times a second.
+        say: is told what happens, one line each: notices of the autopilot, changes of state, orders of a dry run.
+
+    Raises:
+        AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
+    """
+    if plan.dry_run and plan.take_off is not None:
+        raise InputError("--take-off: a dry run sends nothing; leave it out, or leave out --dry-run")
+    prepare_folder(plan.out, plan.overwrite)
+    over = threading.Event()
+    opened = open_live(
+        plan.camera, plan.settings, follow=not plan.camera.startswith(PREFIXES), rig=plan.rig, stopped=over.is_set
+    )
+    machine = preflight.judge_machine(
+        compiled.is_warm(), plan.out, opened.source.rig, USUAL_RATE, plan.settings.executive.time_budget, plan.record
+    )
+    if any(c.verdict is Judged.BAD for c in machine):
+        return FlightOutcome(machine, REFUSED)
+    feed = TelemetryFeed(plan.link, None, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
+    try:
+        met = _Meeting(plan, feed, tell)
+        checks = met.wait(machine)
+        if not feed.located:
+            return FlightOutcome(checks, REFUSED)
+        cabin = _Cabin(plan, opened, feed, machine, tell, say, over)
+        try:
+            return cabin.fly()
+        finally:
+            cabin.close()
+    finally:
+        over.set()
+        feed.close()
+
+
+def _until_well(
+    checks: Callable[[], list[CheckResult]], tell: Callable[[list[CheckResult]], None]
+) -> list[CheckResult]:
+    """Wait until nothing is bad, and a little longer for what is not as it should be; the last findings."""
+    begin = time.monotonic()
+    while True:
+        found = checks()
+        tell(found)
+        verdicts, waited = {c.verdict for c in found}, time.monotonic() - begin
+        settled = waited > SETTLED or Judged.WARNING not in verdicts
+        if (Judged.BAD not in verdicts and settled) or waited > PATIENCE:
+            return found
+        time.sleep(STEP)
+
+
+class _Meeting:
+    """Waits until an autopilot is heard and says where it is."""
+
+    def __init__(self, plan: FlightRequest, feed: TelemetryFeed, tell: Tell) -> None:
+        self._plan, self._feed, self._tell, self._refused = plan, feed, tell, ""
+
+    def wait(self, machine: Sequence[CheckResult]) -> list[CheckResult]:
+        """The findings when it is there, or when the patience is over."""
+        begin, found = time.monotonic(), list[CheckResult]()
+        while not self._feed.located and time.monotonic() - begin < PATIENCE:
+            found = [*machine, *self._checks()]
+            self._tell(FlightStatus("checks", found))
+            time.sleep(STEP)
+        return found
+
+    def _checks(self) -> list[CheckResult]:
+        with self._feed.lock:
+            refused = [n.text for n in self._feed.autopilot.notices() if n.kind is NoticeKind.FOUND and not n.ok]
+            self._refused = refused[-1] if refused else self._refused
+            return autopilot_checks(self._plan, self._feed, self._refused)
+
+
+def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
+    """What is to be said of the link and of the autopilot behind it; the feed's lock must be held."""
+    vehicle = feed.autopilot.vehicle
+    found = preflight.judge_link(plan.link, feed.autopilot.counts.messages, vehicle, refused)
+    if vehicle is None:
+        return found
+    take_off, home = plan.take_off is not None, plan.home is not None
+    missing = feed.events_of.missing
+    return [*found, *preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)]
+
+
+@dataclass
+class _Arrivals:
+    """Exposures as they come."""
+
+    times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
+    frames: int = 0
+    delay: float = math.nan
+
+    def saw(self, frame: Frame, now_ns: int) -> None:
+        self.frames += 1
+        self.delay = (now_ns - frame.t_ns) * 1e-9
+        self.times.append(now_ns * 1e-9)
+
+    def facts(self, now_ns: int, frozen: int) -> preflight.CameraFacts:
+        recent = sum(now_ns * 1e-9 - t < WINDOW for t in tuple(self.times))
+        return preflight.CameraFacts(self.frames, recent / WINDOW, self.delay, frozen)
+
+
+class _Cabin:
+    """The lanes, the pilot and the vehicle of one flight."""
+
+    def __init__(
+        self, plan: FlightRequest, opened: LiveSource, feed: TelemetryFeed, machine: Sequence[CheckResult],
+        tell: Tell, say: Say, over: threading.Event,
+    ) -> None:  # fmt: skip
+        assert feed.events_of.local is not None
+        assert feed.autopilot.vehicle is not None
+        assert isinstance(opened.source, CalibratedFolder)
+        opened.source.locate(feed.events_of.local)
+        self._plan, self._opened, self._feed, self._over = plan, opened, feed, over
+        self._machine, self._tell, self._say = machine, tell, say
+        self._vehicle: RemoteVehicle = feed.autopilot.vehicle
+        self._hand: OrderTaker = SpokenVehicle(self._said_order) if plan.dry_run else self._vehicle
+        sites = plan.settings.sites.model_copy(update={"every": 0})  # judged when the executive asks
+        settings = plan.settings.model_copy(update={"sites": sites})
+        self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
+        listener = Listener(self._pilot.moved, self._pilot.judged)
+        self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
+        self._arrivals, self._failed = _Arrivals(), list[BaseException]()
+        self._told = self._recorded = -math.inf
+        self._checks: list[CheckResult] = []
+        self._stopped = False
+
+    def close(self) -> None:
+        """End the lanes."""
+        self._over.set()
+        self._run.close()
+
+    def fly(self) -> FlightOutcome:
+        """Check, take off, land."""
+        self._run.live.posts[NAVIGATION].worker.wait_until_ready()
+        events = together(self._opened.events, self._feed.events())
+        feeder = threading.Thread(target=self._pass_on, args=(events,), daemon=True)
+        feeder.start()
+        if why := self._refusal():
+            return FlightOutcome(self._checks, why)
+        self._land()
+        self._over.set()
+        feeder.join(12.0)  # as long as a camera may be silent
+        return self._finished()
+
+    def _pass_on(self, events: Iterator[Event]) -> None:
+        try:
+            for event in events:
+                if self._over.is_set():
+                    return
+                if isinstance(event, Frame):
+                    now_ns = time.monotonic_ns()
+                    self._arrivals.saw(event, now_ns)
+                    self._pilot.saw(event, now_ns)
+                self._run.live.feed(event)
+        except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
+            self._failed.append(e)
+
+    # -- what is written and said
+
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        """The vehicle was told something."""
+        if self._run.recorder is not None:
+            self._run.recorder.order(t_ns, state, words)
+
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        """The diary has another entry."""
+        if self._run.recorder is not None:
+            self._run.recorder.landing(t_ns, entry)
+        self._say(entry.line)
+
+    def note(self, lane: str, words: str) -> None:
+        """Something happened."""
+        if self._run.recorder is not None:
+            self._run.recorder.note(lane, words)
+        self._say(f"{lane}: {words}")
+
+    def _said_order(self, words: str) -> None:
+        self._say(f"order, not sent: {words}")
+
+    def _judge(self, about: F64 | None) -> None:
+        self._run.live.judge_now(about)
+
+    def _hear(self) -> Telemetry:
+        """Take what the autopilot says."""
+        now_ns = time.monotonic_ns()
+        with self._feed.lock:
+            notices, heard = self._feed.autopilot.notices(), self._vehicle.telemetry
+            for notice in notices:
+                self._pilot.noticed(notice)
+        for notice in notices:
+            if notice.kind in UNASKED or not notice.ok:
+                self.note("autopilot", notice.text)
+        if now_ns * 1e-9 - self._recorded > TELEMETRY_EVERY and self._run.recorder is not None:
+            self._recorded = now_ns * 1e-9
+            self._run.recorder.telemetry(now_ns, heard)
+        return heard
+
+    def _status(self, phase: str, view: PilotView | None = None) -> None:
+        heard, now = self._hear(), time.monotonic()
+        if now - self._told > TELL_EVERY:
+            self._told = now
+            self._tell(FlightStatus(phase, self._checks, view, heard, self._run.live.health))
+
+    # -- before the landing
+
+    def _refusal(self) -> str:
+        """Check and take off; why no landing is begun, or nothing."""
+        height = self._plan.take_off
+        if not self._well(lambda: self._before(motion=height is None)):
+            return REFUSED
+        if height is None:
+            return ""
+        if why := self._take_off(height):
+            return f"take-off: {why}"
+        if not self._well(lambda: [self._motion_check()]):
+            self._hold()
+            return "the motion is not known after the take-off; the vehicle was told to hold"
+        return ""
+
+    def _well(self, checks: Callable[[], list[CheckResult]]) -> bool:
+        def tell(found: list[CheckResult]) -> None:
+            self._checks = found
+            self._status("checks")
+
+        self._checks = _until_well(checks, tell)
+        return not any(c.verdict is Judged.BAD for c in self._checks)
+
+    def _before(self, motion: bool) -> list[CheckResult]:
+        with self._feed.lock:
+            found = [*self._machine, *autopilot_checks(self._plan, self._feed)]
+        facts = self._arrivals.facts(time.monotonic_ns(), self._pilot.pictures.frozen)
+        found.append(preflight.judge_cameras(facts))
+        found += [bad("source", str(e), "see that it goes on") for e in self._failed]
+        return [*found, self._motion_check()] if motion else found
+
+    def _motion_check(self) -> CheckResult:
+        m = self._pilot.motion
+        return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
+
+    def _take_off(self, height: float) -> str:
+        """Climb; why it did not work, or nothing."""
+        climb = TakeOff(self._vehicle, self._hand, height, time.monotonic_ns())
+        while not climb.done and not climb.failed:
+            with self._feed.lock:
+                climb.tick(time.monotonic_ns())
+            self._feed.flush()
+            self._status("take-off")
+            time.sleep(STEP)
+        return climb.failed
+
+    # -- the landing
+
+    def _land(self) -> None:
+        self._pilot.begin(time.monotonic_ns())
+        due = time.monotonic()
+        try:
+            while not self._ended():
+                with self._feed.lock:
+                    view = self._pilot.tick(time.monotonic_ns())
+                self._feed.flush()
+                self._status("landing", view)
+                due = max(due + STEP, time.monotonic())
+                time.sleep(max(due - time.monotonic(), 0.001))
+        except KeyboardInterrupt:
+            self._stopped = True
+            self._hold()
+            self._run.live.warnings.append("fly: ended by Ctrl-C; the vehicle was told to hold")
+        except BaseException:
+            self._hold()
+            raise
+
+    def _ended(self) -> bool:
+        return self._pilot.over or (self._plan.dry_run and self._pilot.state is FlightState.RETURN)
+
+    def _hold(self) -> None:
+        """The autopilot holds by itself, and control is given away."""
+        with self._feed.lock:
+            self._pilot.stop(time.monotonic_ns())
+        end = time.monotonic() + HOLDS
+        while time.monotonic() < end and self._hand.in_control and not self._plan.dry_run:
+            self._feed.flush()
+            if self._hear().mode is FlightMode.HOLD:
+                break
+            time.sleep(STEP)
+        with self._feed.lock:
+            self._hand.release()
+
+    def _finished(self) -> FlightOutcome:
+        pilot, home = self._pilot, self._plan.home
+        entries = pilot.diary.transitions
+        why = "ended by the user; the vehicle was told to hold" if self._stopped else entries[-1].reason
+        times = {"image to way-point": list(pilot.way_point_times), "image to set-point": list(pilot.set_point_times)}
+        found = self._run.finish()
+        result = replace(
+            found, home=home or self._vehicle.telemetry.known_home, diary=pilot.diary,
+            timings={**found.timings, **{k: v for k, v in times.items() if v}},
+            notes={**found.notes, "landing": pilot.state.value},
+        )  # fmt: skip
+        return FlightOutcome(self._checks, why, pilot.state, result, *times.values())

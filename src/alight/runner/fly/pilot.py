@@ -1,0 +1,255 @@
+"""Between what is known and the vehicle stands the executive: situations in, orders out. No thread and no clock."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from alight.arrays import F64, U8
+from alight.autopilot import RemoteVehicle
+from alight.geometry import LocalFrame
+from alight.landing.executive import Executive
+from alight.pipeline import Verdict
+from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
+from alight.records.executive import FlightDiary, FlightState, LookRecord, Order, Seen, Situation, Transition
+from alight.runner.fly.orders import OrderSender, OrderTaker
+from alight.runner.landing import JUDGE_EVERY, as_seen
+from alight.settings import Settings
+
+TICK_NS = 100_000_000  # between two decisions of the executive
+ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
+KEPT = 20_000  # times that are kept for the summary
+SPARSE = 4  # pixels, step in which two pictures are compared
+
+
+class LandingLog(Protocol):
+    """Where a landing writes what it does; the recorder is one."""
+
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        """The vehicle was told something."""
+
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        """The diary has another entry."""
+
+    def note(self, lane: str, words: str) -> None:
+        """Something happened."""
+
+
+class PictureWatch:
+    """Tells when a picture came last. One that repeats the one before, bit for bit, is none: the camera has frozen."""
+
+    def __init__(self) -> None:
+        self._last: U8 | None = None
+        self.newest_ns: int | None = None  # arrival
+        self.frozen = 0  # pictures in a row that repeat the one before
+
+    def saw(self, frame: Frame, now_ns: int) -> None:
+        """An exposure has come."""
+        image = next((i for i in frame.images if i is not None), None)
+        if image is None:
+            return
+        small = image[::SPARSE, ::SPARSE].copy()
+        if self._last is not None and np.array_equal(small, self._last):
+            self.frozen += 1
+            return
+        self._last, self.newest_ns, self.frozen = small, now_ns, 0
+
+    def age(self, now_ns: int) -> float:
+        """Seconds since the last picture that was new."""
+        return math.inf if self.newest_ns is None else (now_ns - self.newest_ns) * 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PilotView:
+    """What a person wants to see of a landing."""
+
+    t: float  # s since it began
+    state: FlightState
+    order: str
+    situation: Situation
+    kind: str = ""  # of the place that it is about: site, candidate
+    place: tuple[float, float, float] | None = None  # of it, metres in the map's frame
+    p_safe: float | None = None
+    height: float | None = None  # metres above that place, or above the ground
+
+
+class LandingPilot:
+    """One landing. Tell it of pictures, motions and verdicts; after `begin`, `tick` it twenty times a second.
+
+    Args:
+        settings: all of them.
+        local: the world.
+        vehicle: what the autopilot reports.
+        hand: takes the orders: the vehicle itself, or one that says them.
+        judge: asks for a verdict on the ground below, and about a place, (2,) metres in the map's frame, if given.
+        log: is told what is done.
+    """
+
+    def __init__(
+        self, settings: Settings, local: LocalFrame, vehicle: RemoteVehicle, hand: OrderTaker,
+        judge: Callable[[F64 | None], None], log: LandingLog,
+    ) -> None:  # fmt: skip
+        self._vehicle, self._local, self._judge, self._log = vehicle, local, judge, log
+        self._begin_ns: int | None = None
+        stages = settings.stages()
+        self.executive, self._stale = Executive(stages), stages.executive.stale
+        self._sender = OrderSender(vehicle, hand, local)
+        self.pictures = PictureWatch()
+        self.motion: Motion | None = None
+        self._seen: Seen | None = None
+        self._seen_ns = self._acted_ns = 0  # newest exposure of the newest verdict, and of the one acted upon
+        self._guided_ns = 0  # newest motion that a set-point was made of
+        self._number, self._asked = 0, -math.inf
+        self._tick_ns: int | None = None
+        self._starts = vehicle.starts
+        self._flying, self._had_position, self._written = False, True, (0, 0)
+        self._order = ""
+        self.way_point_times = deque[float](maxlen=KEPT)  # s, exposure to the first order of the verdict that holds it
+        self.set_point_times = deque[float](maxlen=KEPT)  # s, exposure to the first set-point relative to its motion
+
+    @property
+    def state(self) -> FlightState:
+        """Of the executive."""
+        return self.executive.state
+
+    @property
+    def diary(self) -> FlightDiary:
+        """What happened, in order."""
+        return self.executive.diary
+
+    @property
+    def over(self) -> bool:
+        """Nothing is left to be done."""
+        return self.state in ENDS
+
+    # -- what becomes known, from any thread
+
+    def saw(self, frame: Frame, now_ns: int) -> None:
+        """An exposure has come."""
+        self.pictures.saw(frame, now_ns)
+
+    def moved(self, motion: Motion) -> None:
+        """The motion of an exposure is known."""
+        self.motion = motion
+
+    def judged(self, verdict: Verdict, t_ns: int) -> None:
+        """There is a verdict on the map that holds an exposure."""
+        if self._begin_ns is None:
+            return
+        self._number += 1
+        self.take_seen(as_seen(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
+
+    def take_seen(self, seen: Seen, t_ns: int) -> None:
+        """Take a verdict in the frame of its map; numbers rise."""
+        self._seen, self._seen_ns = seen, t_ns
+
+    def noticed(self, notice: Notice) -> None:
+        """Something has happened to the vehicle."""
+        if notice.kind in (NoticeKind.COMMAND, NoticeKind.UPLOAD):
+            self._sender.answered(notice.ticket, notice.ok, notice.t_ns)
+
+    # -- the step
+
+    def begin(self, now_ns: int) -> None:
+        """The landing begins with the next tick; so does the time of its diary."""
+        self._begin_ns, self._starts = now_ns, self._vehicle.starts
+
+    def tick(self, now_ns: int) -> PilotView:
+        """Decide ten times a second, report the target of a landing at every call."""
+        now = self._situation(now_ns)
+        if self._tick_ns is None or now_ns - self._tick_ns >= TICK_NS or self.state is FlightState.COMMIT:
+            self._tick_ns = now_ns
+            self._decide(now, now_ns)
+        return self._view(now)
+
+    def stop(self, now_ns: int) -> None:
+        """The user wants no more: the autopilot is told to hold by itself."""
+        if self._sender.hand.in_control:
+            self._sender.obey(Order("hold"), FlightState.HOLD, None, now_ns)
+
+    def _situation(self, now_ns: int) -> Situation:
+        assert self._begin_ns is not None
+        m, heard = self.motion, self._vehicle.telemetry
+        state = MotionState.LOST if m is None or self._lags(m) else m.state
+        if not heard.has_position:  # it cannot follow a set-point
+            state = MotionState.LOST
+        self._note_position(heard.has_position)
+        known = state in (MotionState.GOOD, MotionState.DEGRADED)
+        share, wind = heard.battery.share, float(np.hypot(*heard.wind_world[:2]))
+        self._flying |= self._sender.hand.in_control
+        rebooted = self._vehicle.starts != self._starts
+        return Situation(
+            (now_ns - self._begin_ns) * 1e-9,
+            self._position(m, now_ns) if m is not None and known else None,
+            state,
+            0 if m is None else m.frame_id,
+            self._seen,
+            self.pictures.age(now_ns),
+            link=self._vehicle.alive and not rebooted,
+            pilot=self._flying and not self._sender.hand.in_control and not rebooted,
+            standing=heard.is_down,
+            battery=1.0 if math.isnan(share) else share,
+            wind=0.0 if math.isnan(wind) else wind,
+        )
+
+    def _lags(self, motion: Motion) -> bool:
+        """Whether pictures come and their motions do not; where no pictures come, that is what is told."""
+        newest = self.pictures.newest_ns
+        return newest is not None and (newest - motion.t_ns) * 1e-9 > self._stale
+
+    def _position(self, motion: Motion, now_ns: int) -> F64 | None:
+        """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
+        then, now = self._vehicle.place_at(motion.t_ns), self._vehicle.place_at(now_ns)
+        if then is None or now is None:
+            return motion.world_from_body.translation if (now_ns - motion.t_ns) * 1e-9 <= self._stale else None
+        a, b = (self._local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
+        return np.asarray(motion.world_from_body.translation + (b - a))
+
+    def _note_position(self, known: bool) -> None:
+        if known is not self._had_position:
+            self._log.note("autopilot", f"its estimator has {'a' if known else 'no'} position on Earth")
+        self._had_position = known
+
+    def _decide(self, now: Situation, now_ns: int) -> None:
+        every = JUDGE_EVERY.get(self.state)
+        if every is not None and now.t - self._asked >= every:
+            self._asked = now.t
+            place = self.executive.target
+            self._judge(None if place is None else np.array([place.east, place.north]))
+        order = self.executive.tick(now)
+        self._order = self._sender.obey(order, self.state, self.motion, now_ns)
+        if not self.over:
+            self._log.order(now_ns, self.state.value, self._order)
+        self._write_diary(now_ns)
+        if order.what in ("fly", "land"):
+            self._time(now_ns)
+
+    def _time(self, now_ns: int) -> None:
+        if self._seen_ns > self._acted_ns:
+            self._acted_ns = self._seen_ns
+            self.way_point_times.append((now_ns - self._seen_ns) * 1e-9)
+        if self.motion is not None and self.motion.t_ns > self._guided_ns:
+            self._guided_ns = self.motion.t_ns
+            self.set_point_times.append((now_ns - self.motion.t_ns) * 1e-9)
+
+    def _write_diary(self, now_ns: int) -> None:
+        first_look, first_transition = self._written
+        fresh: list[LookRecord | Transition] = [*self.diary.looks[first_look:]]
+        fresh += self.diary.transitions[first_transition:]
+        for entry in fresh:
+            self._log.landing(now_ns, entry)
+        self._written = len(self.diary.looks), len(self.diary.transitions)
+
+    def _view(self, now: Situation) -> PilotView:
+        place = self.executive.target
+        ground = place.up if place is not None else self._seen.ground if self._seen is not None else None
+        height = None if now.position is None or ground is None else float(now.position[2]) - ground
+        if place is None:
+            return PilotView(now.t, self.state, self._order, now, height=height)
+        at = (place.east, place.north, place.up)
+        return PilotView(now.t, self.state, self._order, now, place.kind, at, place.p_safe, height)

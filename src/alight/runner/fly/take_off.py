@@ -1,0 +1,59 @@
+"""A take-off: guided mode, motors, up to a height."""
+
+from __future__ import annotations
+
+from alight.autopilot import RemoteVehicle
+from alight.records import FlightMode, Telemetry
+from alight.runner.fly.orders import OrderTaker
+
+NEAR = 0.95  # share of the height that counts as all of it
+AGAIN_NS = 3_000_000_000  # until an order that shows no effect is given again
+LONGEST_NS = 120_000_000_000
+
+
+class TakeOff:
+    """Tick it until `done` or `failed`.
+
+    Args:
+        vehicle: what the autopilot reports.
+        hand: takes the orders.
+        height: metres above home.
+        begin_ns: now.
+    """
+
+    def __init__(self, vehicle: RemoteVehicle, hand: OrderTaker, height: float, begin_ns: int) -> None:
+        self._vehicle, self._hand, self._height, self._begin_ns = vehicle, hand, height, begin_ns
+        self._step, self._ordered_ns = "", begin_ns
+        self._took = False
+        self.done, self.failed = False, ""
+
+    def tick(self, now_ns: int) -> None:
+        """Give the next order that is due."""
+        if self.done or self.failed:
+            return
+        if self._took and not self._hand.in_control:
+            self.failed = "somebody else flies now"
+        elif not self._vehicle.alive:
+            self.failed = "no heartbeat of the vehicle any more"
+        elif now_ns - self._begin_ns > LONGEST_NS:
+            self.failed = f"{self._step or 'the start'}: no effect within {LONGEST_NS * 1e-9:.0f} s"
+        else:
+            self._go_on(self._vehicle.telemetry, now_ns)
+
+    def _go_on(self, heard: Telemetry, now_ns: int) -> None:
+        above = 0.0 if heard.place is None else heard.place.above_home
+        self.done = heard.armed and above > NEAR * self._height
+        if self.done:
+            return
+        step = "take off" if heard.armed else "arm" if heard.mode is FlightMode.GUIDED else "guided mode"
+        if step == "take off" and self._step == step and above > 1.0:
+            return  # on its way
+        if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
+            return
+        self._step, self._ordered_ns, self._took = step, now_ns, True
+        if step == "guided mode":
+            self._hand.set_mode(FlightMode.GUIDED)
+        elif step == "arm":
+            self._hand.arm()
+        else:
+            self._hand.take_off(self._height)

@@ -1,0 +1,96 @@
+"""A rehearsal by the clock: a simulated autopilot on a UDP port, and its cameras as a folder that fills."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from alight.records import Frame, OutputError
+from alight_sim.autopilot import EstimateError, SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4, UdpServer
+from alight_sim.autopilot.dialects import Doing
+from alight_sim.log import encode_image, write_calibration
+from alight_sim.steered import SteeredFlight
+from alight_sim.steered.flown import FlownVehicle
+
+SEPARATION = 46.0  # m, ellipsoid above sea level
+
+
+class CameraFolder:
+    """Writes exposures in the layout of a flight log, as they come.
+
+    Raises:
+        OutputError: the folder cannot be made, or holds pictures already.
+    """
+
+    def __init__(self, root: Path, flight: SteeredFlight) -> None:
+        self._root = root / "mav0"
+        if any((self._root / c.name / "data.csv").exists() for c in flight.rig.cameras):
+            raise OutputError(f"{root}: holds pictures already; choose another folder")
+        try:
+            write_calibration(flight.rig, flight.rate_hz, self._root)
+        except OSError as e:
+            raise OutputError(f"{root}: cannot be written ({e.strerror or e}); choose another folder") from e
+        self._tables = [(self._root / c.name / "data.csv").open("w", encoding="utf-8") for c in flight.rig.cameras]
+        for table in self._tables:
+            table.write("#timestamp [ns],filename\n")
+        self._names = [c.name for c in flight.rig.cameras]
+
+    def write(self, frame: Frame, t_ns: int) -> None:
+        """Write an exposure under a stamp: each image first, then its row."""
+        for name, image, table in zip(self._names, frame.images, self._tables, strict=True):
+            if image is not None:
+                (self._root / name / "data" / f"{t_ns}.png").write_bytes(encode_image(image, "png"))
+                table.write(f"{t_ns},{t_ns}.png\n")
+                table.flush()
+
+    def close(self) -> None:
+        """End the tables."""
+        for table in self._tables:
+            table.close()
+
+
+class Rehearsal:
+    """A vehicle of a scene that an autopilot flies, by the clock; a context that runs in a thread of its own.
+
+    Args:
+        flight: made with `steered_by="truth"`; on the ground or in the air.
+        folder: for its pictures, stamped by this machine's steady clock.
+        port: of this machine, to speak to; who speaks to `server.port` is answered as well.
+        px4: speak PX4's dialect.
+        wrong: (3,) metres, error of the autopilot's estimate.
+    """
+
+    def __init__(
+        self, flight: SteeredFlight, folder: Path, port: int, px4: bool = False,
+        wrong: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:  # fmt: skip
+        self.flight, self.vehicle = flight, FlownVehicle(flight)
+        local = flight.local
+        home = SimulatedHome(local.latitude, local.longitude, local.height - SEPARATION, SEPARATION)
+        dialect = SpokenPx4() if px4 else SpokenArduPilot()
+        self.autopilot = SimulatedAutopilot(dialect, self.vehicle, home, EstimateError(wrong, walk=0.05))
+        if flight.height_above_ground > 1.0:
+            self.autopilot.hover(Doing.PILOT)
+        self._cameras, self._shift_ns = CameraFolder(folder, flight), 0
+        self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
+
+    def _expose(self) -> None:
+        """Stamps are of the steady clock: the simulation's own time, and when that began."""
+        self._shift_ns = self._shift_ns or time.monotonic_ns() - self.flight.time_ns
+        for frame in self.vehicle.take():
+            self._cameras.write(frame, frame.t_ns + self._shift_ns)
+
+    def __enter__(self) -> Rehearsal:
+        self.server.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.server.__exit__(None, None, None)
+        self._cameras.close()
+
+    def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Let it run."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end and not until():
+            time.sleep(0.05)

@@ -1,0 +1,119 @@
+"""A landing in virtual time: the real executive, orders and protocol; a simulated autopilot; made-up verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from autopilot_rig import LOCAL, Rig
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from alight.geometry import Pose
+from alight.records import Frame, Motion, MotionState
+from alight.records.executive import FlightState, LookRecord, Seen, Transition
+from alight.runner.fly.orders import OrderTaker
+from alight.runner.fly.pilot import LandingPilot, PilotView
+from alight.settings import load_settings
+from alight_sim.autopilot import EstimateError
+
+WRONG = (3.0, -2.0, 1.0)  # m, what the autopilot's estimate is off by
+LATE = 0.15  # s from an exposure to its motion
+VERDICT = 0.4  # s from an exposure to its verdict
+HARMLESS = {"HEARTBEAT", "TIMESYNC"}
+SET_MESSAGE_INTERVAL = 511
+
+See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
+
+
+class PilotRig(Rig):
+    """Both ends of a link, and a pilot at ours. `change` may change motions on their way."""
+
+    def __init__(self, see: See, dialect: str = "ardupilot", settings: tuple[str, ...] = (), **more: Any) -> None:
+        super().__init__(dialect, step=0.05, estimate=EstimateError(WRONG), **more)
+        self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
+        self.pilot: LandingPilot | None = None
+        self.pictures, self.positions = True, True
+        self.frame_id, self.motion_state = 0, MotionState.GOOD
+        self.freeze = False
+        self.wire: list[Any] = []  # what we sent, with the time
+        self.orders: list[str] = []
+        self.entries: list[Transition | LookRecord] = []
+        self.view: PilotView | None = None
+        self._later: list[tuple[float, Callable[[], None]]] = []
+        self._image, self._number, self._begun = np.zeros((12, 16), np.uint8), 0, 0.0
+        self._reader = mavlink.MAVLink(None)
+        put = self.up.put
+
+        def listen(data: bytes, t: float) -> None:
+            self.wire += [(t, m) for m in self._reader.parse_buffer(data) or ()]
+            put(data, t)
+
+        self.up.put = listen  # type: ignore[method-assign]
+        self.each_step = self._fly
+
+    def begin(self, hand: OrderTaker | None = None) -> None:
+        """The landing begins."""
+        self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self._judge, self)
+        self._expose()
+        self.run(1.0)
+        self._begun = self.t
+        self.pilot.begin(self.now_ns)
+
+    def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
+        """Until the executive is in a state."""
+        return self.run(seconds, lambda: self.pilot is not None and self.pilot.state is until)
+
+    def moving_since(self, t: float) -> list[str]:
+        """What was sent since then that may move the vehicle."""
+        out = []
+        for then, m in self.wire:
+            name = m.get_type()
+            asks = name == "COMMAND_LONG" and m.command == SET_MESSAGE_INTERVAL
+            if then > t and name not in HARMLESS and not asks:
+                out.append(f"{name} {getattr(m, 'command', '')}")
+        return out
+
+    # -- the log of the pilot
+
+    def order(self, t_ns: int, state: str, words: str) -> None:
+        self.orders.append(words)
+
+    def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
+        self.entries.append(entry)
+
+    def note(self, lane: str, words: str) -> None:
+        self.orders.append(f"{lane}: {words}")
+
+    # -- every step
+
+    def _fly(self) -> None:
+        if self.pilot is None:
+            return
+        for due, do in [x for x in self._later if x[0] <= self.t]:
+            self._later.remove((due, do))
+            do()
+        if round(self.t / self.dt) % 4 == 0:
+            self._expose()
+        if self._begun:
+            for notice in self.heard[-5:]:
+                self.pilot.noticed(notice)
+            self.view = self.pilot.tick(self.now_ns)
+
+    def _expose(self) -> None:
+        """An exposure now, with its motion a little later."""
+        assert self.pilot is not None
+        if not self.pictures:
+            return
+        if not self.freeze:
+            self._image = self._image + np.uint8(1)
+        self.pilot.saw(Frame(self.now_ns, (self._image,)), self.now_ns)
+        pose = Pose(np.eye(3), self.truth())
+        motion = Motion(self.now_ns, pose, (), np.eye(6), state=self.motion_state, frame_id=self.frame_id)
+        self._later.append((self.t + LATE, lambda: self.pilot.moved(motion)))  # type: ignore[union-attr]
+
+    def _judge(self, about: np.ndarray | None) -> None:
+        at, t, t_ns = self.truth(), self.t - self._begun, self.now_ns
+        self._number += 1
+        number = self._number
+        self._later.append((self.t + VERDICT, lambda: self.pilot.take_seen(self.see(number, t, at), t_ns)))  # type: ignore[union-attr]

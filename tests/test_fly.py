@@ -1,0 +1,295 @@
+"""A landing as it is flown: orders reach an autopilot, faults lead to the right state, a take-over ends all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from pilot_rig import PilotRig
+from test_executive import Ground, clearer_from_below
+
+from alight.records import NoticeKind
+from alight.records.executive import FlightEvent, FlightState
+from alight.runner.fly.orders import SpokenVehicle
+from alight.runner.fly.take_off import TakeOff
+from alight_sim.autopilot.dialects import Doing
+
+S, E = FlightState, FlightEvent
+PLACE = (10.0, 5.0)
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+
+
+def rig(dialect: str = "ardupilot", *settings: str, ground: Ground | None = None) -> PilotRig:
+    """A vehicle at 30 m, and a landing that has begun."""
+    found = PilotRig((ground or Ground({PLACE: clearer_from_below})).seen, dialect, settings)
+    found.up_and_flying(30.0)
+    found.begin()
+    return found
+
+
+def events(r: PilotRig) -> list[FlightEvent]:
+    assert r.pilot is not None
+    return [t.event for t in r.pilot.diary.transitions]
+
+
+def state(r: PilotRig) -> FlightState:
+    assert r.pilot is not None
+    return r.pilot.state
+
+
+# -- the loop
+
+
+@BOTH
+def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
+    """The autopilot's place is off by metres; ours is true: the touchdown is where our place is."""
+    r = rig(dialect)
+    assert r.fly(S.LANDED)
+    assert not r.sim.logic.armed
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.3
+    assert r.sim.vehicle.touchdown_speed < 0.9
+    assert {E.FOUND, E.LOWER, E.CONFIRMED, E.TOUCHED_DOWN} <= set(events(r))
+    assert not r.of(NoticeKind.TAKEOVER)
+    assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)  # type: ignore[union-attr]
+    assert r.pilot.way_point_times  # type: ignore[union-attr]
+    t = r.t
+    r.run(5.0)
+    assert not r.moving_since(t + 0.1)
+
+
+@BOTH
+def test_a_wait_between_two_looks_is_flown_under_guidance(dialect: str) -> None:
+    """No verdict comes for a while: the vehicle stays where it is, in guided mode."""
+    r = rig(dialect)
+    assert r.fly(S.LOOK)
+    r.pilot._judge = lambda about: None  # type: ignore[union-attr]
+    assert r.run(20.0, lambda: r.view is not None and r.view.order == "stay")
+    r.run(1.5)
+    before = r.truth()
+    r.run(4.0)
+    assert np.linalg.norm(r.truth() - before) < 0.3
+    assert r.sim.logic.doing is Doing.GUIDED
+    assert state(r) is S.LOOK
+
+
+# -- faults
+
+
+def lose_gps(r: PilotRig) -> None:
+    r.sim.healthy = False
+
+
+def freeze_camera(r: PilotRig) -> None:
+    r.freeze = True
+
+
+def stop_camera(r: PilotRig) -> None:
+    r.pictures = False
+
+
+def lose_link(r: PilotRig) -> None:
+    r.up.loss = r.down.loss = 1.0
+
+
+def reboot(r: PilotRig) -> None:
+    r.sim.reboot()
+
+
+def take_over(r: PilotRig) -> None:
+    r.sim.pilot(Doing.PILOT)
+
+
+def move_sticks(r: PilotRig) -> None:
+    r.sim.reports.sticks = [1500, 1900, 1100, 1500]
+
+
+def restart_filter(r: PilotRig) -> None:
+    r.frame_id += 1
+
+
+def blow(r: PilotRig) -> None:
+    r.sim.vehicle.wind_world = np.array([9.0, 0.0, 0.0])
+
+
+def drain(r: PilotRig) -> None:
+    r.sim._flown = 1000.0
+
+
+FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightState]] = {
+    # the event, where it leads from an approach, and where from a commit
+    lose_gps: (E.NAVIGATION_LOST, S.HOLD, S.ABORT),
+    freeze_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
+    stop_camera: (E.CAMERA_LOST, S.HOLD, S.ABORT),
+    lose_link: (E.LINK_LOST, S.HANDED_OVER, S.HANDED_OVER),
+    reboot: (E.LINK_LOST, S.HANDED_OVER, S.HANDED_OVER),
+    take_over: (E.PILOT, S.HANDED_OVER, S.HANDED_OVER),
+    move_sticks: (E.PILOT, S.HANDED_OVER, S.HANDED_OVER),
+    blow: (E.WIND, S.RETURN, S.ABORT),
+    drain: (E.BATTERY, S.RETURN, S.COMMIT),
+}
+GONE = (take_over, move_sticks, lose_link, reboot)  # after which nothing may move the vehicle
+
+
+@BOTH
+@pytest.mark.parametrize("when", [S.APPROACH, S.COMMIT], ids=lambda s: s.value)
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
+def test_a_fault_leads_to_the_right_state(fault: Callable[[PilotRig], None], when: FlightState, dialect: str) -> None:
+    """After a take-over, a lost link or a reboot nothing is sent that moves the vehicle, not even when it is back."""
+    event, above, below = FAULTS[fault]
+    r = rig(dialect)
+    assert r.fly(when)
+    r.run(1.0)
+    count = len(events(r))
+    fault(r)
+    if when is S.COMMIT and below is S.COMMIT:  # a landing that has begun is the shortest way down
+        r.run(3.0)
+        assert event not in events(r)[count:]
+        assert state(r) in (S.COMMIT, S.LANDED)
+        return
+    seen = {event, E.PILOT} if fault is reboot else {event}  # its first heartbeat may show another mode
+    assert r.run(12.0, lambda: bool(seen & set(events(r)[count:])))
+    new = next(t for t in r.pilot.diary.transitions[count:] if t.event in seen)  # type: ignore[union-attr]
+    assert new.after is (below if when is S.COMMIT else above)
+    if fault not in GONE:
+        return
+    t = r.t
+    r.up.loss = r.down.loss = 0.0
+    r.run(25.0)
+    assert not r.moving_since(t + 2 * r.dt)
+    assert state(r) is S.HANDED_OVER
+
+
+@BOTH
+def test_the_autopilot_holds_while_something_is_missing_and_goes_on_after_it(dialect: str) -> None:
+    r = rig(dialect)
+    assert r.fly(S.APPROACH)
+    freeze_camera(r)
+    assert r.run(6.0, lambda: state(r) is S.HOLD)
+    r.run(2.0)
+    assert r.sim.logic.doing is Doing.HOLD
+    r.freeze = False
+    assert r.fly(S.LANDED)
+
+
+@BOTH
+def test_gps_that_stays_away_ends_in_a_hold_of_the_autopilot(dialect: str) -> None:
+    r = rig(dialect)
+    assert r.fly(S.APPROACH)
+    lose_gps(r)
+    assert r.run(30.0, lambda: state(r) is S.HANDED_OVER)
+    assert E.WAITED in events(r)
+    assert any("no position on Earth" in line for line in r.orders)
+    t = r.t
+    r.run(20.0)
+    assert not r.moving_since(t + 2 * r.dt)
+    assert r.sim.logic.doing is Doing.HOLD
+
+
+@BOTH
+def test_a_filter_that_begins_anew_gives_the_place_up_and_searches_on(dialect: str) -> None:
+    ground = Ground({PLACE: clearer_from_below})
+    r = rig(dialect, ground=ground)
+    assert r.fly(S.LOOK)
+    restart_filter(r)
+    assert r.run(3.0, lambda: E.NEW_FRAME in events(r))
+    ground.frame_id = r.frame_id
+    assert r.fly(S.LANDED)
+
+
+@BOTH
+def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
+    """Two verdicts that refuse it, and the vehicle climbs again; there is no other place, so it goes home."""
+    ground = Ground({PLACE: clearer_from_below})
+    r = rig(dialect, ground=ground)
+    assert r.fly(S.COMMIT)
+    ground.places[PLACE] = lambda height: 0.0
+    assert r.run(10.0, lambda: state(r) is S.ABORT)
+    assert r.run(30.0, lambda: state(r) is S.SEARCH)
+    assert r.sim.vehicle.position[2] > 8.0
+    assert r.fly(S.RETURN)
+    r.run(5.0)
+    assert r.sim.logic.doing is Doing.RETURN
+
+
+def test_a_pilot_who_switches_just_before_an_order_is_not_switched_back() -> None:
+    """Who flies is seen once a second, by the heartbeat: a change of mode waits for the next one."""
+    r = rig()
+    assert r.fly(S.COMMIT)
+    assert r.run(3.0, lambda: r.ours.telemetry is not None and 0.5 < r.ours.telemetry.ages["HEARTBEAT"] < 0.7)
+    assert r.sim.logic.doing is Doing.GUIDED  # the order to land is due any moment
+    take_over(r)
+    assert r.run(2.0, lambda: state(r) is S.HANDED_OVER)
+    assert r.sim.logic.doing is Doing.PILOT
+    assert "LAND" not in {n.text for n in r.heard}
+
+
+def test_a_mode_that_is_refused_is_asked_for_again() -> None:
+    r = rig()
+    assert r.fly(S.SEARCH)
+    enter = r.sim.logic.enter
+    r.sim.logic.enter = lambda doing, t: False  # type: ignore[method-assign]
+    freeze_camera(r)
+    r.run(5.0)
+    assert r.sim.logic.doing is Doing.GUIDED
+    r.sim.logic.enter = enter  # type: ignore[method-assign]
+    assert r.run(6.0, lambda: r.sim.logic.doing is Doing.HOLD)
+
+
+# -- taking off, and not sending
+
+
+@BOTH
+def test_it_takes_off(dialect: str) -> None:
+    r = PilotRig(Ground({}).seen, dialect)
+    assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
+    climb = TakeOff(r.vehicle, r.vehicle, 12.0, r.now_ns)
+    r.each_step = lambda: climb.tick(r.now_ns)
+    assert r.run(60, lambda: climb.done)
+    assert r.sim.estimated[2] > 11.0
+    r.run(5.0)
+    assert r.sim.estimated[2] == pytest.approx(12.0, abs=0.5)
+
+
+def test_a_take_off_ends_when_somebody_else_flies() -> None:
+    r = PilotRig(Ground({}).seen)
+    assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
+    climb = TakeOff(r.vehicle, r.vehicle, 30.0, r.now_ns)
+    r.each_step = lambda: climb.tick(r.now_ns)
+    assert r.run(30, lambda: r.sim.estimated[2] > 3.0)
+    take_over(r)
+    assert r.run(5.0, lambda: bool(climb.failed))
+    assert "somebody else" in climb.failed
+    t = r.t
+    r.run(10.0)
+    assert not r.moving_since(t + 2 * r.dt)
+
+
+@BOTH
+def test_a_dry_run_says_its_orders_and_sends_none(dialect: str) -> None:
+    """The wire is read: heartbeats, requests for streams and time alone leave."""
+    r = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect)
+    r.up_and_flying(30.0)
+    r.vehicle.release()
+    said: list[str] = []
+    begin = r.t
+    r.begin(SpokenVehicle(said.append))
+    assert r.fly(S.APPROACH)
+    r.run(20.0)
+    assert not r.moving_since(begin)
+    assert {m.get_type() for t, m in r.wire if t > begin} >= {"HEARTBEAT", "TIMESYNC"}
+    assert said[0] == "mode: guided"
+    assert any(line.startswith("fly to 47.6") and "above the sea" in line for line in said)
+    assert any(line.startswith("speed") for line in said)
+
+
+def test_spoken_orders_are_said_once_until_they_change() -> None:
+    r = PilotRig(Ground({}).seen)
+    r.up_and_flying(30.0)
+    said: list[str] = []
+    r.begin(SpokenVehicle(said.append))
+    r.run(20.0)
+    places = [line for line in said if line.startswith("fly to")]
+    assert 1 <= len(places) < 10
+    assert all(a != b for a, b in pairwise(said))

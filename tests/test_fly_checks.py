@@ -1,0 +1,135 @@
+"""The checks before a flight: each finds its fault, and finds nothing where all is well."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pilot_rig import PilotRig
+from test_executive import Ground
+
+from alight.checks import CheckResult, Judged
+from alight.geometry import Pose
+from alight.records import Home, InputError, Motion, MotionState
+from alight.runner.fly import FlightRequest, fly_vehicle
+from alight.runner.fly import preflight as p
+from alight.settings import Settings
+from alight_sim import default_rig
+
+GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
+
+
+def hovering(seconds: float = 6.0) -> PilotRig:
+    r = PilotRig(Ground({}).seen)
+    r.up_and_flying(20.0)
+    r.run(seconds)
+    return r
+
+
+def vehicle_checks(r: PilotRig, missing: str = "", take_off: bool = False, dry: bool = False) -> dict[str, CheckResult]:
+    found = p.judge_vehicle(r.vehicle, missing, Settings(), take_off, dry, False)
+    return {c.name: c for c in found}
+
+
+def test_all_is_well_in_the_air() -> None:
+    r = hovering()
+    assert {c.verdict for c in vehicle_checks(r).values()} == {GOOD}
+    link = p.judge_link("udp:x", r.ours.counts.messages, r.vehicle, "")
+    assert [c.verdict for c in link] == [GOOD, GOOD]
+    assert "ArduPilot" in link[1].evidence
+
+
+def test_each_fault_is_found() -> None:
+    r = hovering()
+    r.sim.healthy = False
+    r.sim._flown = 1100.0
+    r.sim.vehicle.wind_world = np.array([12.0, 0.0, 0.0])
+    r.run(4.0)
+    found = vehicle_checks(r, missing="the autopilot's GPS has no 3D fix")
+    assert {n for n, c in found.items() if c.verdict is BAD} == {"position", "battery", "wind"}
+    assert all(c.mend for c in found.values() if c.verdict is BAD)
+    assert "no 3D fix" in found["position"].evidence
+
+
+def test_a_stream_that_dries_up_is_named() -> None:
+    r = hovering()
+    r.sim.reports.ask = lambda message, interval: False  # type: ignore[method-assign]
+    r.sim.reports._interval = {k: v for k, v in r.sim.reports._interval.items() if k not in (33, 168)}
+    r.run(8.0)
+    streams = vehicle_checks(r)["streams"]
+    assert streams.verdict is BAD
+    assert "GLOBAL_POSITION_INT" in streams.evidence
+
+
+def test_a_vehicle_on_the_ground_needs_a_take_off() -> None:
+    r = PilotRig(Ground({}).seen)
+    r.run(10.0)
+    assert vehicle_checks(r)["in the air"].verdict is BAD
+    assert "--take-off" in vehicle_checks(r)["in the air"].mend
+    assert vehicle_checks(r, dry=True)["in the air"].verdict is WARNING
+    assert vehicle_checks(r, take_off=True)["ready"].verdict is GOOD
+    r.sim.healthy = False
+    r.run(3.0)
+    assert vehicle_checks(r, take_off=True)["ready"].verdict is BAD
+    assert vehicle_checks(hovering(), take_off=True)["on the ground"].verdict is BAD
+
+
+def test_silence_and_strangers_are_told_apart() -> None:
+    assert "nothing has come over udp:x" in p.judge_link("udp:x", 0, None, "")[0].evidence
+    assert "no heartbeat" in p.judge_link("udp:x", 5, None, "")[1].evidence
+    assert "not supported" in p.judge_link("udp:x", 5, None, "system 3: this autopilot is not supported")[1].evidence
+    r = hovering()
+    r.down.loss = 1.0
+    r.run(6.0)
+    assert p.judge_link("udp:x", 5, r.vehicle, "")[1].verdict is BAD
+
+
+@pytest.mark.parametrize(
+    ("facts", "verdict"),
+    [
+        (p.CameraFacts(30, 10.0, 0.05), GOOD),
+        (p.CameraFacts(30, 3.0, 0.05), WARNING),
+        (p.CameraFacts(), BAD),
+        (p.CameraFacts(30, 1.0, 0.05), BAD),
+        (p.CameraFacts(30, 10.0, 3e6), BAD),  # another clock
+        (p.CameraFacts(30, 10.0, -5.0), BAD),  # from the future
+        (p.CameraFacts(30, 10.0, math.nan), BAD),
+        (p.CameraFacts(30, 10.0, 0.05, frozen=9), BAD),
+    ],
+)
+def test_cameras(facts: p.CameraFacts, verdict: Judged) -> None:
+    assert p.judge_cameras(facts).verdict is verdict
+
+
+@pytest.mark.parametrize(
+    ("state", "age", "verdict"),
+    [
+        (MotionState.GOOD, 0.2, GOOD),
+        (MotionState.DEGRADED, 0.2, WARNING),
+        (MotionState.INITIALISING, 0.2, BAD),
+        (MotionState.LOST, 0.2, BAD),
+        (MotionState.GOOD, 2.0, BAD),
+    ],
+)
+def test_motion(state: MotionState, age: float, verdict: Judged) -> None:
+    motion = Motion(0, Pose(), (), np.eye(6), state=state, why="a reason")
+    assert p.judge_motion(motion, age).verdict is verdict
+    assert p.judge_motion(None, age).verdict is BAD
+
+
+def test_the_machine(tmp_path: Path) -> None:
+    rig = default_rig()
+    assert [c.verdict for c in p.judge_machine(True, tmp_path, rig, 5.0, 1.0, True)] == [GOOD, GOOD]
+    cold, disk = p.judge_machine(False, tmp_path, rig, 5.0, 1e9, True)
+    assert (cold.verdict, disk.verdict) == (BAD, WARNING)
+    assert "alight warmup" in cold.mend
+
+
+def test_a_dry_run_takes_nothing_off(tmp_path: Path) -> None:
+    request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), dry_run=True, take_off=9.0)
+    with pytest.raises(InputError, match="--take-off"):
+        fly_vehicle(request)
+    with pytest.raises(InputError, match="SEPARATION"):
+        Home.parse("47.6,13.4,500")
