@@ -242,8 +242,9 @@ def sweep(
 def extremes(found: F32, reach: int) -> tuple[F32, F32]:
     """Lowest and highest known height within `reach` cells; infinite, the lowest above the highest, where none is."""
     near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
-    low = cv2.erode(np.where(known, found, np.float32(np.inf)), near)
-    high = cv2.dilate(np.where(known, found, np.float32(-np.inf)), near)
+    border = cv2.BORDER_REPLICATE  # OpenCV's own is the largest number, not infinity
+    low = cv2.erode(np.where(known, found, np.float32(np.inf)), near, borderType=border)
+    high = cv2.dilate(np.where(known, found, np.float32(-np.inf)), near, borderType=border)
     return np.asarray(low, np.float32), np.asarray(high, np.float32)
 
 
