@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from ground_views import UP, Scene, box
 from numpy.testing import assert_array_equal
 
 from alight.geometry import Grid
-from alight.parallax import Images, ground_sampling, match_tile
+from alight.parallax import Images, batch, ground_sampling, match_tile
 from alight.parallax import plane_sweep as sweeps
 from alight.parallax.plane_sweep import Spans, narrowed
 from alight.pipeline.mapping.batch_map import MARGIN, BatchMap
@@ -56,13 +58,23 @@ def test_the_search_narrows_to_what_was_found_and_never_widens() -> None:
     assert narrowed(np.full((3, 3), np.nan, np.float32), (-5.0, 50.0), 0.1) == (-5.0, 50.0)
 
 
-def test_a_box_is_as_high_as_with_all_planes_everywhere() -> None:
+def test_a_box_is_as_high_as_with_all_planes_everywhere(monkeypatch: pytest.MonkeyPatch) -> None:
     views = Scene(spacing=1.6, surface=box(2.5), top=2.7).views(6)
+    monkeypatch.setattr(batch, "LEAST_ACROSS", 16)  # these pictures are small
+    cells, along = list[float](), sweeps.along_rays
+
+    def watched(registered: sweeps.Registered, rays: Grid, *rest: Any) -> sweeps.Swept:
+        cells.append(rays.cell)
+        return along(registered, rays, *rest)
+
+    monkeypatch.setattr(sweeps, "along_rays", watched)
     both = []
-    for halvings in (0, 2):
+    for halvings, coarsest in ((0, CELL), (2, 4 * CELL)):
+        cells.clear()
         tuning = ParallaxSettings.model_validate({"sweep": {"halvings": halvings}})
         found = match_tile(Images(views, CELL, 0.0), GRID, -1.5, 4.0, tuning)
         assert found is not None
+        assert max(cells) == pytest.approx(coarsest)
         both.append(found.heights)
     whole, quick = both
     given = [np.isfinite(h.height) & is_trusted(h.flags) for h in both]

@@ -27,6 +27,7 @@ from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
 
 MOST_BYTES = 400_000_000  # of views that are kept ready
 LEAST_KEPT = 16  # of them, however large
+LEAST_ACROSS = 64  # cells that the shorter side of a halved picture covers: smaller ones show too little
 PYRAMID = 4 / 3  # an image with all its halvings over itself
 
 
@@ -92,7 +93,9 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     few, of = (
         choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
     )
-    levels = [fine, *([images.get(i, k) for i in chosen] for k in range(1, plan.halvings + 1))]
+    across = float(np.median([min(p.camera.width, p.camera.height) / p.ratio for p in fine]))
+    halvings = sum(across >= LEAST_ACROSS << k for k in range(1, plan.halvings + 1))
+    levels = [fine, *([images.get(i, k) for i in chosen] for k in range(1, halvings + 1))]
     swept = [[prepared[k] for k in few] for prepared in levels]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
     rest, its_ratio = sweep_unseen(levels, grid, (low, high), ground, np.isnan(start), plan)
