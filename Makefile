@@ -10,7 +10,7 @@ MADE := .venv/.made
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
 
-demo: $(MADE)  ## a small simulated flight, a landing site found in it, and the report: out/demo/report.html
+demo: $(MADE)  ## a simulated vehicle looks for a site and lands; the report: out/demo/report.html
 	$(BIN)/alight demo --out out/demo
 
 test: $(MADE)  ## all tests, the import contracts among them

@@ -36,6 +36,7 @@ from alight.outputs.recorder import Recorder
 from alight.records import Event, Frame, NavSample
 from alight.records.codec import MOTION, FlightHead
 from alight.runner.live import Capacity, Listener, Live
+from alight.runner.live.run import for_flight
 from alight.runner.replay import appearance_of
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
@@ -98,7 +99,7 @@ class Flown:
     """
 
     def __init__(self, seconds: float, speed: float = 1.0, more: Sequence[str] = (), memory: float = 0.0) -> None:
-        source, settings = open_source(recording()), load_settings("", [*SETTINGS, *more])
+        source, settings = open_source(recording()), for_flight(load_settings("", [*SETTINGS, *more]))
         self.memory = list[float]()
         with tempfile.TemporaryDirectory() as folder:
             head = FlightHead(source.name, source.rig, source.local, True, source.imu_noise, settings)

@@ -1,8 +1,9 @@
-"""The demo, as the first command of a newcomer: all the way, with what it must show against its truth."""
+"""The demo, as the first command of a newcomer, and the recorded flight that the pages show beside it."""
 
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,49 +12,83 @@ import pytest
 
 from alight.evaluation import evaluate
 from alight.outputs import FILES
-from alight.records import OutputError
-from alight.runner import demo, replay
-from alight.settings import Settings
 
 ALIGHT = [sys.executable, "-c", "from alight.cli import main; main()"]
+Done = tuple[Path, subprocess.CompletedProcess[str]]
+
+
+def call(*words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*ALIGHT, *map(str, words)], capture_output=True, text=True, timeout=600)
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+def landed(tmp_path_factory: pytest.TempPathFactory) -> Done:
     """`alight demo`, run once."""
     out = tmp_path_factory.mktemp("demo") / "out"
-    return out, subprocess.run([*ALIGHT, "demo", "--out", str(out)], capture_output=True, text=True, timeout=600)
+    return out, call("demo", "--out", out)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Done:
+    """The recorded flight of docs/start.md: simulated, run, compared with its truth."""
+    folder = tmp_path_factory.mktemp("recorded")
+    flight, out = folder / "flight", folder / "found"
+    for words in (["simulate", "demo", "--seed", 1, "--out", flight], ["run", flight, "--out", out]):
+        made = call(*words)
+        assert made.returncode == 0, made.stderr
+    return out, call("evaluate", out, "--truth", flight)
 
 
 def rows(text: str) -> dict[str, str]:
     """The comparison with the truth, by name."""
     pairs = [line.strip().rsplit("  ", 1) for line in text.splitlines() if line.startswith("  ")]
-    return {name.strip(): value for name, value in pairs}
+    return {pair[0].strip(): pair[1] for pair in pairs if len(pair) == 2}
 
 
-def test_it_finds_a_site_and_says_where_everything_is(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    out, process = done
+# -- the landing
+
+
+def test_it_looks_from_lower_and_lower_and_lands_where_it_is_safe(landed: Done) -> None:
+    _, process = landed
     assert process.returncode == 0, process.stderr
     lines = process.stdout.splitlines()
-    assert lines[0].startswith("SITE  47.62")
-    assert f"report: {out / 'report.html'}" in lines
-    assert lines[-1].startswith(f"flight: {out}-flight ")
+    assert any(line.startswith("SITE  47.62") for line in lines)
+    heights = [float(m[1]) for m in re.finditer(r"look from ([\d.]+) m", process.stdout)]
+    assert len(heights) >= 2
+    assert heights[-1] < heights[0]
+    steps = re.findall(r"(\w+) -> (\w+):", process.stdout)
+    for step in (("search", "approach"), ("look", "descend"), ("look", "commit"), ("commit", "landed")):
+        assert step in steps
+    assert any(line.startswith("touchdown by the simulator's truth: safe") for line in lines)
     assert all(line.startswith("warning: ") for line in process.stderr.splitlines())
 
 
-def test_the_results_are_a_whole_run_and_nothing_else(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    out, _ = done
-    assert {p.name for p in out.iterdir()} == {*FILES, "run.json"}
-    assert {p.name for p in out.with_name("out-flight").iterdir()} == {"mav0", "truth"}
+def test_its_folder_holds_a_run_with_the_film_of_the_looks(landed: Done) -> None:
+    out, process = landed
+    assert {p.name for p in out.iterdir()} == {*FILES, "run.json"} - {"route.plan", "route.geojson"}
     info = json.loads((out / "run.json").read_text(encoding="utf-8"))
-    assert info["not_written"] == {}
-    assert info["notes"]["cameras"] == ["cam0", "cam1"]  # as it is, not as words
-    assert info["counts"]["cam0 images"] == info["counts"]["exposures"]
+    assert set(info["not_written"]) == {"route.plan", "route.geojson"}  # it is there
+    assert info["notes"]["landing"] == "landed"
+    page = (out / "report.html").read_text(encoding="utf-8")
+    looks = len(re.findall(r"look from [\d.]+ m", process.stdout))
+    assert len(re.findall(r"<h3>Look \d+, from", page)) == looks
+    assert "<h2>The landing</h2>" in page
 
 
-def test_the_comparison_shows_a_sound_run(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+def test_the_page_for_newcomers_shows_the_landing(landed: Done) -> None:
+    shown = start_page().split("```text\n")[1].split("```")[0]
+    assert {line.split(": ")[0].split("->")[-1] for line in shown.splitlines() if "->" in line} <= {
+        line.split(": ")[0].split("->")[-1] for line in landed[1].stdout.splitlines() if "->" in line
+    }
+    assert "touchdown by the simulator's truth: safe" in shown
+
+
+# -- the recorded flight
+
+
+def test_the_comparison_shows_a_sound_run(recorded: Done) -> None:
     """The bounds are loose: they tell a broken stage from a sound one. docs/lab/flights.md has the figures."""
-    found = rows(done[1].stdout)
+    found = rows(recorded[1].stdout)
     assert found["best site truly safe, registered"] == "yes"
     good, of = map(int, found["sites truly safe, registered"].split(" of "))
     assert good == of > 0
@@ -64,37 +99,23 @@ def test_the_comparison_shows_a_sound_run(done: tuple[Path, subprocess.Completed
     assert float(found["position RMSE less a constant, m"]) < 0.3
 
 
-def test_the_page_for_newcomers_shows_lines_of_the_demo(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    page = (Path(__file__).parents[1] / "docs" / "start.md").read_text(encoding="utf-8")
-    shown = page.split("```text\n")[1].split("```")[0]
-    found = rows(done[1].stdout)
-    assert len(rows(shown)) >= 4
-    assert set(rows(shown)) <= set(found)
-    assert rows(shown)["sites truly safe, registered"] == found["sites truly safe, registered"]
+def test_the_page_for_newcomers_shows_lines_of_the_comparison(recorded: Done) -> None:
+    shown = rows(start_page().split("```text\n")[2].split("```")[0])
+    found = rows(recorded[1].stdout)
+    assert len(shown) >= 4
+    assert set(shown) <= set(found)
+    assert shown["sites truly safe, registered"] == found["sites truly safe, registered"]
 
 
-def test_the_flight_can_be_run_and_evaluated_by_hand(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
-    out, process = done
-    flight = out.with_name("out-flight")
-    assert evaluate(out, flight).lines()[1:] == [s for s in process.stdout.splitlines() if s.startswith("  ")]
+def test_the_recorded_run_is_whole_and_the_command_prints_what_the_function_gives(recorded: Done) -> None:
+    out, process = recorded
+    assert {p.name for p in out.iterdir()} == {*FILES, "run.json"}
+    info = json.loads((out / "run.json").read_text(encoding="utf-8"))
+    assert info["not_written"] == {}
+    assert info["notes"]["cameras"] == ["cam0", "cam1"]  # as it is, not as words
+    assert info["counts"]["cam0 images"] == info["counts"]["exposures"]
+    assert evaluate(out, out.with_name("flight")).lines()[1:] == process.stdout.splitlines()[1:]
 
 
-def test_a_folder_of_somebody_else_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "out-flight").mkdir()
-    (tmp_path / "out-flight" / "thesis.tex").write_text("precious")
-    with pytest.raises(OutputError, match="out-flight: exists already"):
-        demo.fly_demo(tmp_path / "out", 1, Settings(), True, lambda stage, share: None)
-    assert (tmp_path / "out-flight" / "thesis.tex").read_text() == "precious"
-
-
-def test_the_folder_here_has_its_flight_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`--out .`: the flight must not land among the results."""
-    here = tmp_path / "here"
-    here.mkdir()
-    monkeypatch.chdir(here)
-    flown = []
-    monkeypatch.setattr(demo, "_simulate", lambda folder, *_: flown.append(folder))
-    monkeypatch.setattr(demo, "open_source", lambda *_: None)
-    monkeypatch.setattr(replay, "replay", lambda *_: None)
-    assert demo.fly_demo(Path(), 1, Settings(), False, lambda stage, share: None)[0] == tmp_path / "here-flight"
-    assert flown == [tmp_path / "here-flight"]
+def start_page() -> str:
+    return (Path(__file__).parents[1] / "docs" / "start.md").read_text(encoding="utf-8")

@@ -39,6 +39,7 @@ from alight.runner.live import Capacity, FlightHealth, LaneState, Listener, Live
 from alight.runner.live.effort import EffortControl
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
+from alight.runner.live.run import MOST_CELLS, for_flight
 from alight.runner.live.worker import LaneLost, Spec, Worker
 from alight.settings import Settings, load_settings
 from alight_sim import SimulatedFlight, default_rig, fly
@@ -96,6 +97,13 @@ class Heard:
 
 
 # -- the prediction rule
+
+
+def test_the_map_of_a_long_flight_is_bounded_for_a_small_computer() -> None:
+    """16 million cells, the most of a recording, took 8.5 GB to judge; less that is asked for stays."""
+    assert for_flight(Settings()).elevation.most_cells == MOST_CELLS
+    few = Settings.model_validate({"elevation": {"most_cells": 50_000}})
+    assert for_flight(few) == few
 
 
 def test_every_exposure_is_predicted_from_the_last_but_one() -> None:

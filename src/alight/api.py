@@ -182,7 +182,7 @@ def check(source: str | Path | Source, *, seconds: float = 10.0, start: float = 
 
 
 def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quiet) -> Result:
-    """Simulate a small flight, find a site in it and write both folders: `out`, and the flight in `OUT-flight`.
+    """Land a simulated vehicle (search, look, look again from lower down, touch down) and write the folder `out`.
 
     Raises:
         OutputError: a folder cannot be written.
@@ -190,8 +190,8 @@ def demo(out: str | Path = "out/demo", seed: int = 1, progress: Progress = _quie
     from alight.runner.demo import fly_demo
 
     with single_threaded_algebra():
-        _, found = fly_demo(Path(out), seed, Settings(), True, progress)
-    result = Result(found)
+        landing = fly_demo(Path(out), seed, Settings(), True, progress)
+    result = Result(landing.result)
     result.save(out, overwrite=True)
     return result
 

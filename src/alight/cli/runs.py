@@ -99,20 +99,18 @@ def demo(
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """Simulate a small flight, find a landing site in it and compare with the truth."""
+    """Land a simulated vehicle: search, look, look again from lower down, touch down."""
     chosen = read_settings(settings, assign)
-    from alight.evaluation import evaluate as compare
     from alight.runner import demo as show
     from alight.runner import replay
 
     with progress_bar() as tell:
-        flight, result = show.fly_demo(out, seed, chosen, force, tell)
-    tell_result(result)
-    replay.write_run(result, out, force)
-    for line in compare(out, flight).lines():
+        landing = show.fly_demo(out, seed, chosen, force, tell)
+    tell_result(landing.result)
+    replay.write_run(landing.result, out, force)
+    for line in landing.lines:
         say(line)
     say(f"report: {out / 'report.html'}")
-    say(f"flight: {flight}  (alight run takes it, alight evaluate compares with it)")
 
 
 @app.command("settings")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from alight.arrays import F64
+from alight.arrays import F32, F64, U8
 from alight.records.landing import HazardMap, Sites
 from alight.records.motion import MotionState
 from alight.records.surface import ElevationMap
@@ -142,12 +142,23 @@ class LookRecord:
         }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class LookPicture:
+    """What one look saw of the ground about its place, north up."""
+
+    look: LookRecord
+    photo: U8  # (S, S, 3) RGB; black where nothing was seen
+    p_safe: F32  # (S, S); NaN where it cannot be judged
+    reach: float  # metres from the place to the edge
+
+
 @dataclass
 class FlightDiary:
     """What happened in a landing, in order."""
 
     transitions: list[Transition] = field(default_factory=list)
     looks: list[LookRecord] = field(default_factory=list)
+    pictures: list[LookPicture] = field(default_factory=list)  # of the looks, where they were kept
 
     @property
     def entries(self) -> list[Transition | LookRecord]:

@@ -9,6 +9,7 @@ from alight.records import RunResult
 from alight.report import canvas, facts, figures, maps
 from alight.report.facts import warnings
 from alight.report.figures import Figure
+from alight.report.film import film
 
 __all__ = ["render", "warnings"]
 
@@ -48,6 +49,7 @@ def render(result: RunResult) -> str:
         warnings=warnings(result),
         tables=facts.place_tables(result),
         diary=facts.diary_rows(result),
+        film=film(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
         times=facts.times(result.timings),

@@ -1,36 +1,87 @@
-"""The demo: a simulated flight written as a log and run like any other. Also warms the kernels."""
+"""The demo: a landing in closed loop over simulated ground. Also warms the kernels, by a recorded flight."""
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import alight_sim as simulate
 from alight import compiled
 from alight.outputs import prepare_folder
 from alight.records import RunResult
+from alight.records.executive import FlightState
 from alight.runner import replay
+from alight.runner.landing import fly_landing
 from alight.settings import Settings
 from alight.sources import open_source
+from alight_sim.oracle import OracleLander, Touchdown, judge_touchdown
+from alight_sim.steered import SteeredFlight
+
+START = (-10.0, -20.0, 30.0)  # metres east and north, and above the ground there
+SHARE = {  # of a landing that is done, about
+    FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
+    FlightState.COMMIT: 0.8,
+}  # fmt: skip
 
 Tell = Callable[[str, float], None]
 
 
-def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> tuple[Path, RunResult]:
-    """Fly over simulated ground and find a site; return the folder of the flight, and what was found.
+@dataclass(frozen=True, eq=False)
+class DemoLanding:
+    """How the demo's landing went."""
 
-    The flight stays beside the results in a folder of its own, `OUT-flight`, as a log with its truth.
+    result: RunResult
+    state: FlightState
+    seconds: float
+    touchdown: Touchdown | None  # by the simulator's truth; None: it did not land
+
+    @property
+    def lines(self) -> list[str]:
+        """The flight in words, one line a look or change of state; then the truth."""
+        diary = self.result.diary
+        out = [e.line for e in diary.entries] if diary is not None else []
+        t = self.touchdown
+        if t is None:
+            return [*out, f"no touchdown: {self.state.value} after {self.seconds:.0f} s"]
+        safe = "safe" if t.safe else f"NOT safe ({', '.join(t.reasons)})"
+        shape = f"tilt {math.degrees(t.tilt):.1f} deg, rough {t.roughness:.2f} m"
+        return [*out, f"touchdown by the simulator's truth: {safe}; {shape}, {t.sink:.1f} m/s down"]
+
+
+def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Tell) -> DemoLanding:
+    """Search simulated ground for a place, look at it again from lower down, and land or give up.
 
     Raises:
-        AlightError: a folder cannot be written.
+        AlightError: the folder cannot be written.
     """
     prepare_folder(out, overwrite)
-    named = out if out.name not in ("", "..") else out.resolve()
-    flight = named.with_name(f"{named.name}-flight")
-    _simulate(flight, seed, None, tell)
-    return flight, replay.replay(open_source(flight, settings), settings, None, tell)
+    vehicle = SteeredFlight("demo", seed, start=START)
+    done = [0.0]
+
+    def happening(t: float, state: FlightState) -> None:
+        done[0] = max(done[0], SHARE.get(state, 0.0))
+        tell(state.value, done[0])
+
+    flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
+    assert flown.decision is not None
+    tell("landed" if flown.state is FlightState.LANDED else flown.state.value, 1.0)
+    result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
+    notes = {**result.notes, "landing": flown.state.value}
+    result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
+    return DemoLanding(result, flown.state, flown.seconds, _touchdown(vehicle, settings))
+
+
+def _touchdown(vehicle: SteeredFlight, settings: Settings) -> Touchdown | None:
+    c = vehicle.contact
+    if c is None:
+        return None
+    lander = OracleLander.of(settings.lander.model_dump())
+    seconds = vehicle.seconds
+    return judge_touchdown(vehicle.world, lander, c.pose, c.velocity_world, seconds)
 
 
 def _simulate(folder: Path, seed: int, seconds: float | None, tell: Tell) -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from alight import terrain
 from alight.arrays import F64
+from alight.geometry import Grid
 from alight.landing.executive import Executive
-from alight.pipeline import Pipeline, Verdict
+from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, MotionState, NavSample
-from alight.records.executive import FlightDiary, FlightState, Order, Seen, Situation
+from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
 
@@ -40,7 +44,8 @@ class Landing:
     p_at_commit: float | None = None
     verdicts: int = 0
     last: Verdict | None = None
-    film: list[tuple[float, str, Verdict]] = field(default_factory=list)  # looks: time, words, the verdict
+    decision: Decision | None = None  # of the whole flight, where it was asked for
+    timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
 
 
 def fly_landing(
@@ -48,7 +53,8 @@ def fly_landing(
     settings: Settings,
     appearance: terrain.Model | None = None,
     happening: Callable[[float, FlightState], None] = lambda t, state: None,
-    keep_film: bool = False,
+    keep_pictures: bool = False,
+    map_all: bool = False,
 ) -> Landing:
     """Search, look, look again, and land or give up.
 
@@ -57,25 +63,39 @@ def fly_landing(
         settings: all of them; the map is built recursively, whatever they say.
         appearance: what ground looks like.
         happening: is told of the time and the state before every order; it may let things happen.
-        keep_film: keep the verdict of every look.
+        keep_pictures: keep what every look saw.
+        map_all: make and judge the map of the whole flight at its end.
     """
-    loop = _Loop(vehicle, settings, appearance, keep_film)
+    loop = _Loop(vehicle, settings, appearance, keep_pictures)
     while not loop.over:
         happening(loop.t, loop.executive.state)
         loop.step()
-    return loop.result()
+    return loop.result(map_all)
 
 
 class _Loop:
     def __init__(
-        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, keep_film: bool
+        self,
+        vehicle: SteeredFlight,
+        settings: Settings,
+        appearance: terrain.Model | None,
+        keep_pictures: bool,
     ) -> None:
-        self._vehicle, self._keep = vehicle, keep_film
+        self._vehicle, self._keep = vehicle, keep_pictures
         self._settings = settings.model_copy(
-            update={"sites": settings.sites.model_copy(update={"every": 0})}
-        )  # judged when the executive needs it
+            update={
+                "sites": settings.sites.model_copy(update={"every": 0}),  # judged when the executive needs it
+                "parallax": settings.parallax.model_copy(update={"method": "ring"}),
+            }
+        )
         self._pipeline = Pipeline(
-            vehicle.rig, "flight", self._settings, history=False, appearance=appearance, imu=vehicle.imu_noise
+            vehicle.rig,
+            "flight",
+            self._settings,
+            clock=time.perf_counter,
+            history=False,
+            appearance=appearance,
+            imu=vehicle.imu_noise,
         )
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
@@ -115,11 +135,11 @@ class _Loop:
         if self._motion is None:  # nothing is known before the first exposure
             return
         self._judge()
-        before = len(self.executive.diary.looks)
+        diary = self.executive.diary
+        before = len(diary.looks)
         order = self.executive.tick(self._situation())
-        if self._keep and len(self.executive.diary.looks) > before and self._landing.last is not None:
-            look = self.executive.diary.looks[-1]
-            self._landing.film.append((look.t, f"{look.verdict} from {look.height:.0f} m", self._landing.last))
+        if self._keep and len(diary.looks) > before and self._seen is not None:
+            diary.pictures.append(look_picture(diary.looks[-1], self._seen))
         self._obey(order)
 
     def _situation(self) -> Situation:
@@ -170,12 +190,33 @@ class _Loop:
                 self._held = self._rows[-1][1].copy()
             self._wanted = Wanted(self._held, speed=1.0)
 
-    def result(self) -> Landing:
+    def result(self, map_all: bool) -> Landing:
         """How it went."""
         d = self.executive.diary
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
         p = commits[-1].p_safe if commits else None
-        return replace(self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p)
+        decision = self._pipeline.finish() if map_all else None
+        return replace(
+            self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p, decision=decision,
+            timings=self._pipeline.timings,
+        )  # fmt: skip
+
+
+def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
+    """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
+    across = (np.arange(size) + 0.5) / size * 2 * reach - reach
+    east, north = np.meshgrid(look.place[0] + across, look.place[1] - across)
+
+    def at(grid: Grid, values: NDArray[Any], blank: float) -> NDArray[Any]:
+        row, col = (np.rint(v).astype(int) for v in grid.index(east, north))
+        inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
+        out = np.full((size, size, *values.shape[2:]), blank, values.dtype)
+        out[inside] = values[row[inside], col[inside]]
+        return out
+
+    return LookPicture(
+        look, at(seen.elevation.grid, seen.elevation.rgb, 0), at(seen.hazards.grid, seen.hazards.p_safe, np.nan), reach
+    )
 
 
 def as_seen(verdict: Verdict, number: int, t: float) -> Seen:

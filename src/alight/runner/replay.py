@@ -13,7 +13,7 @@ from alight.outputs import FileStore, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
 from alight.records import Frame, InputError, RunResult
 from alight.settings import Settings
-from alight.sources import Source, open_source, read_tum
+from alight.sources import Described, Source, open_source, read_tum
 from alight.sources.library import read_model
 from alight.terrain import Model
 
@@ -97,7 +97,7 @@ def appearance_of(settings: Settings) -> Model | None:
     return read_model(None if name == "default" else Path(name))
 
 
-def result_of(source: Source, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
+def result_of(source: Described, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
     """Everything that the output folder and the report are made of."""
     return RunResult(
         source_name=source.name,

@@ -15,8 +15,8 @@ from alight.settings import ImuNoise, Settings
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
 
 
-class Source(Protocol):
-    """One recording: what its cameras are, where its world lies, and its events in order of time."""
+class Described(Protocol):
+    """What results say of what they came from: its name, its place on Earth, what was read and lost."""
 
     @property
     def name(self) -> str:
@@ -27,20 +27,12 @@ class Source(Protocol):
         """A flight is continuous in time; photos are single exposures far apart."""
 
     @property
-    def rig(self) -> Rig:
-        """The cameras, in the order of `Frame.images`."""
-
-    @property
     def local(self) -> LocalFrame:
         """Where the world's origin lies; meaningless unless `georeferenced`."""
 
     @property
     def georeferenced(self) -> bool:
         """False where the log says nothing about its place on Earth."""
-
-    @property
-    def truth_trajectory(self) -> Trajectory | None:
-        """True body poses in the world, where the recording has them."""
 
     @property
     def counts(self) -> dict[str, int]:
@@ -53,6 +45,18 @@ class Source(Protocol):
     @property
     def notes(self) -> dict[str, Any]:
         """Facts for the report: camera, focal length and where it came from, kind of GPS."""
+
+
+class Source(Described, Protocol):
+    """One recording: what its cameras are, where its world lies, and its events in order of time."""
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras, in the order of `Frame.images`."""
+
+    @property
+    def truth_trajectory(self) -> Trajectory | None:
+        """True body poses in the world, where the recording has them."""
 
     @property
     def imu_noise(self) -> ImuNoise:

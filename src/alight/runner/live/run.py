@@ -25,6 +25,7 @@ from alight.sources import Source
 log = logging.getLogger(__name__)
 
 RECORDING = "recording.mcap"
+MOST_CELLS = 2_000_000  # of the map of the whole flight
 TELL_EVERY = 0.5  # s between two lines of status
 SILENT = Listener()
 
@@ -83,7 +84,7 @@ class LiveRun:
         if not compiled.is_warm():  # a lane that compiles does not answer
             log.warning("loops are compiled before the flight, once; 'alight warmup' does it ahead of time")
             compile_kernels(lambda stage, share: None)
-        self._source, self._settings = source, settings
+        self._source, self._settings = source, (settings := for_flight(settings))
         head = FlightHead(source.name, source.rig, source.local, source.georeferenced, source.imu_noise, settings)
         self.recorder = Recorder(out / RECORDING, head) if record else None
         told = _Told(listener, self.recorder)
@@ -117,6 +118,12 @@ class LiveRun:
         self.live.close()
         if self.recorder is not None:
             self.recorder.close()
+
+
+def for_flight(settings: Settings) -> Settings:
+    """Settings whose map of the whole flight a small computer can judge at the end: 500 bytes a cell."""
+    most = min(settings.elevation.most_cells, MOST_CELLS)
+    return settings.model_copy(update={"elevation": settings.elevation.model_copy(update={"most_cells": most})})
 
 
 def _feed(live: Live, events: Iterator[Event], tell: Tell) -> None:
