@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from alight import compiled
+
 ROOT = Path(__file__).parents[1]
 NOBODY = 65534
 SCRIPT = """
