@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench fuzz bench-heights bench-live bench-coverage bench-ground bench-motion bench-simulator train pictures clean
+.PHONY: help demo test check format bench fuzz bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -47,6 +47,9 @@ train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hour
 
 bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py
+
+bench-photos: $(MADE)  ## a card of photos: CPU a megapixel, memory, coverage, accuracy; half an hour, or --full by hand
+	$(BIN)/python bench/bench_photos.py
 
 bench-simulator: $(MADE)  ## the simulator: speed, geometry, and how real it is beside ../shared/data
 	$(BIN)/python bench/bench_simulator.py && $(BIN)/python bench/realism.py

@@ -223,6 +223,20 @@ def test_consumer_gps_converges_within_its_sigma(noisy: Scene) -> None:
     assert np.abs(residuals(out.state, out.observations, told(noisy, lens="held"))).mean() < 0.5
 
 
+def test_altitude_tags_that_climb_lose_against_the_pictures() -> None:
+    """Three strips at one height whose tags climb by 60 m, without attitude."""
+    s = scene(strips=3, noise=0.4)
+    priors = told(s, sigma=1.0)
+    free = replace(priors, world_from_body=np.full_like(priors.world_from_body, np.nan))
+    assert not solved(s, free).first.climbs
+    centres = free.centres + np.column_stack([np.zeros((18, 2)), np.linspace(-30.0, 30.0, 18)])
+    out = solved(s, replace(free, centres=centres))
+    assert out.first.climbs
+    assert len(out.registered) == 18
+    off = out.state.centres[:, 2] - s.centres[:, 2]
+    assert np.ptp(off) < 3.0  # the tags: 60 m
+
+
 def test_a_straight_strip_is_held_by_the_gimbal() -> None:
     """Positions on a line leave the roll about it free: the attitude decides, and the covariance says how well."""
     s = scene(strips=1, photos=7, noise=0.4)

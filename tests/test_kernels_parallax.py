@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import twins
@@ -85,7 +86,8 @@ def run_shifted_cost(
     pictures: np.ndarray, keep: float, scale: np.ndarray, shift: np.ndarray, shape: tuple[int, int]
 ) -> tuple[np.ndarray, ...]:
     cost, count = np.full(shape, -9, np.float32), np.full(shape, -9, np.int32)
-    sweep.sweep_cost(pictures, scale, shift, network(len(pictures)), keep, np.float32(1.5), cost, count)
+    spans = np.zeros(shape, np.int32), np.full(shape, 9, np.int32)
+    sweep.sweep_cost(pictures, scale, shift, network(len(pictures)), keep, np.float32(1.5), *spans, 4, cost, count)
     return cost, count
 
 
@@ -188,10 +190,36 @@ def volume(kind: str) -> tuple[np.ndarray, np.ndarray]:
     return cost.astype(np.float32), rng.normal(size=(ROWS, COLS)).astype(np.float32)
 
 
-def run_aggregate(kind: str) -> tuple[np.ndarray, ...]:
+Spans = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def whole() -> Spans:
+    """Every cell has all planes."""
+    shape = ROWS, COLS
+    return np.zeros(shape, np.int32), np.full(shape, DEPTH - 1, np.int32), DEPTH * np.arange(ROWS * COLS).reshape(shape)
+
+
+def ragged() -> Spans:
+    """Every cell has planes of its own, some none of those of their neighbours."""
+    rng = np.random.default_rng(5)
+    low = rng.integers(0, DEPTH, (ROWS, COLS)).astype(np.int32)
+    high = np.minimum(low + rng.integers(0, DEPTH, low.shape), DEPTH - 1).astype(np.int32)
+    sizes = (high - low + 1).astype(np.int64)
+    return low, high, sizes.cumsum().reshape(low.shape) - sizes
+
+
+def packed(values: np.ndarray, spans: Spans) -> np.ndarray:
+    """The values (R, C, D) within the spans, one cell after the other."""
+    planes = np.arange(values.shape[2])
+    return np.ascontiguousarray(values[(spans[0][..., None] <= planes) & (planes <= spans[1][..., None])])
+
+
+def run_aggregate(kind: str, spans: Spans | None = None) -> tuple[np.ndarray, ...]:
     cost, image = volume(kind)
-    halves = np.full((2, *cost.shape), -9, np.float32)
-    sweep.aggregate(cost, image, np.float32(0.05), np.float32(0.5), np.float32(0.5), halves)
+    spans = spans or whole()
+    own = packed(cost, spans)
+    halves = np.full((2, own.size), -9, np.float32)
+    sweep.aggregate(own, *spans, image, np.float32(0.05), np.float32(0.5), np.float32(0.5), halves)
     return (halves.sum(axis=0),)
 
 
@@ -200,8 +228,16 @@ def run_winner(kind: str) -> tuple[np.ndarray, ...]:
     count = np.full((ROWS, COLS), 4, np.int32)
     count[2:5, 3:7] = 1
     index, ratio = np.empty((ROWS, COLS), np.float32), np.empty((ROWS, COLS), np.float32)
-    sweep.winner(run_aggregate(kind)[0], cost, count, index, ratio)
+    sweep.winner(run_aggregate(kind)[0], packed(cost, whole()), *whole(), count, index, ratio)
     return index, ratio
+
+
+def run_store(spans: Spans) -> tuple[np.ndarray, ...]:
+    cost, _ = volume("random")
+    out = np.full(int((spans[1] - spans[0] + 1).sum()), -9, np.float32)
+    for k in range(DEPTH):
+        sweep.store(np.ascontiguousarray(cost[:, :, k]), k, *spans, out)
+    return (out,)
 
 
 # -- against the twins
@@ -266,7 +302,41 @@ def test_networks_sort_and_find_the_median(n: int) -> None:
 def test_aggregate(kind: str) -> None:
     cost, image = volume(kind)
     want = twins.aggregate(cost.astype(np.float64), image.astype(np.float64), 0.05, 0.5, 0.5)
-    assert_allclose(run_aggregate(kind)[0], want, rtol=1e-5, atol=1e-5)
+    assert_allclose(run_aggregate(kind)[0], packed(want, whole()), rtol=1e-5, atol=1e-5)
+
+
+@kinds
+def test_aggregate_of_cells_with_planes_of_their_own(kind: str) -> None:
+    cost, image = volume(kind)
+    spans = ragged()
+    planes = np.arange(DEPTH)
+    has = (spans[0][..., None] <= planes) & (planes <= spans[1][..., None])
+    want = twins.aggregate(np.where(has, cost.astype(np.float64), np.inf), image.astype(np.float64), 0.05, 0.5, 0.5)
+    assert_allclose(run_aggregate(kind, spans)[0], packed(want, spans), rtol=1e-5, atol=1e-5)
+
+
+def test_sweep_cost_of_some_cells_is_that_of_all() -> None:
+    s = stack("holes")
+    want, seen = run_sweep_cost(s, 0.7)
+    pictures, shape = np.pad(s, ((0, 0), (1, 2), (1, 2)), constant_values=0.0), s.shape[1:]
+    low, high = np.zeros(shape, np.int32), np.full(shape, 3, np.int32)
+    some = np.zeros(shape, bool)
+    some[2, 1:3], some[5, ::2], some[-1, -1] = True, True, True
+    high[some] = 4
+    cost, count = np.full(shape, -9, np.float32), np.full(shape, -9, np.int32)
+    ones = np.ones((len(s), 2))
+    sweep.sweep_cost(
+        pictures, ones[:, 0], ones, network(len(s)), 0.7, np.float32(1.5), low, high, 4, cost, count
+    )  # fmt: skip
+    assert_array_equal(cost[some], want[some])
+    assert_array_equal(count[some], seen[some])
+    assert (cost[0] == -9).all()
+
+
+@pytest.mark.parametrize("spans", [whole(), ragged()], ids=["whole", "ragged"])
+def test_store(spans: Spans) -> None:
+    means = cv2.blur(volume("random")[0], (3, 3))
+    assert_allclose(run_store(spans)[0], packed(means, spans), rtol=1e-5)
 
 
 @kinds
@@ -274,7 +344,7 @@ def test_winner(kind: str) -> None:
     cost, _ = volume(kind)
     count = np.full((ROWS, COLS), 4)
     count[2:5, 3:7] = 1
-    total = run_aggregate(kind)[0]
+    total = run_aggregate(kind)[0].reshape(cost.shape)
     index, ratio = twins.winner(total.astype(np.float64), cost.astype(np.float64), count)
     got = run_winner(kind)
     same_nan(got[0], index, atol=2e-3)
@@ -282,12 +352,14 @@ def test_winner(kind: str) -> None:
     assert np.isnan(got[0]).sum() == 12
 
 
-def test_winner_finds_the_vertex_of_a_parabola() -> None:
-    cost = (0.1 + (np.arange(DEPTH) - 4.3) ** 2).astype(np.float32)[None, None]
+def test_winner_finds_the_vertex_of_a_parabola_from_the_first_plane_of_the_cell() -> None:
+    cost = (0.1 + (np.arange(DEPTH) - 4.3) ** 2).astype(np.float32)
     index, ratio = np.empty((1, 1), np.float32), np.empty((1, 1), np.float32)
-    sweep.winner(cost, cost, np.full((1, 1), 2, np.int32), index, ratio)
-    assert index[0, 0] == pytest.approx(4.3, abs=1e-5)
-    assert ratio[0, 0] == pytest.approx(cost[0, 0, 4] / cost.max(), rel=1e-5)  # no other valley: the worst cost
+    low = np.full((1, 1), 20, np.int32)
+    spans = low, low + DEPTH - 1, np.zeros((1, 1), np.int64)
+    sweep.winner(cost, cost, *spans, np.full((1, 1), 2, np.int32), index, ratio)
+    assert index[0, 0] == pytest.approx(24.3, abs=1e-5)
+    assert ratio[0, 0] == pytest.approx(cost[4] / cost.max(), rel=1e-5)  # no other valley: the worst cost
 
 
 @pytest.mark.parametrize("reach", [2, 3, 5])
@@ -464,7 +536,8 @@ def test_project_takes_a_single_column() -> None:
 
 CALLS: dict[str, Callable[[], tuple[np.ndarray, ...]]] = {
     "sweep_cost": lambda: run_sweep_cost(stack("holes"), 0.7),
-    "aggregate": lambda: run_aggregate("random"),
+    "aggregate": lambda: run_aggregate("random", ragged()),
+    "store": lambda: run_store(ragged()),
     "splat": lambda: run_splat("random"),
     "winner": lambda: run_winner("random"),
     "normalise": lambda: run_normalise(2),

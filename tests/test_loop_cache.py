@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from alight import compiled
+
 ROOT = Path(__file__).parents[1]
 NOBODY = 65534
 SCRIPT = """
@@ -127,3 +129,16 @@ def test_nowhere_to_write_at_all(loop: Path, monkeypatch: pytest.MonkeyPatch, tm
 def test_a_number_of_threads_that_no_machine_has(loop: Path, count: str) -> None:
     _, said = run(loop, NUMBA_NUM_THREADS=count)
     assert "not a number from 1 to" in said
+
+
+def test_compiled_loops_of_another_checkout_do_not_count_as_warm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The cache goes by the place and the time of each source: the same text elsewhere is compiled anew."""
+    monkeypatch.setattr(compiled, "CACHE", tmp_path)
+    compiled.mark_warm()
+    assert compiled.is_warm()
+    other = tmp_path / "kernels.py"
+    other.write_text("")
+    monkeypatch.setattr(compiled, "kernel_sources", lambda: iter([other]))
+    assert not compiled.is_warm()

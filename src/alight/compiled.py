@@ -10,6 +10,7 @@ import importlib
 import logging
 import os
 import pickle
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -164,16 +165,22 @@ def load_cached(parallel: bool) -> int:
     return loaded
 
 
+def _mark(folder: Path) -> Path:
+    """The file that says that all loops are compiled: of these sources at this place, as the cache goes by both."""
+    about = [sys.version, numba.__version__, *(f"{p.resolve()} {p.stat().st_mtime_ns}" for p in kernel_sources())]
+    return folder / f"warm-{hashlib.sha256(repr(about).encode()).hexdigest()[:16]}"
+
+
 def is_warm() -> bool:
     """Whether every loop of a run was compiled on this machine, of these sources."""
-    return CACHE is not None and (CACHE / "warm").exists()
+    return CACHE is not None and _mark(CACHE).exists()
 
 
 def mark_warm() -> None:
     """Note that it was."""
     if CACHE is not None:
         with suppress(OSError):
-            (CACHE / "warm").touch()
+            _mark(CACHE).touch()
 
 
 class CompilationListener(event.Listener):  # type: ignore[misc]

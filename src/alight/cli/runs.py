@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -24,6 +24,8 @@ from alight.cli.app import (
 )
 from alight.records import RunResult
 from alight.settings import settings_page
+
+Quality = Literal["fast", "normal", "fine"]
 
 
 def _place(result: RunResult, position: Sequence[float]) -> str:
@@ -50,13 +52,17 @@ def run(
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
     ] = None,
+    quality: Annotated[
+        Quality | None, typer.Option(help="Size of the cells: the same as --set parallax.quality=...")
+    ] = None,
     settings: SettingsOption = None,
     assign: SetOption = None,
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
     """Find a landing site in a recorded flight or a folder of photos."""
-    chosen = read_settings(settings, assign)
+    asked = [f"parallax.quality={quality}"] if quality else []
+    chosen = read_settings(settings, [*(assign or ()), *asked])
     from alight.runner import replay
 
     with progress_bar() as tell:

@@ -5,10 +5,10 @@ from alight.parallax.datum import with_datum
 from alight.parallax.orthophoto import orthophoto
 from alight.parallax.pose_error import Matched
 from alight.parallax.recursive import RecursiveParallax
-from alight.parallax.sparse_points import find_points, height_range
+from alight.parallax.sparse_points import find_points, height_range, supported
 from alight.parallax.views import ground_sampling
 
 __all__ = [
     "Images", "Matched", "RecursiveParallax", "find_points", "ground_sampling", "height_range", "match_tile",
-    "orthophoto", "with_datum",
+    "orthophoto", "supported", "with_datum",
 ]  # fmt: skip

@@ -20,10 +20,15 @@ from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import Prepared, choose_views, maps, prepare_view, rgb_of, stack
+from alight.parallax.views import Prepared, choose_views, coarser, maps, prepare_view, rgb_of, stack
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
+
+MOST_BYTES = 400_000_000  # of views that are kept ready
+LEAST_KEPT = 16  # of them, however large
+LEAST_ACROSS = 64  # cells that the shorter side of a halved picture covers: smaller ones show too little
+PYRAMID = 4 / 3  # an image with all its halvings over itself
 
 
 def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
@@ -39,21 +44,25 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 class Images:
     """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept."""
 
-    def __init__(self, views: Sequence[View], cell: float, height: float, keep: int = 64) -> None:
+    def __init__(self, views: Sequence[View], cell: float, height: float, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
         self.cell = cell
         self.height = height  # metres, of the ground in general: for the ground sampling distance
-        self._ready: OrderedDict[int, Prepared] = OrderedDict()
-        self._keep = keep
+        self._ready: OrderedDict[int, list[Prepared]] = OrderedDict()
+        self._most_bytes = most_bytes
 
-    def get(self, index: int) -> Prepared:
-        """View `index` at the cell of the grid."""
+    def get(self, index: int, halved: int = 0) -> Prepared:
+        """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
         if index not in self._ready:
-            self._ready[index] = prepare_view(self.views[index], self.cell, self.height)
-            if len(self._ready) > self._keep:
+            self._ready[index] = [prepare_view(self.views[index], self.cell, self.height)]
+            each = PYRAMID * (self._ready[index][0].grey.nbytes + self._ready[index][0].norm.nbytes)
+            while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                 self._ready.popitem(last=False)
         self._ready.move_to_end(index)
-        return self._ready[index]
+        levels = self._ready[index]
+        while len(levels) <= halved:
+            levels.append(coarser(levels[-1]))
+        return levels[halved]
 
 
 class Match(NamedTuple):
@@ -84,9 +93,12 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     few, of = (
         choose_views(views, grid, 0.5 * (low + high), n, plan.max_tangent) for n in (plan.views, plan.references)
     )
-    swept = [fine[k] for k in few]
+    across = float(np.median([min(p.camera.width, p.camera.height) / p.ratio for p in fine]))
+    halvings = sum(across >= LEAST_ACROSS << k for k in range(1, plan.halvings + 1))
+    levels = [fine, *([images.get(i, k) for i in chosen] for k in range(1, halvings + 1))]
+    swept = [[prepared[k] for k in few] for prepared in levels]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
-    rest, its_ratio = sweep_unseen(fine, grid, (low, high), ground, np.isnan(start), plan)
+    rest, its_ratio = sweep_unseen(levels, grid, (low, high), ground, np.isnan(start), plan)
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None

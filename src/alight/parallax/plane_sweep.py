@@ -8,12 +8,13 @@ at the height of the ground by whatever stands before it, and things seen from t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from alight.arrays import F32, F64, Mask
+from alight.arrays import F32, F64, I32, I64, Mask
 from alight.geometry import Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
@@ -21,6 +22,12 @@ from alight.parallax.views import Prepared, centres_of, maps, sample
 from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
+LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
+BESIDE = 1  # coarse cells about one whose heights a ray tries
+BORDER = 6  # the same where none of these has a height
+SLACK = 2  # planes beyond these
+OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
+MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
 
 Span = tuple[float, float]  # lowest and highest height, metres
 Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
@@ -99,7 +106,7 @@ def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) 
 
 
 def sweep_unseen(
-    prepared: list[Prepared], grid: Grid, searched: Span, ground: float, wanted: Mask, tuning: SweepTuning
+    pyramid: Sequence[list[Prepared]], grid: Grid, searched: Span, ground: float, wanted: Mask, tuning: SweepTuning
 ) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
@@ -111,10 +118,10 @@ def sweep_unseen(
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             rows, cols = where
             part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
-            reference = best_reference(prepared, part, ground, left[where])
+            reference = best_reference(pyramid[0], part, ground, left[where])
             if reference is None:
                 continue
-            found, of = sweep(prepared, part, searched, ground, reference, tuning)
+            found, of = sweep(pyramid, part, searched, ground, reference, tuning)
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
@@ -150,42 +157,138 @@ def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: 
     return int(np.argmax(worth)) if max(worth) > 0 else None
 
 
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """First and last plane that each ray tries, and where its costs begin in the volume."""
+
+    low: I32  # (R, C)
+    high: I32  # (R, C)
+
+    @classmethod
+    def whole(cls, shape: tuple[int, int], count: int) -> Spans:
+        """All of `count` planes for every ray."""
+        return cls(np.zeros(shape, np.int32), np.full(shape, count - 1, np.int32))
+
+    @classmethod
+    def about(cls, found: F32, shape: tuple[int, int], levels: F32) -> Spans:
+        """Planes about the heights found at twice the cells (R / 2, C / 2), of a cell and those beside it.
+
+        Beside a step a ray tries what stands on both sides of it and between (Rothermel et al. 2012, tSGM).
+        """
+        low, high = extremes(found, BESIDE)
+        beyond = extremes(found, BORDER)  # smaller pixels reach further towards the border of a picture
+        for end, further in zip((low, high), beyond, strict=True):
+            np.copyto(end, further, where=~np.isfinite(end))
+        none = low > high  # two views see nothing there, at any resolution
+        low[none] = high[none] = levels[0]
+        spacing, last = levels[1] - levels[0], len(levels) - 1
+        ends = np.floor((low - levels[0]) / spacing) - SLACK, np.ceil((high - levels[0]) / spacing) + SLACK
+        wide = (doubled(v, shape) for v in ends)
+        return cls(*(np.clip(v, 0, last).astype(np.int32) for v in wide))
+
+    @property
+    def neighbours(self) -> Spans:
+        """With the spans of the rays beside, whose costs are averaged."""
+        near = np.ones((3, 3), np.uint8)
+        low, high = -cv2.dilate(-self.low.astype(np.float32), near), cv2.dilate(self.high.astype(np.float32), near)
+        return Spans(low.astype(np.int32), high.astype(np.int32))
+
+    @property
+    def first(self) -> I64:
+        """(R, C) index of each ray's first cost."""
+        ends = np.cumsum((self.high - self.low + 1).ravel(), dtype=np.int64)
+        return np.concatenate([np.zeros(1, np.int64), ends[:-1]]).reshape(self.low.shape)
+
+    @property
+    def size(self) -> int:
+        """Costs of all rays."""
+        return int((self.high - self.low + 1).sum(dtype=np.int64))
+
+
 def sweep(
-    prepared: list[Prepared], grid: Grid, searched: Span, ground: float, reference: int, tuning: SweepTuning
+    pyramid: Sequence[list[Prepared]], grid: Grid, searched: Span, ground: float, reference: int, tuning: SweepTuning
 ) -> Swept:
     """Find the height of every cell that view `reference` sees (docs/method/parallax.md, eqs. 6 and 7).
 
-    `searched`: lowest and highest height, metres; `ground`: metres, about where most of it lies. As many planes are
-    tried as the views that see any of it can tell apart.
+    Args:
+        pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
+            planes that its views can tell apart, each finer one those about what the coarser found.
+        grid: the cells.
+        searched: lowest and highest height, metres.
+        ground: metres, about where most of it lies.
+        reference: the view along whose rays heights are tried.
 
     Returns:
         heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
         second one fits.
     """
-    about = prepared[reference].centre
-    rays = ray_lattice(grid, ground, searched, prepared[reference])
-    views = register(prepared, rays, ground, searched, reference)
-    levels = planes(views.centres, *searched, grid.cell, tuning.most_planes)
-    cost = np.empty((*rays.shape, len(levels)), np.float32)
+    about = pyramid[0][reference].centre
+    rays = ray_lattice(grid, ground, searched, pyramid[0][reference])
+    of = [rays]
+    while len(of) < len(pyramid) and min(of[-1].shape) >= 2 * LEAST_SIDE:
+        of.append(of[-1].coarser(2))
+    found, ratio = np.empty((0, 0), np.float32), np.empty((0, 0), np.float32)
+    for k in reversed(range(len(of))):
+        views = register(pyramid[k], of[k], ground, searched, reference)
+        levels = planes(views.centres, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
+        narrow = k == 0 and len(of) > 1
+        spans = Spans.about(found, rays.shape, levels) if narrow else Spans.whole(of[k].shape, len(levels))
+        found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
+        ratio = np.fmax(doubt, doubled(ratio, rays.shape)) if narrow else doubt
+        searched = narrowed(found, searched, float(levels[1] - levels[0]))
+    return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
+
+
+def extremes(found: F32, reach: int) -> tuple[F32, F32]:
+    """Lowest and highest known height within `reach` cells; infinite, the lowest above the highest, where none is."""
+    near, known = np.ones((2 * reach + 1,) * 2, np.uint8), np.isfinite(found)
+    border = cv2.BORDER_REPLICATE  # OpenCV's own is the largest number, not infinity
+    low = cv2.erode(np.where(known, found, np.float32(np.inf)), near, borderType=border)
+    high = cv2.dilate(np.where(known, found, np.float32(-np.inf)), near, borderType=border)
+    return np.asarray(low, np.float32), np.asarray(high, np.float32)
+
+
+def narrowed(found: F32, searched: Span, spacing: float) -> Span:
+    """Heights to search with smaller cells: those `found`, and a margin for what is too thin for the larger ones."""
+    known = found[np.isfinite(found)]
+    if not known.size:
+        return searched
+    low, high = (float(v) for v in np.percentile(known, [OUTSIDE, 100.0 - OUTSIDE]))
+    margin = MARGIN_SHARE * (high - low) + MARGIN_PLANES * spacing
+    return max(searched[0], low - margin), min(searched[1], high + margin)
+
+
+def doubled(values: F32, shape: tuple[int, int]) -> F32:
+    """The values of 2 x 2 cells on each of them."""
+    size = (2 * values.shape[1], 2 * values.shape[0])
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)[: shape[0], : shape[1]])
+
+
+def along_rays(views: Registered, rays: Grid, levels: F32, spans: Spans, about: F64, tuning: SweepTuning) -> Swept:
+    """Heights and best/second cost (R, C) of `rays` to `about`, of the planes `levels` those in their `spans`."""
+    first, near, everywhere = spans.first, spans.neighbours, Spans.whole(rays.shape, len(levels))
+    cost = np.empty(spans.size, np.float32)
     plane, count = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.int32)
-    pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - ground)))
+    pairs, usual = network(len(views.pictures)), int(np.argmin(np.abs(levels - views.ground)))
     seen, truncation = np.zeros(rays.shape, np.int32), np.float32(tuning.truncation)
     scales, shifts = views.at(rays, levels, about)
     for k, (scale, shift) in enumerate(zip(scales, shifts, strict=True)):
-        kernels.sweep_cost(views.pictures, scale, shift, pairs, tuning.keep_share, truncation, plane, count)
-        cost[:, :, k] = cv2.blur(plane, (3, 3))
+        wanted = everywhere if k == usual else near
+        kernels.sweep_cost(
+            views.pictures, scale, shift, pairs, tuning.keep_share, truncation, wanted.low, wanted.high, k, plane, count
+        )
+        kernels.store(plane, k, spans.low, spans.high, first, cost)
         if k == usual:  # beyond the border only a wrong height brings a second view in
             seen = count.copy()
     seen[np.isnan(views.guide)] = 0
-    halves = np.empty((2, *cost.shape), np.float32)
-    penalties = tuning.penalty_one_plane, tuning.penalty_more_planes, tuning.edge_discount
-    kernels.aggregate(cost, np.nan_to_num(views.guide), *map(np.float32, penalties), halves)
+    halves = np.empty((2, len(cost)), np.float32)
+    penalties = map(np.float32, (tuning.penalty_one_plane, tuning.penalty_more_planes, tuning.edge_discount))
+    kernels.aggregate(cost, spans.low, spans.high, first, np.nan_to_num(views.guide), *penalties, halves)
     total = np.add(halves[0], halves[1], out=halves[0])
     index, ratio = np.empty(rays.shape, np.float32), np.empty(rays.shape, np.float32)
-    kernels.winner(total, cost, seen, index, ratio)
-    spacing = levels[1] - levels[0]
-    found = cv2.medianBlur((levels[0] + spacing * index).astype(np.float32), 3)  # single spikes
-    return upright(found, ratio, rays, ground, about, grid, tuning.gap_cells)
+    kernels.winner(total, cost, spans.low, spans.high, first, seen, index, ratio)
+    found = levels[0] + (levels[1] - levels[0]) * index
+    return cv2.medianBlur(found.astype(np.float32), 3), ratio  # single spikes
 
 
 def upright(found: F32, ratio: F32, rays: Grid, ground: float, about: F64, grid: Grid, gap: int) -> Swept:

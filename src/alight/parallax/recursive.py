@@ -232,7 +232,7 @@ class RecursiveParallax:
         grid, ground = cells_of(window.grid, box), float(np.clip(self._ground, *window.searched))
         ready = [v.fine if coarser == 1 else v.coarse for v in views]
         wanted = np.ascontiguousarray(fresh[::coarser, ::coarser])
-        found = sweep_unseen(ready, grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
+        found = sweep_unseen([ready], grid.coarser(coarser), window.searched, ground, wanted, self._sweep_tuning)
         height, ratio = (refine.enlarged(v, grid, coarser) for v in found)
         return height, ratio
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from alight.arrays import F32, F64, I32, I64, U8
+from alight.arrays import F32, F64, I32, I64
 from alight.compiled import inline, kernel, minimum_kernel, parallel_kernel, prange
 from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, sort_rows
 
@@ -10,6 +10,7 @@ Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
 FAR = np.float32(1e9)  # cost beyond the first and last plane
 BAND = 16  # rows a thread takes at once
+NEAR = 8  # cells between runs that are computed as one
 
 
 @kernel
@@ -69,10 +70,11 @@ def _between(rows: F32, taps: Four, out: F32) -> None:
 
 
 @kernel
-def _along(row: F32, first: I32, taps: F32, out: F32) -> None:
+def _along(row: F32, first: I32, taps: F32, start: int, out: F32) -> None:
     for c in range(out.size):
-        k = first[c]
-        out[c] = taps[0, c] * row[k] + taps[1, c] * row[k + 1] + taps[2, c] * row[k + 2] + taps[3, c] * row[k + 3]
+        k = first[start + c]
+        a, b = taps[0, start + c] * row[k], taps[1, start + c] * row[k + 1]
+        out[c] = a + b + taps[2, start + c] * row[k + 2] + taps[3, start + c] * row[k + 3]
 
 
 @kernel
@@ -86,15 +88,31 @@ def _columns(scale: float, shift: float, size: int, first: I32, taps: F32) -> No
         taps[0, c], taps[1, c], taps[2, c], taps[3, c] = _taps(x - k if inside else np.nan)
 
 
+@kernel
+def _next_run(low: I32, high: I32, plane: int, start: int) -> tuple[int, int]:
+    """The next cells of a row whose span (`low` to `high`) holds the plane; runs less than `NEAR` apart are one."""
+    cols = low.size
+    while start < cols and not low[start] <= plane <= high[start]:
+        start += 1
+    stop, c = start, start
+    while c < cols and c - stop < NEAR:
+        if low[c] <= plane <= high[c]:
+            stop = c + 1
+        c += 1
+    return start, stop
+
+
 @parallel_kernel
 def sweep_cost(
-    pictures: F32, scale: F64, shift: F64, pairs: I64, keep: float, truncation: float, cost: F32, count: I32
-) -> None:
+    pictures: F32, scale: F64, shift: F64, pairs: I64, keep: float, truncation: float,
+    low: I32, high: I32, plane: int, cost: F32, count: I32,
+) -> None:  # fmt: skip
     """Fill `cost` (R, C) with the mean of the smallest `keep` share of |s_i - median| (eq. 6), `count` with the views.
 
     `pictures` (N, P, Q) are registered on a plane; cell (r, c) lies at row `scale[i] r + shift[i, 0]` and column
     `scale[i] c + shift[i, 1]` of picture i. Occluded and moving views are the largest deviations; leaving them out is
-    what keeps walls upright. `pairs`: the sorting network of N.
+    what keeps walls upright. `pairs`: the sorting network of N. Cells whose first and last plane, `low` and `high`
+    (R, C), leave out this `plane` may keep what they had.
     """
     n, height, width = pictures.shape
     rows, cols = cost.shape
@@ -102,29 +120,54 @@ def sweep_cost(
     for i in range(n):
         _columns(scale[i], shift[i, 1], width, first[i], taps[i])
     for band in prange((rows + BAND - 1) // BAND):
-        views, samples = np.empty((n, cols), np.float32), np.empty(cols, np.float32)
-        rest, row = np.empty((4, cols), np.float32), np.empty(width, np.float32)
-        seen, median, quota, total = rest[0], rest[1], rest[2], rest[3]
+        held, row = np.empty((n + 5) * cols, np.float32), np.empty(width, np.float32)
         for r in range(band * BAND, min(rows, band * BAND + BAND)):
-            seen[:] = total[:] = np.float32(0)
-            for i in range(n):
-                y = scale[i] * r + shift[i, 0]
-                k = int(np.floor(y))
-                if 1 <= k < height - 2:
-                    _between(pictures[i, k - 1 : k + 3], _taps(y - k), row)
-                    _along(row, first[i], taps[i], samples)
-                else:
-                    samples[:] = np.float32(np.nan)
-                fill_row(samples, views[i], seen)
-            sort_rows(views, pairs)
-            median_row(views, seen, median)
-            for i in range(n):
-                _deviate_row(views[i], median)
-            sort_rows(views, pairs)
-            _quota_row(seen, np.float32(keep), quota)
-            for i in range(n):
-                _add_row(views[i], np.float32(i), quota, np.float32(truncation), total)
-            _cost_row(total, quota, seen, np.float32(truncation), cost[r], count[r])
+            start, stop = _next_run(low[r], high[r], plane, 0)
+            while start < stop:
+                m = stop - start
+                views, rest = held[: n * m].reshape((n, m)), held[n * m : (n + 5) * m].reshape((5, m))
+                seen, median, quota, total, samples = rest[0], rest[1], rest[2], rest[3], rest[4]
+                seen[:] = total[:] = np.float32(0)
+                for i in range(n):
+                    y = scale[i] * r + shift[i, 0]
+                    k = int(np.floor(y))
+                    left = min(max(int(np.floor(scale[i] * start + shift[i, 1])) - 1, 0), width)
+                    right = min(max(int(np.floor(scale[i] * (stop - 1) + shift[i, 1])) + 3, left), width)
+                    if 1 <= k < height - 2:
+                        _between(pictures[i, k - 1 : k + 3, left:right], _taps(y - k), row[left:right])
+                        _along(row, first[i], taps[i], start, samples)
+                    else:
+                        samples[:] = np.float32(np.nan)
+                    fill_row(samples, views[i], seen)
+                sort_rows(views, pairs)
+                median_row(views, seen, median)
+                for i in range(n):
+                    _deviate_row(views[i], median)
+                sort_rows(views, pairs)
+                _quota_row(seen, np.float32(keep), quota)
+                for i in range(n):
+                    _add_row(views[i], np.float32(i), quota, np.float32(truncation), total)
+                _cost_row(total, quota, seen, np.float32(truncation), cost[r, start:stop], count[r, start:stop])
+                start, stop = _next_run(low[r], high[r], plane, stop)
+
+
+@parallel_kernel
+def store(values: F32, plane: int, low: I32, high: I32, first: I64, cost: F32) -> None:
+    """Put the 3 x 3 means of a plane's `values` (R, C) in the volume `cost`, of the cells whose span holds the plane.
+
+    The costs of cell (r, c) begin at `first[r, c]` of `cost`, one for each plane from `low[r, c]` to `high[r, c]`.
+    """
+    rows, cols = values.shape
+    ninth = np.float32(1.0 / 9.0)
+    for r in prange(rows):
+        up, down = r - 1 if r > 0 else min(1, rows - 1), r + 1 if r < rows - 1 else max(rows - 2, 0)
+        for c in range(cols):
+            if low[r, c] <= plane <= high[r, c]:
+                a, b = c - 1 if c > 0 else min(1, cols - 1), c + 1 if c < cols - 1 else max(cols - 2, 0)
+                above = values[up, a] + values[up, c] + values[up, b]
+                beside = values[r, a] + values[r, c] + values[r, b]
+                below = values[down, a] + values[down, c] + values[down, b]
+                cost[first[r, c] + plane - low[r, c]] = ninth * (above + beside + below)
 
 
 @minimum_kernel
@@ -136,11 +179,10 @@ def _lowest(values: F32) -> float:
 
 
 @kernel
-def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.float32, now: F32, total: F32) -> None:
-    """One cell of one path: `before` and `now` have a cell of `FAR` at both ends."""
+def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.float32, out: F32, total: F32) -> None:
+    """Some planes of one cell of one path; `before` has those of the cell before it and one more at both ends."""
     depth = cost.size
     same, down, up = before[1 : depth + 1], before[:depth], before[2 : depth + 2]
-    out = now[1 : depth + 1]
     for d in range(depth):
         m = same[d] if same[d] < jump else jump
         a, b = down[d] + p1, up[d] + p1
@@ -152,10 +194,26 @@ def _extend(cost: F32, before: F32, best: np.float32, jump: np.float32, p1: np.f
 
 
 @kernel
-def _path(cost: F32, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int, total: F32) -> None:
-    """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) over `cost` (R, C, D) to `total`."""
-    rows, cols, depth = cost.shape
-    paths = np.full((2, cols, depth + 2), FAR, np.float32)
+def _begin(cost: F32, more: np.float32, out: F32, total: F32) -> None:
+    """Planes that the cell before it does not have."""
+    for d in range(cost.size):
+        v = cost[d] + more
+        out[d] = v
+        total[d] += v
+
+
+@kernel
+def _path(
+    cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, dr: int, dc: int,
+    total: F32,
+) -> None:  # fmt: skip
+    """Add one direction of semi-global matching (Hirschmueller 2008, eq. 13) to `total`."""
+    rows, cols = image.shape
+    depth = 1
+    for r in range(rows):
+        for c in range(cols):
+            depth = max(depth, high[r, c] - low[r, c] + 1)
+    paths = np.full((2, cols, depth + 4), FAR, np.float32)  # two planes of `FAR` at both ends of a cell's own
     best = np.empty((2, cols), np.float32)
     one = np.float32(1)
     r0, r1, rs = (0, rows, 1) if dr >= 0 else (rows - 1, -1, -1)
@@ -164,65 +222,77 @@ def _path(cost: F32, image: F32, p1: float, p2: float, edge: float, dr: int, dc:
         now = r & 1
         for c in range(c0, c1, cs):
             pr, pc = r - dr, c - dc
+            n = high[r, c] - low[r, c] + 1
+            own, sums, path = cost[first[r, c] :][:n], total[first[r, c] :][:n], paths[now, c]
             if pr < 0 or pr >= rows or pc < 0 or pc >= cols:
-                for d in range(depth):
-                    paths[now, c, d + 1] = cost[r, c, d]
-                    total[r, c, d] += cost[r, c, d]
+                _begin(own, np.float32(0), path[2 : n + 2], sums)
             else:
                 was = pr & 1
-                low = best[was, pc]
-                jump = low + np.float32(p2) / (one + np.float32(edge) * abs(image[r, c] - image[pr, pc]))
-                _extend(cost[r, c], paths[was, pc], low, jump, np.float32(p1), paths[now, c], total[r, c])
-            best[now, c] = _lowest(paths[now, c, 1 : depth + 1])
+                shift = low[r, c] - low[pr, pc]
+                a = min(max(0, -1 - shift), n)
+                b = max(min(n, high[pr, pc] - low[pr, pc] + 2 - shift), a)
+                least = best[was, pc]
+                jump = least + np.float32(p2) / (one + np.float32(edge) * abs(image[r, c] - image[pr, pc]))
+                _begin(own[:a], jump - least, path[2 : a + 2], sums[:a])
+                before = paths[was, pc][a + shift + 1 : b + shift + 3]
+                _extend(own[a:b], before, least, jump, np.float32(p1), path[a + 2 : b + 2], sums[a:b])
+                _begin(own[b:], jump - least, path[b + 2 : n + 2], sums[b:])
+            path[n + 2] = path[n + 3] = FAR
+            best[now, c] = _lowest(path[2 : n + 2])
 
 
 @parallel_kernel
-def aggregate(cost: F32, image: F32, p1: float, p2: float, edge: float, halves: F32) -> None:
-    """Fill `halves` (2, R, C, D), whose sum is that of eight scanline optimisations of `cost` (R, C, D) (eq. 7).
+def aggregate(
+    cost: F32, low: I32, high: I32, first: I64, image: F32, p1: float, p2: float, edge: float, halves: F32
+) -> None:
+    """Fill `halves` (2, V), whose sum is that of eight scanline optimisations of the volume `cost` (V,) (eq. 7).
 
-    One half holds the directions that go down the rows, the other those that go up: two threads, always the same sums.
+    Each cell has its own span of planes, see `store`. One half holds the directions that go down the rows, the other
+    those that go up: two threads, always the same sums.
     """
     for k in prange(2):
         halves[k] = 0.0
         sign = 1 - 2 * k
-        _path(cost, image, p1, p2, edge, 0, sign, halves[k])
+        _path(cost, low, high, first, image, p1, p2, edge, 0, sign, halves[k])
         for dc in range(-1, 2):
-            _path(cost, image, p1, p2, edge, sign, dc, halves[k])
+            _path(cost, low, high, first, image, p1, p2, edge, sign, dc, halves[k])
 
 
 @parallel_kernel
-def winner(total: F32, cost: F32, count: U8, height: F32, ratio: F32) -> None:
+def winner(total: F32, cost: F32, low: I32, high: I32, first: I64, count: I32, height: F32, ratio: F32) -> None:
     """Per cell: the best plane with sub-plane parabola (as a fractional index) and best/second cost; NaN if unseen."""
-    rows, cols, depth = total.shape
+    rows, cols = count.shape
     for r in prange(rows):
         for c in range(cols):
             height[r, c] = np.nan
             ratio[r, c] = np.nan
             if count[r, c] < 2:
                 continue
+            depth = high[r, c] - low[r, c] + 1
+            sums, own = total[first[r, c] :][:depth], cost[first[r, c] :][:depth]
             k = 0
             for d in range(1, depth):
-                if total[r, c, d] < total[r, c, k]:
+                if sums[d] < sums[k]:
                     k = d
             offset = 0.0
             if 0 < k < depth - 1:
-                a, m, z = total[r, c, k - 1], total[r, c, k], total[r, c, k + 1]
+                a, m, z = sums[k - 1], sums[k], sums[k + 1]
                 bend = a - 2.0 * m + z
                 if bend > 1e-9:
                     offset = min(0.5, max(-0.5, 0.5 * (a - z) / bend))
-            height[r, c] = k + offset
+            height[r, c] = low[r, c] + k + offset
             second = np.float32(0.0)  # the best other local minimum; without one, the worst cost
             for d in range(depth):
-                second = max(second, cost[r, c, d])
+                second = max(second, own[d])
             for d in range(depth):
-                v = cost[r, c, d]
-                valley = (d == 0 or cost[r, c, d - 1] >= v) and (d + 1 == depth or cost[r, c, d + 1] >= v)
+                v = own[d]
+                valley = (d == 0 or own[d - 1] >= v) and (d + 1 == depth or own[d + 1] >= v)
                 if abs(d - k) > 2 and valley:
                     second = min(second, v)
-            low = cost[r, c, k]
+            least = own[k]
             for d in range(max(0, k - 1), min(depth, k + 2)):
-                low = min(low, cost[r, c, d])
-            ratio[r, c] = low / max(second, np.float32(1e-6))
+                least = min(least, own[d])
+            ratio[r, c] = least / max(second, np.float32(1e-6))
 
 
 @kernel

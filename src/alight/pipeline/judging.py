@@ -154,6 +154,12 @@ class JudgingLane:
         out: dict[str, object] = {
             "terrain": terrain.describe(found.elevation, self._settings.terrain, self._appearance)
         }
+        resolved = found.danger.resolved[np.isfinite(found.danger.resolved)]
+        if resolved.size:
+            out["quality"] = (
+                f"{self._settings.parallax.quality}: heights on cells of {found.danger.grid.cell:g} m; on half of the "
+                f"ground an obstacle of {float(np.median(resolved)):.2f} m would be found with a chance of 95 %"
+            )
         earlier = self.reserve.sites[len(found.sites.sites) :]
         if earlier:
             out["sites in reserve"] = [f"east {s.east:.1f} north {s.north:.1f} m, P {s.p_safe:.3f}" for s in earlier]

@@ -79,9 +79,12 @@ class ParallaxKeys(FrozenModel):
         description="batch (also: auto): from all exposures at the end; "
         "ring: step by step with every keyframe, as in flight",
     )
-    cell: Positive | None = Field(
-        None, description="Size of a cell of the map, m; null: about 1.8 pixels on the ground"
+    quality: Literal["fast", "normal", "fine"] = Field(
+        "normal",
+        description="Cells of a map from all exposures at the end; fine: 1.8 pixels on the ground; normal: the same, "
+        "no smaller than half of what the lander is judged on; fast: twice as large, no smaller than that",
     )
+    cell: Positive | None = Field(None, description="Size of a cell of the map, m; null: by quality")
     height_range: tuple[Finite, Finite] | None = Field(
         None, description="Lowest and highest ground that is searched, m above the origin; null: found by itself"
     )

@@ -25,7 +25,7 @@ from alight.motion.bundle.matching import (
     tracks,
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
-from alight.motion.bundle.priors import corrected_priors, make_priors, observable_lens
+from alight.motion.bundle.priors import corrected_priors, levelled, make_priors, observable_lens
 from alight.motion.bundle.resection import misplaced, resect, without_photos
 from alight.motion.bundle.solver import (
     Adjustment,
@@ -48,6 +48,8 @@ _LENS_ROUND = 2  # from here on the lens is free: earlier it would take up the e
 _SET_ASIDE_ROUND = 2  # before it photos that lost most of their observations are set aside
 _LEAST_SIGMA = 0.3  # px; below it errors of features are correlated
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
+_LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
+_LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
 _COARSE = 300  # observations a photo in all rounds but the last
 _MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
 
@@ -116,6 +118,7 @@ def solve_bundle(
     if first is None:
         return None
     photos = first.photos
+    priors = levelled(priors) if first.climbs else priors
     priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), len(photos))
     obs, _ = obs.keep(np.isin(obs.photo, photos))
     state = BundleState(first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
@@ -176,13 +179,17 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
     gimbal = priors.world_from_body @ priors.body_from_cam
     rotations, centres = np.tile(np.eye(3), (n, 1, 1)), _fill_missing(priors.centres, pairs)
     located = np.asarray(np.isfinite(priors.centres).all(axis=1))
-    found = [
-        orient(group, pairs, priors.centres, priors.sigma_centres, gimbal)
-        for group in components(n, pairs)
-        if located[group].sum() >= 2
-    ]
-    if not found:
+    groups = [g for g in components(n, pairs) if located[g].sum() >= 2]
+    if not groups:
         return None
+    found = [orient(g, pairs, priors.centres, priors.sigma_centres, gimbal) for g in groups]
+    level = levelled(priors)
+    flat = [orient(g, pairs, level.centres, priors.sigma_centres, gimbal) for g in groups]
+    gain = sum(f.cost for f in found) - sum(f.cost for f in flat)
+    off = np.abs(priors.centres - level.centres)[:, 2] / priors.sigma_centres[:, 2]
+    climbs = gain > _LEVEL_GAIN * sum(f.baselines for f in found) and float(np.nanmedian(off)) > _LEVEL_SIGMAS
+    if climbs:
+        found, centres = flat, _fill_missing(level.centres, pairs)
     for f in found:
         rotations[f.photos] = f.world_from_cam
     warnings = [
@@ -191,7 +198,7 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
         if f.guessed
     ]
     photos, turned, wrong, jumped = (np.sort(np.concatenate(c)) for c in zip(*_who(found), strict=True))
-    return FirstPoses(centres, rotations, photos, turned, wrong, jumped, warnings)
+    return FirstPoses(centres, rotations, photos, turned, wrong, jumped, warnings, climbs)
 
 
 def _who(found: Sequence[Oriented]) -> list[tuple[I64, ...]]:
@@ -259,6 +266,8 @@ def _result(
             [None] * len(frames), rig, np.empty((0, 3)), [why_no_motion(features, priors)], {"registered": 0}
         )
     state, obs = solved.state, solved.observations
+    tagged = priors
+    priors = levelled(priors) if solved.first.climbs else priors
     camera = lens_camera(priors.camera, state.lens)
     seen = np.bincount(obs.photo, minlength=len(frames))
     motions: list[Motion | None] = [None] * len(frames)
@@ -269,10 +278,23 @@ def _result(
     refined = Rig((replace(rig.cameras[0], camera=camera), *rig.cameras[1:]))
     use = np.isin(obs.photo, solved.registered)
     kept, old = obs.keep(use)
-    warnings = solved.first.warnings + bundle_warnings(frames, features, motions, priors, solved)
+    warnings = [*solved.first.warnings, *_climbing(tagged, solved)]
+    warnings += bundle_warnings(frames, features, motions, priors, solved)
     notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
     joint = joint_of([m for m in motions if m is not None], priors, solved)
     return BundleResult(motions, refined, state.points[old], warnings, notes, joint)
+
+
+def _climbing(priors: Priors, solved: Solved) -> list[str]:
+    """The warning that the altitude tags lost."""
+    if not solved.first.climbs:
+        return []
+    low, high = (float(v(priors.centres[solved.registered, 2])) for v in (np.nanmin, np.nanmax))
+    rise = float(np.ptp(solved.state.centres[solved.registered, 2]))
+    return [
+        f"altitude tags spread over {high - low:.0f} m, the pictures were taken within {rise:.0f} m of one height: the "
+        "altitude tags were ignored, and the flight is taken to be level; heights in the world are uncertain by as much"
+    ]
 
 
 def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframePosterior:

@@ -44,6 +44,8 @@ class Oriented:
     contradicted: I64  # photo numbers whose gimbal tag the pictures contradict in any other way
     jumped: I64  # photo numbers whose GPS position the pictures contradict
     guessed: bool  # the roll about a straight line of flight rests on the camera looking down
+    cost: float  # Cauchy, of GPS baselines and attitudes
+    baselines: int  # how many there are
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
@@ -167,7 +169,7 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
         ]
     else:
         starts = [_world_from_frame(base, np.tile(_NADIR, (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA)]
-    R = min(starts, key=lambda R: _cost(base, tags[tagged], frame_from_cam[tagged], R))
+    cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
     agrees = tagged & _agree(world_from_cam, tags)
     turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
@@ -175,8 +177,9 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
     world_from_cam[turned] = tags[turned] @ HALF_TURN
     wrong = photos[tagged & ~agrees & ~turned]
     return Oriented(
-        photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base)
-    )
+        photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base),
+        cost, len(base.noise),
+    )  # fmt: skip
 
 
 def _in_line(base: _Baselines) -> bool:

@@ -62,6 +62,13 @@ def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
     return camera, sigma
 
 
+def levelled(priors: Priors) -> Priors:
+    """The priors of a flight at one height, the median of the altitude tags."""
+    centres = priors.centres.copy()
+    centres[:, 2] = np.where(np.isfinite(centres[:, 2]), np.nanmedian(centres[:, 2]), np.nan)
+    return replace(priors, centres=centres)
+
+
 def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
     """Turn back the gimbal tags that are half a turn off; drop those that the images contradict."""
     attitude = priors.world_from_body.copy()

@@ -29,6 +29,7 @@ class FirstPoses:
     contradicted: I64  # photos whose attitude tag is wrong
     jumped: I64  # photos whose GPS position is wrong
     warnings: list[str]
+    climbs: bool  # the altitude tags lost against a level flight
 
 
 @dataclass(frozen=True, eq=False)

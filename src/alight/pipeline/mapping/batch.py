@@ -75,7 +75,7 @@ class BatchMapper:
         """Match all tiles with the poses of the whole recording."""
         views = views_of(with_motions(self.store.keyframes, trajectory.usable), trajectory.rig)
         with self._timings.of("ground"):
-            found = self._map.find_ground(views)
+            found = self._map.find_ground(views, points=trajectory.points)
         if not found and self._map.elevation is None:
             return FinishedMap(reason=self._map.reason)
         with self._timings.of("heights"):

@@ -16,6 +16,10 @@ from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_dow
 from alight.records import ElevationMap, Heights, KeyframePosterior, View
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
+BLOCK = 2  # tiles across that are matched together: a smaller share of what is matched is margin
+SHARE = 0.5  # of the shorter side of the pictures, that such a block covers at most
+# cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
+QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 Progress = Callable[[float], None]
@@ -26,6 +30,11 @@ def core(heights: Heights, margin: int) -> Heights:
     inner = slice(margin, -margin)
     grid = heights.grid.window(margin, margin, heights.grid.rows - 2 * margin, heights.grid.cols - 2 * margin)
     return replace(heights, grid=grid, **{f: np.ascontiguousarray(getattr(heights, f)[inner, inner]) for f in FIELDS})  # type: ignore[arg-type]
+
+
+def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
+    """Sorts tiles along a Z-order curve (Morton 1966): neighbours are matched soon after, with the same views."""
+    return [(tile[0] >> k, tile[1] >> k) for k in range(16, -1, -1)]
 
 
 @dataclass(eq=False)
@@ -47,13 +56,19 @@ class BatchMap(GroundMap):
             done += self._match(level, asking, beside, only, lambda f, n=n: progress((n + f) / len(levels)))  # type: ignore[misc]
         return done
 
+    def sampling_of(self, view: View, ground: float) -> float:
+        """Of a pixel, or more where finer cells would decide nothing for the lander, or less quality is asked for."""
+        pixels, least = QUALITY[self.settings.parallax.quality]
+        finest = least * self.settings.lander.judging_cell / self.settings.mapping.cell_over_pixel
+        return max(pixels * ground_sampling(view, ground), finest)
+
     def _levels(self, views: Sequence[View], ground: float) -> Iterator[tuple[int, list[View], list[View]]]:
         """Coarse to fine: a level, the views that ask for it, and with them those of the levels beside it."""
         assert self.elevation is not None
         level, of = 0, []
         for v in views:
             if self.settings.parallax.cell is None:
-                level = level_for(ground_sampling(v, ground), self.elevation.cell, level, self.settings.mapping)
+                level = level_for(self.sampling_of(v, ground), self.elevation.cell, level, self.settings.mapping)
             of.append(level)
         for k in sorted(set(of), reverse=True):
             asking = [v for v, its in zip(views, of, strict=True) if its == k]
@@ -68,10 +83,9 @@ class BatchMap(GroundMap):
         refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
         images = Images(views, self.elevation.cell_at(level), self.ground)
         camera = float(np.median([v.centre[2] for v in asking]))
-        keys = list(self.elevation.cover((west, east), (south, north), level))
+        grids = self._grids(asking, (west, east), (south, north), level)
         done = 0
-        for n, key in enumerate(keys):
-            grid = self.elevation.tile_grid(key, MARGIN, level)
+        for n, grid in enumerate(grids):
             if only(grid):
                 found = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
                 if found is not None:
@@ -80,8 +94,25 @@ class BatchMap(GroundMap):
                     self._matched.append(Matched.of(heights.grid, found.views))
                     self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
                     done += 1
-            progress((n + 1) / len(keys))
+            progress((n + 1) / len(grids))
         return done
+
+    def _grids(
+        self, asking: list[View], east: tuple[float, float], north: tuple[float, float], level: int
+    ) -> list[Grid]:
+        """What is matched at once, with its margin: a block of tiles where pictures are large enough, else a tile."""
+        assert self.elevation is not None
+        assert self.ground is not None
+        keys = list(self.elevation.cover(east, north, level))
+        tile = self.elevation.tile_grid(keys[0], 0, level)
+        side = np.median([min(v.camera.width, v.camera.height) * ground_sampling(v, self.ground) for v in asking])
+        block = BLOCK if BLOCK * tile.rows * tile.cell <= SHARE * side else 1
+        size = block * tile.rows + 2 * MARGIN
+        out = []
+        for row, col in sorted({(block * (r // block), block * (c // block)) for r, c in keys}, key=_near_before_far):
+            corner = self.elevation.tile_grid((row + block - 1, col), MARGIN, level)
+            out.append(corner.window(0, 0, size, size))
+        return out
 
     def snapshot(self, joint: KeyframePosterior | None = None) -> ElevationMap | None:
         """The whole map so far, with its datum by the joint posterior of the poses; None: the poses are exact."""

@@ -11,12 +11,13 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
-from alight.parallax import find_points, ground_sampling, height_range
+from alight.parallax import find_points, ground_sampling, height_range, supported
 from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
 from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
+NO_POINTS = np.empty((0, 3))
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
 
 
@@ -54,10 +55,13 @@ class GroundMap:
     gauge: Datum | None = None  # what all heights share
     _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
 
-    def find_ground(self, views: Sequence[View], least: float = 0.0) -> bool:
+    def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured.
 
-        `least`: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
+        Args:
+            views: what was seen.
+            least: baseline over height that it takes; over a short one, poses that are not quite right yet decide.
+            points: (N, 3) metres, of the scene, where its poses were found with points; else they are triangulated.
         """
         down = looking_down(views)
         if not down:
@@ -66,7 +70,11 @@ class GroundMap:
         if len(down) < 2:
             self.reason = NO_PARALLAX
             return False
-        points = find_points(down, self.settings.parallax.points)
+        tuning = self.settings.parallax.points
+        if len(points) < self.settings.mapping.enough_points:
+            points = find_points(down, tuning)
+        else:
+            points = supported(points, float(np.median([v.centre[2] for v in down])), tuning)
         below = points[points[:, 2] < min(v.centre[2] for v in down)]
         if len(below) < self.settings.mapping.least_points:
             self.reason = NO_PARALLAX
@@ -79,10 +87,14 @@ class GroundMap:
         self._points = self._points[:: -(-len(self._points) // self.settings.mapping.most_points)]
         self.ground = float(np.median(self._points[:, 2]))
         if self.elevation is None:
-            sampling = float(np.median([ground_sampling(v, self.ground) for v in down]))
+            sampling = float(np.median([self.sampling_of(v, self.ground) for v in down]))
             cell = self.settings.parallax.cell or nice_cell(sampling, self.settings.mapping.cell_over_pixel)
             self.elevation = TiledElevation(cell, self.settings.elevation.tile, self.far, self.settings.elevation)
         return True
+
+    def sampling_of(self, view: View, ground: float) -> float:
+        """Metres of ground at a height that a view's pixels see, for the size of the cells."""
+        return ground_sampling(view, ground)
 
     def _range(
         self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False

@@ -33,4 +33,4 @@ class BundleLane:
         """Adjust; the photos that could not be registered are in the warnings."""
         found = adjust(self._frames, self._nav, self._rig, self._settings, progress)
         motions = tuple(m for m in found.motions if m is not None)
-        return Trajectory(motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint)
+        return Trajectory(motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.points_world)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.arrays import F64
 from alight.geometry import Pose
 from alight.pipeline.map_frame import MapFrame
 from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState, Rig
@@ -52,6 +53,7 @@ class Trajectory:
     warnings: tuple[str, ...] = ()
     notes: Mapping[str, object] = field(default_factory=dict)
     joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
+    points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, what the poses were adjusted with
 
     @property
     def usable(self) -> dict[int, Motion]:

@@ -17,6 +17,9 @@ class MappingTuning(FrozenModel):
     kept_by_ring: int = Field(16, ge=3, description="Keyframes kept to find the ground in flight")
     kept_to_look: int = Field(64, ge=3, description="Keyframes whose images are kept for pixels finer than the heights")
     least_points: int = Field(20, ge=1, description="Least number of triangulated points that show the ground")
+    enough_points: int = Field(
+        1000, ge=1, description="Least number of points of the bundle adjustment that stand in for triangulated ones"
+    )
     most_points: int = Field(20_000, ge=1, description="Most triangulated points kept")
     least_known: int = Field(400, ge=1, description="Known heights from which the map gives the range that is searched")
     beyond: Fraction = Field(
