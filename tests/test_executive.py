@@ -481,3 +481,22 @@ def test_just_above_the_ground_it_lands_whatever_comes(trouble: str) -> None:
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), change)
     assert f.fly() is S.LANDED
     assert S.ABORT not in f.states
+
+
+@pytest.mark.parametrize(("lasting", "aborted"), [(0.6, False), (4.0, True)])
+def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: float, aborted: bool) -> None:
+    """Near the ground features change fast: one bad turn of the filter is no reason to climb, several are."""
+    began: list[float] = []
+
+    def change(now: Situation, executive: Executive) -> Situation:
+        assert now.position is not None
+        if executive.state is S.COMMIT and now.position[2] < 5.0:
+            began.append(now.t)
+        if began and now.t - began[0] < lasting:
+            return replace(now, state=MotionState.DEGRADED)
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), change)
+    f.fly()
+    assert began
+    assert (S.ABORT in f.states) is aborted

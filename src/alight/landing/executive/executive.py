@@ -54,6 +54,7 @@ class Executive:
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
+        self._sound_at = -math.inf  # s, when the motion was not degraded
         self._leg: list[F64] = []  # what is left of a look leg
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
@@ -74,7 +75,9 @@ class Executive:
         return self._order(now)
 
     def _learn(self, now: Situation) -> None:
-        """Take over the frame and the height of the ground."""
+        """Take over the frame, the height of the ground, and when the motion was sound."""
+        if now.state is not MotionState.DEGRADED:
+            self._sound_at = now.t
         if now.position is not None and self._home is None:
             self._home, self._frame = now.position.copy(), now.frame_id
         if now.position is not None and self.target is not None and now.frame_id == self._frame:
@@ -105,7 +108,7 @@ class Executive:
         k, waited = self._keys, now.t - self._since
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
-        weak = now.state is MotionState.DEGRADED and self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD)
+        weak = self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD) and now.t - self._sound_at >= k.degraded
         if self.state is S.HOLD and waited > k.wait:
             return E.WAITED, f"for {waited:.0f} s"
         if self.state is not S.ABORT:

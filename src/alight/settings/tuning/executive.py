@@ -21,6 +21,7 @@ class ExecutiveTuning(FrozenModel):
     sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before it is dropped")
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
     wait: Positive = Field(12.0, description="Time without a verdict, navigation or pictures before giving up, s")
+    degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
     abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
