@@ -219,8 +219,9 @@ def test_what_kill_leaves_can_be_read_and_replayed(log: Path, tmp_path: Path) ->
 def test_ctrl_c_ends_the_flight_and_keeps_its_results(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "stopped"
     run = subprocess.Popen(
-        command("live", log, "--out", out, "--speed", "0.25", *assignments()), stdout=-1, stderr=-1, text=True
-    )
+        command("live", log, "--out", out, "--speed", "0.25", *assignments()), stdout=-1, stderr=-1, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background job ignores it
+    )  # fmt: skip
     path = out / "recording.mcap"
     while not (path.exists() and path.stat().st_size > 8 * 115_000):
         time.sleep(0.05)
