@@ -22,9 +22,10 @@ from alight.runner.fly.pilot import LandingPilot
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError, SimulatedAutopilot, SimulatedHome
 from alight_sim.autopilot.dialects import Doing
-from alight_sim.oracle import OracleLander, judge_touchdown
+from alight_sim.oracle import OracleLander
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.flown import FlownVehicle
+from alight_sim.steered.touchdown import judge_contact
 
 STEP = 0.01  # s
 MOTION, VERDICT = 100_000_000, 500_000_000  # ns from an exposure until each is known
@@ -136,9 +137,7 @@ def main() -> None:
     print(f"{state.value} after {loop.flight.seconds:.0f} s, {time.process_time() - begin:.0f} s of CPU")
     contact = loop.flight.contact
     if contact is not None:
-        print(judge_touchdown(
-            loop.flight.world, OracleLander(), contact.pose, contact.velocity_world, loop.flight.seconds
-        ))  # fmt: skip
+        print(judge_contact(loop.flight, contact, OracleLander()))
 
 
 if __name__ == "__main__":

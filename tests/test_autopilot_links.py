@@ -180,7 +180,8 @@ def sitl(tmp_path: Path) -> Any:
         run.terminate()
 
 
-def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
+def ready_vehicle(sitl: str, events: TelemetryEvents) -> tuple[Any, Autopilot, Any]:
+    """The link to a simulator that has just been started, our side of it, and its vehicle, ready to fly."""
     link, end = None, time.monotonic() + 30
     while link is None:
         try:
@@ -188,10 +189,15 @@ def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
         except InputError:
             assert time.monotonic() < end
             time.sleep(0.5)
-    ours = Autopilot(events=TelemetryEvents())
+    ours = Autopilot(events=events)
     assert drive(link, ours, 90, lambda: ours.telemetry is not None and ours.telemetry.ready), ours.notices()
     vehicle = ours.vehicle
     assert vehicle is not None
+    return link, ours, vehicle
+
+
+def test_a_real_ardupilot_takes_off_and_lands(sitl: str) -> None:
+    link, ours, vehicle = ready_vehicle(sitl, TelemetryEvents())
     vehicle.set_mode(FlightMode.GUIDED)
     assert drive(link, ours, 10, lambda: bool(ours.telemetry and ours.telemetry.mode is FlightMode.GUIDED))
     vehicle.arm()

@@ -6,12 +6,12 @@ import time
 
 import numpy as np
 from autopilot_rig import LOCAL
-from test_autopilot_links import drive, sitl  # noqa: F401  (a fixture)
+from test_autopilot_links import drive, ready_vehicle, sitl  # noqa: F401  (a fixture)
 from test_executive import Ground, clearer_from_below
 
-from alight.autopilot import Autopilot, TelemetryEvents, open_link
+from alight.autopilot import TelemetryEvents
 from alight.geometry import Pose
-from alight.records import Frame, InputError, Motion, NavSample, NoticeKind
+from alight.records import Frame, Motion, NavSample, NoticeKind
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runner.fly.pilot import LandingPilot
 from alight.runner.fly.take_off import TakeOff
@@ -30,17 +30,7 @@ class Silent:
 
 def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
     """Pictures and verdicts are made up; motions are the autopilot's own rows; orders and protocol are real."""
-    link, end = None, time.monotonic() + 30
-    while link is None:
-        try:
-            link = open_link(sitl)
-        except InputError:
-            assert time.monotonic() < end
-            time.sleep(0.5)
-    ours = Autopilot(events=TelemetryEvents(LOCAL))
-    assert drive(link, ours, 90, lambda: ours.telemetry is not None and ours.telemetry.ready), ours.notices()
-    vehicle = ours.vehicle
-    assert vehicle is not None
+    link, ours, vehicle = ready_vehicle(sitl, TelemetryEvents(LOCAL))
     climb = TakeOff(vehicle, vehicle, 20.0, time.monotonic_ns())
 
     def climbed() -> bool:

@@ -26,7 +26,7 @@ from alight.cli.app import (
     stderr,
 )
 from alight.cli.check import WRONG
-from alight.cli.runs import tell_result
+from alight.cli.runs import leave_result
 from alight.records.executive import FlightState
 
 if TYPE_CHECKING:
@@ -77,7 +77,6 @@ def fly(
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = read_settings(settings, assign)
     from alight.records import Home
-    from alight.runner import replay
     from alight.runner.fly import FlightRequest, fly_vehicle
 
     request = FlightRequest(
@@ -98,9 +97,7 @@ def fly(
     _answer(outcome)
     if outcome.result is None:
         raise typer.Exit(WRONG)
-    tell_result(outcome.result)
-    replay.write_run(outcome.result, out, force)
-    say(f"report: {out / 'report.html'}")
+    leave_result(outcome.result, out, force)
 
 
 @app.command()
@@ -147,11 +144,12 @@ def _size(width: int) -> tuple[int, int]:
 
 
 def _touchdown(flight: SteeredFlight) -> str:
-    from alight_sim.oracle import OracleLander, judge_touchdown
+    from alight_sim.oracle import OracleLander
+    from alight_sim.steered.touchdown import judge_contact
 
     contact = flight.contact
     assert contact is not None
-    found = judge_touchdown(flight.world, OracleLander(), contact.pose, contact.velocity_world, flight.seconds)
+    found = judge_contact(flight, contact, OracleLander())
     east, north, _ = contact.pose.translation
     return f"touchdown at east {east:.2f} m north {north:.2f} m: {'safe' if found.safe else 'unsafe'}"
 

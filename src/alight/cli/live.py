@@ -17,10 +17,9 @@ from alight.cli.app import (
     VerboseOption,
     app,
     read_settings,
-    say,
     stderr,
 )
-from alight.cli.runs import tell_result
+from alight.cli.runs import leave_result
 
 
 @app.command()
@@ -54,7 +53,6 @@ def live(
 ) -> None:
     """Find a landing site while the flight goes on; Ctrl-C ends it, and what was seen is judged."""
     chosen = read_settings(settings, assign)
-    from alight.runner import replay
     from alight.runner.live.health import FlightHealth
     from alight.runner.live.run import fly_live
     from alight.sources.live import open_live
@@ -71,6 +69,4 @@ def live(
                 display.update(Text(health.line), refresh=True)
 
         result = fly_live(opened.source, opened.events, out, chosen, record, opened.real_time, force, tell)
-    tell_result(result)
-    replay.write_run(result, out, force)
-    say(f"report: {out / 'report.html'}")
+    leave_result(result, out, force)

@@ -45,6 +45,15 @@ def tell_result(result: RunResult) -> None:
     tell_answer(result.sites, partial(_place, result))
 
 
+def leave_result(result: RunResult, out: Path, force: bool) -> None:
+    """The answer first, so that it is not lost when it cannot be written; then the folder, and where its report is."""
+    from alight.runner import replay
+
+    tell_result(result)
+    replay.write_run(result, out, force)
+    say(f"report: {out / 'report.html'}")
+
+
 @app.command()
 def run(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/) or a folder of photos.")],
@@ -67,9 +76,7 @@ def run(
 
     with progress_bar() as tell:
         result = replay.find(source, out, chosen, poses, force, tell)
-    tell_result(result)  # first: it is not lost when it cannot be written
-    replay.write_run(result, out, force)
-    say(f"report: {out / 'report.html'}")
+    leave_result(result, out, force)
 
 
 @app.command()

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 import cv2
 import numpy as np
 
-from alight.arrays import F32, U8, Mask
-from alight.geometry import Grid, ground_projection
+from alight.arrays import F32, U8
+from alight.geometry import Grid, box_of, ground_projection
 from alight.parallax.orthophoto_kernels import add_view, exposure_gains, sees
 from alight.parallax.views import ground_sampling, pixels_on_ground, project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
@@ -32,12 +32,6 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
             yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
 
 
-def _window(wanted: Mask) -> tuple[slice, slice]:
-    """The smallest window that holds all that is wanted."""
-    rows, cols = np.flatnonzero(wanted.any(axis=1)), np.flatnonzero(wanted.any(axis=0))
-    return slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-
-
 def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32, F32]:
     """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first.
 
@@ -52,14 +46,14 @@ def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[
     finest = np.full(grid.shape, np.inf, np.float32)
     wants = np.ones(grid.shape, bool)
     for i in np.argsort(away, kind="stable"):
-        view, at = views[i], _window(wants)
+        view, at = views[i], box_of(wants)
         camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
         mapx, mapy = np.empty((2, *part.shape), np.float32)
         H, b = ground_projection(camera, view.world_from_cam)
         project_cells(camera, radius2_limit(camera), H, b, *part.xy(), np.ascontiguousarray(height[at]), (mapx, mapy))
         pixel = pixels_on_ground(view.centre, camera.fu, part, np.float32(level))
-        use = mapx.copy()
-        if not sees(use, pixel, wants[at], finest[at], np.float32(COARSER)):
+        use = sees(mapx, pixel, wants[at], finest[at], np.float32(COARSER))
+        if not use.any():
             continue
         seen = cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR)
         both, gain = exposure_gains(seen, use, total[at], number[at])

@@ -7,8 +7,8 @@ from alight.compiled import kernel
 
 
 @kernel
-def sees(mapx: F32, pixel: F32, wants: Mask, finest: F32, coarser: np.float32) -> int:
-    """Mark where a view adds to the mean, in `mapx` by 0, else by -1; their number.
+def sees(mapx: F32, pixel: F32, wants: Mask, finest: F32, coarser: np.float32) -> Mask:
+    """Where a view adds to the mean, (R, C).
 
     Args:
         mapx: (R, C), column in the view; below 0: out of its sight.
@@ -17,29 +17,27 @@ def sees(mapx: F32, pixel: F32, wants: Mask, finest: F32, coarser: np.float32) -
         finest: (R, C), metres, the finest pixel of earlier views.
         coarser: a view with pixels larger than the finest by this factor does not count.
     """
-    count = 0
+    use = np.empty(mapx.shape, np.bool_)
     for r in range(mapx.shape[0]):
         for c in range(mapx.shape[1]):
-            use = mapx[r, c] >= 0 and wants[r, c] and pixel[r, c] <= coarser * finest[r, c]
-            mapx[r, c] = np.float32(0 if use else -1)
-            count += use
-    return count
+            use[r, c] = mapx[r, c] >= 0 and wants[r, c] and pixel[r, c] <= coarser * finest[r, c]
+    return use
 
 
 @kernel
-def exposure_gains(seen: U8, use: F32, total: F32, number: F32) -> tuple[int, F64]:
+def exposure_gains(seen: U8, use: Mask, total: F32, number: F32) -> tuple[int, F64]:
     """Exposure of earlier views over that of a view, by colour, and of how many pixels that is known.
 
     Args:
         seen: (R, C, 3), the view's picture on the grid.
-        use: (R, C), at least 0 where the view counts.
+        use: (R, C), where the view counts.
         total: (R, C, 3), sum of earlier views.
         number: (R, C), of earlier views.
     """
     before, now, both = np.zeros(3), np.zeros(3), 0
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):
-            if use[r, c] >= 0 and number[r, c] > 0:
+            if use[r, c] and number[r, c] > 0:
                 both += 1
                 for k in range(3):
                     before[k] += total[r, c, k] / number[r, c]
@@ -51,13 +49,13 @@ def exposure_gains(seen: U8, use: F32, total: F32, number: F32) -> tuple[int, F6
 
 @kernel
 def add_view(
-    seen: U8, use: F32, pixel: F32, gain: F64, count: int, total: F32, number: F32, finest: F32, wants: Mask
+    seen: U8, use: Mask, pixel: F32, gain: F64, count: int, total: F32, number: F32, finest: F32, wants: Mask
 ) -> None:
     """Add a view to the sums, in place; `wants` becomes false where `count` views are together.
 
     Args:
         seen: (R, C, 3), the view's picture on the grid.
-        use: (R, C), at least 0 where the view counts.
+        use: (R, C), where the view counts.
         pixel: (R, C), metres of ground that a pixel of the view covers.
         gain: (3,), factor of its colours.
         count: views that are wanted.
@@ -65,7 +63,7 @@ def add_view(
     """
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):
-            if use[r, c] >= 0:
+            if use[r, c]:
                 for k in range(3):
                     total[r, c, k] += np.float32(seen[r, c, k] * gain[k])
                 number[r, c] += np.float32(1)

@@ -103,9 +103,20 @@ def shrink(rgba: U8, longest: int = PIXELS) -> U8:
     return np.asarray(np.clip(np.rint(small), 0, 255), dtype=np.uint8)
 
 
-def data_uri(rgba: U8) -> str:
-    """A picture as text to embed."""
-    done, data = cv2.imencode(".webp", cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGRA), [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+def webp(picture: U8) -> bytes:
+    """A picture (R, C, 3) RGB or (R, C, 4) RGBA as a file."""
+    swapped = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
+    done, data = cv2.imencode(".webp", cv2.cvtColor(picture, swapped), [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
     if not done:
         raise ValueError("the picture cannot be encoded")
-    return "data:image/webp;base64," + base64.b64encode(data.tobytes()).decode()
+    return data.tobytes()
+
+
+def embedded(file: bytes) -> str:
+    """A picture's file as text to embed."""
+    return "data:image/webp;base64," + base64.b64encode(file).decode()
+
+
+def data_uri(rgba: U8) -> str:
+    """A picture as text to embed."""
+    return embedded(webp(rgba))

@@ -18,8 +18,9 @@ from alight.runner import replay
 from alight.runner.landing import fly_landing
 from alight.settings import Settings
 from alight.sources import open_source
-from alight_sim.oracle import OracleLander, Touchdown, judge_touchdown
+from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
+from alight_sim.steered.touchdown import judge_contact
 
 START = (-10.0, -20.0, 30.0)  # metres east and north, and above the ground there
 SHARE = {  # of a landing that is done, about
@@ -68,7 +69,7 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
 
     flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
     assert flown.decision is not None
-    tell("landed" if flown.state is FlightState.LANDED else flown.state.value, 1.0)
+    tell(flown.state.value, 1.0)
     result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": flown.state.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
@@ -76,24 +77,18 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
 
 
 def _touchdown(vehicle: SteeredFlight, settings: Settings) -> Touchdown | None:
-    c = vehicle.contact
-    if c is None:
+    contact = vehicle.contact
+    if contact is None:
         return None
-    lander = OracleLander.of(settings.lander.model_dump())
-    seconds = vehicle.seconds
-    return judge_touchdown(vehicle.world, lander, c.pose, c.velocity_world, seconds)
-
-
-def _simulate(folder: Path, seed: int, seconds: float | None, tell: Tell) -> None:
-    flight = simulate.fly("demo", seed) if seconds is None else simulate.fly("demo", seed, seconds)
-    simulate.write(flight, folder, lambda done, total: tell("flying", done / total), overwrite=True)
+    return judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
 
 
 def compile_kernels(tell: Tell) -> None:
     """Compile and cache every kernel by running each stage over a flight of a second."""
     folder = Path(tempfile.mkdtemp(prefix="alight-warmup-"))
     try:
-        _simulate(folder / "flight", 0, 1.0, tell)
+        flight = simulate.fly("demo", 0, 1.0)
+        simulate.write(flight, folder / "flight", lambda done, total: tell("flying", done / total))
         for method in ("batch", "ring"):
             settings = Settings.model_validate({"parallax": {"method": method}})
             replay.replay(open_source(folder / "flight", settings), settings, None, tell)

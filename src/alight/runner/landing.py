@@ -7,19 +7,18 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from alight import terrain
 from alight.arrays import F64
 from alight.geometry import Grid
-from alight.landing.executive import Executive
+from alight.landing.executive import ENDS, Executive
 from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
+from alight.records.surface import nearest_on
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
 
@@ -29,7 +28,6 @@ JUDGE_EVERY = {  # s between two judgements
     FlightState.COMMIT: 0.8,
 }  # fmt: skip
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
-ENDS = (FlightState.LANDED, FlightState.RETURN, FlightState.HANDED_OVER)
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
@@ -43,7 +41,6 @@ class Landing:
     seconds: float = 0.0
     p_at_commit: float | None = None
     verdicts: int = 0
-    last: Verdict | None = None
     decision: Decision | None = None  # of the whole flight, where it was asked for
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
 
@@ -100,9 +97,9 @@ class _Loop:
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
-        self._newest_ns = self._mapped_ns = vehicle.time_ns
+        self._newest_ns = vehicle.time_ns
         self._seen: Seen | None = None
-        self._pending: tuple[float, Seen, Verdict] | None = None
+        self._pending: tuple[float, Seen] | None = None  # and when it is known
         self._judged_at = -math.inf
         self._number, self._most = 0, LONGEST * settings.executive.time_budget
         self._landing = Landing()
@@ -155,19 +152,17 @@ class _Loop:
     def _judge(self) -> None:
         """Judge the map as often as the state asks for; the verdict is known a little later."""
         if self._pending is not None and self.t >= self._pending[0]:
-            _, self._seen, self._landing.last = self._pending
+            _, self._seen = self._pending
             self._pending = None
         every = JUDGE_EVERY.get(self.executive.state)
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
-        place = self.executive.target
-        about = None if place is None else np.array([place.east, place.north])
-        verdict = self._pipeline.judge_now(about)
+        verdict = self._pipeline.judge_now(self.executive.about)
         if verdict is not None:
             self._number += 1
             self._landing.verdicts += 1
-            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t), verdict)
+            self._pending = (self.t + LATENCY, as_seen(verdict, self._number, self.t))
 
     def _tie_to_autopilot(self, motion: Motion) -> None:
         """Commands are relative to the autopilot's own estimate of the same instant: the error of GPS cancels."""
@@ -204,19 +199,11 @@ class _Loop:
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
     """The ground about the place of a look, `reach` metres each way, on `size` pixels a side."""
-    across = (np.arange(size) + 0.5) / size * 2 * reach - reach
-    east, north = np.meshgrid(look.place[0] + across, look.place[1] - across)
-
-    def at(grid: Grid, values: NDArray[Any], blank: float) -> NDArray[Any]:
-        row, col = (np.rint(v).astype(int) for v in grid.index(east, north))
-        inside = (row >= 0) & (col >= 0) & (row < grid.rows) & (col < grid.cols)
-        out = np.full((size, size, *values.shape[2:]), blank, values.dtype)
-        out[inside] = values[row[inside], col[inside]]
-        return out
-
-    return LookPicture(
-        look, at(seen.elevation.grid, seen.elevation.rgb, 0), at(seen.hazards.grid, seen.hazards.p_safe, np.nan), reach
-    )
+    cell, (east, north, _) = 2 * reach / size, look.place
+    edge = reach - cell / 2  # the middle of the first pixel
+    shown = Grid(east - edge, north + edge, cell, size, size)
+    photo = nearest_on(seen.elevation.grid, shown, seen.elevation.rgb, 0)
+    return LookPicture(look, photo, nearest_on(seen.hazards.grid, shown, seen.hazards.p_safe, np.nan), reach)
 
 
 def as_seen(verdict: Verdict, number: int, t: float) -> Seen:

@@ -1,6 +1,6 @@
 """The executive: states, events and what the vehicle is to do."""
 
 from alight.landing.executive.executive import Executive
-from alight.landing.executive.table import TABLE, as_markdown
+from alight.landing.executive.table import ENDS, TABLE, as_markdown
 
-__all__ = ["TABLE", "Executive", "as_markdown"]
+__all__ = ["ENDS", "TABLE", "Executive", "as_markdown"]

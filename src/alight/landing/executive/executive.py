@@ -62,6 +62,11 @@ class Executive:
         self._noted: list[Site] = []  # places that the search has seen, as seen last
         self._noted_by = 0  # verdict
 
+    @property
+    def about(self) -> F64 | None:
+        """(2,) metres, the place that a verdict is wanted on; None: the ground below."""
+        return None if self.target is None else np.array([self.target.east, self.target.north])
+
     # -- the step
 
     def tick(self, now: Situation) -> Order:

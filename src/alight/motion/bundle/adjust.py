@@ -183,13 +183,14 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
     if not groups:
         return None
     found = [orient(g, pairs, priors.centres, priors.sigma_centres, gimbal) for g in groups]
-    level = levelled(priors)
-    flat = [orient(g, pairs, level.centres, priors.sigma_centres, gimbal) for g in groups]
-    gain = sum(f.cost for f in found) - sum(f.cost for f in flat)
+    level, climbs = levelled(priors), False
     off = np.abs(priors.centres - level.centres)[:, 2] / priors.sigma_centres[:, 2]
-    climbs = gain > _LEVEL_GAIN * sum(f.baselines for f in found) and float(np.nanmedian(off)) > _LEVEL_SIGMAS
-    if climbs:
-        found, centres = flat, _fill_missing(level.centres, pairs)
+    if float(np.nanmedian(off)) > _LEVEL_SIGMAS:
+        flat = [orient(g, pairs, level.centres, priors.sigma_centres, gimbal) for g in groups]
+        gain = sum(f.cost for f in found) - sum(f.cost for f in flat)
+        climbs = gain > _LEVEL_GAIN * sum(f.baselines for f in found)
+        if climbs:
+            found, centres = flat, _fill_missing(level.centres, pairs)
     for f in found:
         rotations[f.photos] = f.world_from_cam
     warnings = [

@@ -18,9 +18,9 @@ from alight.records.campaign import Outcome, TouchdownLine
 from alight.records.executive import FlightEvent, FlightState
 from alight.runner.landing import Landing
 from alight.settings import Settings
-from alight_sim.flight import START_NS
-from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
+from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.steered import SteeredFlight, TrueContact
+from alight_sim.steered.touchdown import contact_seconds, judge_contact
 
 STEP = 0.5  # m between the places that the oracle tries
 
@@ -76,12 +76,10 @@ def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> 
 
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
-    t = (contact.t_ns - START_NS) * 1e-9
-    lander = OracleLander.of(settings.lander.model_dump())
-    d = judge_touchdown(vehicle.world, lander, contact.pose, contact.velocity_world, t)
+    d = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
     return TouchdownLine(
-        t=t, east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt, roughness=d.roughness,
-        sink=d.sink, drift=d.drift,
+        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt,
+        roughness=d.roughness, sink=d.sink, drift=d.drift,
     )  # fmt: skip
 
 

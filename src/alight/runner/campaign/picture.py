@@ -7,6 +7,7 @@ import numpy as np
 
 from alight.records import Terrain
 from alight.records.campaign import TouchdownLine
+from alight.report.canvas import webp
 from alight.report.paint import TERRAIN_COLOURS, hillshade, rgb
 from alight_sim.oracle import TrueSurface
 from alight_sim.world import World
@@ -37,7 +38,4 @@ def ground_picture(world: World, touchdown: TouchdownLine, radius: float) -> byt
     for colour, width in RING:
         cv2.circle(image, middle, ring, colour, width, cv2.LINE_AA)
         cv2.drawMarker(image, middle, colour, cv2.MARKER_CROSS, 14, width, cv2.LINE_AA)
-    done, data = cv2.imencode(".webp", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_WEBP_QUALITY, 84])
-    if not done:
-        raise ValueError("the picture cannot be encoded")
-    return data.tobytes()
+    return webp(image)

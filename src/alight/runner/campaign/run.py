@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from alight.outputs.atomic_write import write_whole
 from alight.records import InputError
 from alight.records.campaign import CampaignHead, LandingRecord
 from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
+from alight.report.canvas import embedded
 from alight.runner.campaign.flying import FlyLanding, fly_conditions
 from alight.runner.campaign.folder import PAGE, CampaignFolder
 from alight.runner.campaign.plan import conditions_of, scenes_of
@@ -131,7 +131,7 @@ def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> 
 
 def _embedded(path: Path) -> str | None:
     try:
-        return "data:image/webp;base64," + base64.b64encode(path.read_bytes()).decode()
+        return embedded(path.read_bytes())
     except OSError:
         return None
 

@@ -219,8 +219,7 @@ class LandingPilot:
         every = JUDGE_EVERY.get(self.state)
         if every is not None and now.t - self._asked >= every:
             self._asked = now.t
-            place = self.executive.target
-            self._judge(None if place is None else np.array([place.east, place.north]))
+            self._judge(self.executive.about)
         order = self.executive.tick(now)
         self._order = self._sender.obey(order, self.state, self.motion, now_ns)
         if not self.over:

@@ -17,11 +17,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
-from typing import Any, Protocol
+from typing import Any
 
 from alight import terrain
 from alight.arrays import F64
-from alight.pipeline import Decision, Lanes, Pipeline, Verdict
+from alight.pipeline import Decision, Lanes, Pipeline
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
@@ -29,6 +29,7 @@ from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, Set
 from alight.runner.live import lanes as processes
 from alight.runner.live.effort import EffortControl
 from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
+from alight.runner.live.interface import IN_FLIGHT, SILENT, Capacity, Diary, Listener, NoDiary
 from alight.runner.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
@@ -43,54 +44,6 @@ PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answe
 NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 6}  # navigation never waits for mapping, nor mapping for judging
 AT_END = 120.0  # s that the last judgement may take, of all that was seen
 SPARE = 2  # processors that mapping leaves to the other lanes
-
-
-@dataclass(frozen=True)
-class Listener:
-    """Who is told of results as soon as they are known, each on its lane's thread."""
-
-    motion: Callable[[Motion], None] = lambda motion: None
-    verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
-    lost: Callable[[str, str], None] = lambda lane, why: None
-
-
-@dataclass(frozen=True)
-class Capacity:
-    """What waits for a busy lane.
-
-    `drop`: with a mailbox full, leave out the oldest exposure (flight) instead of waiting (recordings).
-    """
-
-    tracking: int = 2  # exposures
-    mapping: int = 2  # exposures
-    drop: bool = True
-    schedule: int | None = 1000  # last entries of the schedule that are kept; None: all of them
-
-
-class Diary(Protocol):
-    """Where a live run writes what it does; the recorder is one."""
-
-    def event(self, event: Event) -> None:
-        """Something came in."""
-
-    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
-        """A lane used an exposure: `kind` is a field of `Schedule`."""
-
-    def note(self, lane: str, words: str) -> None:
-        """Something happened to a lane."""
-
-
-class NoDiary:
-    """Nothing is written."""
-
-    def event(self, event: Event) -> None:
-        """Something came in."""
-
-    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
-        """A lane used an exposure."""
-
-    def note(self, lane: str, words: str) -> None:
-        """Something happened to a lane."""
 
 
 @dataclass
@@ -130,8 +83,8 @@ class Live:
         self,
         rig: Rig,
         settings: Settings,
-        listener: Listener = Listener(),
-        capacity: Capacity = Capacity(),
+        listener: Listener = SILENT,
+        capacity: Capacity = IN_FLIGHT,
         folder: Path | None = None,
         appearance: terrain.Model | None = None,
         imu: ImuNoise | None = None,

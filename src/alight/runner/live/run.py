@@ -16,7 +16,8 @@ from alight.records import AlightError, Event, Frame, Motion, RunResult
 from alight.records.codec import FlightHead
 from alight.runner.demo import compile_kernels
 from alight.runner.live.health import FlightHealth
-from alight.runner.live.live import NAVIGATION, Listener, Live
+from alight.runner.live.interface import SILENT, Listener
+from alight.runner.live.live import NAVIGATION, Live
 from alight.runner.live.stream_clock import Clocks
 from alight.runner.replay import appearance_of, result_of
 from alight.settings import Settings
@@ -27,7 +28,6 @@ log = logging.getLogger(__name__)
 RECORDING = "recording.mcap"
 MOST_CELLS = 2_000_000  # of the map of the whole flight
 TELL_EVERY = 0.5  # s between two lines of status
-SILENT = Listener()
 
 Tell = Callable[[FlightHealth], None]
 
