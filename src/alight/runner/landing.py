@@ -19,6 +19,7 @@ from alight.pipeline.map_frame import MapFrame
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
 from alight.records.surface import nearest_on
+from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
 
@@ -29,6 +30,7 @@ JUDGE_EVERY = {  # s between two judgements
 }  # fmt: skip
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
+SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
 
@@ -97,7 +99,7 @@ class _Loop:
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
-        self._newest_ns = vehicle.time_ns
+        self._pictures = PictureWatch()
         self._seen: Seen | None = None
         self._pending: tuple[float, Seen] | None = None  # and when it is known
         self._judged_at = -math.inf
@@ -123,9 +125,8 @@ class _Loop:
         for event in self._vehicle.step(TICK, self._wanted):
             if isinstance(event, NavSample) and event.position_world is not None:
                 self._rows.append((event.t_ns, event.position_world))
-            elif isinstance(event, Frame):
-                self._newest_ns = max(self._newest_ns, event.t_ns)
-            motion = self._pipeline.feed(event)
+            fresh = self._pictures.fresh(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
+            motion = None if fresh is None else self._pipeline.feed(fresh)
             if motion is not None:
                 self._motion = motion
                 self._tie_to_autopilot(motion)
@@ -145,8 +146,9 @@ class _Loop:
         lost = m.state in (MotionState.LOST, MotionState.INITIALISING)
         return Situation(
             self.t, None if lost else m.world_from_body.translation, m.state, m.frame_id, self._seen,
-            (self._vehicle.time_ns - self._newest_ns) * 1e-9, standing=self._vehicle.landed,
-            battery=self._vehicle.battery, wind=self._vehicle.wind_speed,
+            self._pictures.age(self._vehicle.time_ns), self._pictures.frozen > 0,
+            standing=self._vehicle.landed, battery=self._vehicle.battery, wind=self._vehicle.learned_wind,
+            holds=bool(self._rows) and self._vehicle.time_ns - self._rows[-1][0] < SILENT_NS,
         )  # fmt: skip
 
     def _judge(self) -> None:

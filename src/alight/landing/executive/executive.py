@@ -17,6 +17,7 @@ from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import square_spiral
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
 from alight.landing.route import lowest_clear
+from alight.landing.wind import downwind, ground_speed, is_from_behind
 from alight.records import MotionState, Site
 from alight.records.executive import (
     FlightDiary,
@@ -51,6 +52,7 @@ class Executive:
         self._frame = 0
         self._ground: float | None = None
         self._lanes: Iterator[tuple[float, float]] | None = None
+        self._corner: tuple[float, float] | None = None  # at the end of the lane that is searched
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
@@ -110,23 +112,36 @@ class Executive:
         return self._progress(now)
 
     def _trouble(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        k, waited = self._keys, now.t - self._since
+        k = self._keys
+        if self.state is S.HOLD and (over := self._held_enough(now)) is not None:
+            return over
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
         weak = self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD) and now.t - self._sound_at >= k.degraded
-        if self.state is S.HOLD and waited > k.wait:
-            return E.WAITED, f"for {waited:.0f} s"
         if self.state is not S.ABORT:
             if astray or weak:
                 lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)
                 return E.NAVIGATION_LOST, "no position" if lost else f"the motion is {now.state.name.lower()}"
             if blind:
-                return E.CAMERA_LOST, f"the newest picture is {now.picture_age:.1f} s old"
+                frozen = "the cameras have frozen: one picture comes again and again, " if now.frozen else ""
+                return E.CAMERA_LOST, f"{frozen}the newest picture is {now.picture_age:.1f} s old"
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        if now.wind > k.most_wind:
-            return E.WIND, f"{now.wind:.1f} m/s, limit {k.most_wind:.1f}"
+        return self._limits(now)
+
+    def _held_enough(self, now: Situation) -> tuple[FlightEvent, str] | None:
+        """A vehicle that keeps its place may wait for its cameras; one that drifts is handed over soon."""
+        waited, patience = now.t - self._since, self._keys.hold if now.holds else self._keys.wait
+        if waited > patience:
+            return E.WAITED, f"for {waited:.0f} s"
+        return self._limits(now) if now.holds else None
+
+    def _limits(self, now: Situation) -> tuple[FlightEvent, str] | None:
+        """What ends the attempt."""
+        k = self._keys
+        if now.wind_speed > k.most_wind:
+            return E.WIND, f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
         if now.battery < k.least_battery:
             return E.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
         if self._begun is not None and now.t - self._begun > k.time_budget:
@@ -149,13 +164,19 @@ class Executive:
         found = self._best()
         if found is not None and (found.kind == "site" or found.p_safe >= self._keys.at_once):
             return self._found(found)
-        if self._way is not None and self._reached(now, self._way):
-            self._way = None
-        if self._way is None and not self._next_lane():
+        if self._corner is not None and self._reached(now, self._lane_end()):
+            self._corner = None
+        if self._corner is None and not self._next_lane():
             if found is not None:
                 return self._found(found)
-            return E.SEARCHED, f"within {self._keys.search_side:.0f} m"
+            return E.SEARCHED, self._searched_words()
+        self._way = self._lane_end() if self._corner is not None else None
         return None, ""
+
+    def _searched_words(self) -> str:
+        refused = f"; {len(self._banned)} places were refused from near by" if self._banned else ""
+        unseen = "" if self._ground is not None else "; no height could be measured"
+        return f"within {self._keys.search_side:.0f} m{refused}{unseen}"
 
     def _found(self, place: Site) -> tuple[FlightEvent, str]:
         self.target = place
@@ -234,8 +255,13 @@ class Executive:
         return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
 
     def _best(self) -> Site | None:
-        """The best place known that was not refused before: sites first, then candidates by their P(safe)."""
-        free = [p for p in self._noted if not self._is_banned(p)]
+        """The best place known that was not refused before: sites first, then candidates by their P(safe).
+
+        After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
+        succession). When that is small they are worth neither the time nor the battery.
+        """
+        hopeless = len(self._banned) >= self._keys.visits
+        free = [p for p in self._noted if not self._is_banned(p) and (p.kind == "site" or not hopeless)]
         return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
 
     def _is_banned(self, place: Site) -> bool:
@@ -257,7 +283,7 @@ class Executive:
             self._begin_place(now)
         elif after is S.DESCEND:
             self._height = max(self._keys.commit_height, self._height * self._keys.lower)
-            self._way = self._beside(now, 1.0)
+            self._way = self._leg_start(now)
         elif after is S.LOOK:
             self._leg = self._look_leg(now)
         elif after is S.ABORT:
@@ -273,7 +299,7 @@ class Executive:
         wanted = look.height if look is not None else up * self._keys.lower
         self._height = float(np.clip(wanted, self._keys.commit_height, max(up, self._keys.commit_height)))
         if self._keys.look_again:
-            self._way = self._beside(now, 1.0)
+            self._way = self._leg_start(now)
             return
         self._height = self._keys.commit_height
         self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
@@ -292,7 +318,7 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self._ground = now.frame_id, None, None
+        self._frame, self._lanes, self._corner, self._ground = now.frame_id, None, None, None
         self._home = now.position.copy()
         self._banned.clear()
         self._noted.clear()
@@ -315,8 +341,11 @@ class Executive:
         to = self._leg[0] if self.state is S.LOOK and self._leg else self._way
         if to is None:
             return Order("hold")
-        slow = self.state is S.LOOK
-        return Order("fly", self._clear(now, to), r.cruise_speed * (0.4 if slow else 1.0), 2.0 * r.descent_speed)
+        to = self._clear(now, to)
+        way = to - now.position
+        speed = ground_speed(way, now.wind, r.cruise_speed * (0.4 if self.state is S.LOOK else 1.0), r.air_speed)
+        sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
+        return Order("fly", to, speed, sink)
 
     def _clear(self, now: Situation, to: F64) -> F64:
         """Where to fly next on the way to a point: first up, where something on the map stands in the way."""
@@ -333,34 +362,58 @@ class Executive:
         return np.array([to[0], to[1], level])
 
     def _next_lane(self) -> bool:
+        """Begin the next lane of the search; False where all was searched.
+
+        The outermost lane lies so far inside that its pictures reach the edge of the square.
+        """
         if self._home is None:
             return True
-        ground = self._ground if self._ground is not None else float(self._home[2]) - self._keys.search_height
         if self._lanes is None:
-            lane = self._keys.lane * self._keys.search_height * self._aspect
-            self._lanes = square_spiral(self._home, self._keys.search_side, lane)
-        corner = next(self._lanes, None)
-        if corner is None:
-            return False
-        self._way = np.array([*corner, ground + self._keys.search_height])
-        return True
+            shown = self._keys.search_height * self._aspect  # of the ground by a picture, its shorter side
+            side = max(self._keys.search_side - shown, 0.0)
+            self._lanes = square_spiral(self._home, side, self._keys.lane * shown)
+        self._corner = next(self._lanes, None)
+        return self._corner is not None
+
+    def _lane_end(self) -> F64:
+        """The end of this lane, at the height of the search above the ground as it is known by now."""
+        assert self._home is not None
+        assert self._corner is not None
+        height = self._keys.search_height
+        ground = self._ground if self._ground is not None else float(self._home[2]) - height
+        return np.array([*self._corner, ground + height])
 
     def _base(self) -> float:
         return max(self._keys.look_base * self._height, self._keys.least_base)
 
-    def _beside(self, now: Situation, sign: float) -> F64:
-        """The end of a look leg, on the vehicle's side of the place or on the other one."""
-        assert self.target is not None
-        assert now.position is not None
-        place = np.array([self.target.east, self.target.north])
-        away = now.position[:2] - place
-        distance = float(np.hypot(*away))
-        towards = away / distance if distance > 0.3 else np.array([0.0, 1.0])
-        return np.array([*(place + sign * self._base() * towards), self.target.up + self._height])
+    def _leg_start(self, now: Situation) -> F64:
+        """The end of a look leg where it begins: down the wind of the place, so that the leg leads against it.
+
+        Without wind, or where it is not known, on the vehicle's side.
+        """
+        behind = downwind(now.wind, self._route.calm)
+        return self._beside(self._side(now) if behind is None else behind)
 
     def _look_leg(self, now: Situation) -> list[F64]:
         """Across the place, to the other side."""
-        return [self._beside(now, -1.0)]
+        return [self._beside(-self._side(now))]
+
+    def _beside(self, towards: F64) -> F64:
+        """An end of a look leg, in the direction of a unit vector (2,) from the place."""
+        assert self.target is not None
+        place = np.array([self.target.east, self.target.north])
+        return np.array([*(place + self._base() * towards), self.target.up + self._height])
+
+    def _side(self, now: Situation) -> F64:
+        """(2,) unit vector from the place to the side on which the vehicle is, along the wind where there is one."""
+        assert self.target is not None
+        assert now.position is not None
+        away = now.position[:2] - np.array([self.target.east, self.target.north])
+        along = downwind(now.wind, self._route.calm)
+        if along is not None:
+            return along if float(along @ away) >= 0.0 else -along
+        distance = float(np.hypot(*away))
+        return np.asarray(away / distance) if distance > 0.3 else np.array([0.0, 1.0])
 
     def _reached(self, now: Situation, point: F64) -> bool:
         return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived

@@ -20,7 +20,13 @@ class ExecutiveTuning(FrozenModel):
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before it is dropped")
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
-    wait: Positive = Field(12.0, description="Time without a verdict, navigation or pictures before giving up, s")
+    visits: int = Field(
+        8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"
+    )
+    wait: Positive = Field(12.0, description="Time without a verdict, or without any position, before giving up, s")
+    hold: Positive = Field(
+        60.0, description="Time without navigation or pictures that the autopilot is let hold its place, s"
+    )
     degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
