@@ -11,7 +11,10 @@ from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
 _MIN_SUPPORT = 8  # features that pass their gates, and no more than fail: the cameras hold the motion
-_FEW, _AGREEING = 4, 4  # fewer do so too where this many pass, and this many for one that fails: poses have six freedoms
+_FEW, _AGREEING = (
+    4,
+    4,
+)  # fewer do so too where this many pass, and this many for one that fails: poses have six freedoms
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
 _PHOTO_INTERVALS = 2.5  # the same in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures until the start is over
