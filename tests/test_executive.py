@@ -40,6 +40,7 @@ class Ground:
     frame_id: int = 0
     sees: float = 20.0  # m about the vehicle
     tall: float = 0.0  # m, of a wall across east = 15
+    unlisted: tuple[float, float] = (0.0, 0.0)  # heights between which places are in doubt and not listed
 
     def map(self) -> ElevationMap:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
@@ -63,8 +64,10 @@ class Ground:
             if np.hypot(e - at[0], n - at[1]) > self.sees:
                 continue
             p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
-            p_map[row, col], reasons[row, col] = p, 0 if p > 0 else int(Hazard.ROUGHNESS)
-            if p > 0:
+            off_list = self.unlisted[0] < at[2] < self.unlisted[1]
+            doubt = int(Hazard.DOUBT) if off_list else 0
+            p_map[row, col], reasons[row, col] = p, doubt if p > 0 else int(Hazard.ROUGHNESS)
+            if p > 0 and not off_list:
                 look = NextView(e, n, 8.0, 8.0, True)
                 kind = "site" if p >= 0.95 else "candidate"
                 listed.append(replace(some_site(), east=e, north=n, up=0.0, p_safe=p, kind=kind, look=look, doubt=None))
@@ -363,7 +366,8 @@ def at_times(begin: float, end: float, **what: object) -> Callable[[Situation, E
 
 
 def test_it_holds_for_its_cameras_and_then_searches_on() -> None:
-    """Half a minute without pictures: the autopilot keeps the place. The lane that was broken off is flown to its end."""
+    """Half a minute without pictures: the autopilot keeps the place. The lane that was broken off is flown to its
+    end."""
     blind = at_times(9.0, 39.0, picture_age=9.0)
     plain, f = (Flight(Ground({}), Executive(settings()), c) for c in (lambda now, executive: now, blind))
     assert plain.fly() is S.RETURN
@@ -402,7 +406,7 @@ def test_frozen_cameras_are_named() -> None:
 
 
 def test_candidates_that_all_fall_are_not_visited_for_ever() -> None:
-    """Twelve of them: after eight that near looks refused, the ninth has a chance of a tenth. A site is still taken."""
+    """Twelve: after eight that near looks refused, the ninth has a chance of a tenth. A site is still taken."""
     spots = [(12.0 * k - 18.0, 12.0 * m - 18.0) for k in range(4) for m in range(3)]
     ground = Ground(dict.fromkeys(spots, lambda h: 0.7), sees=99.0)
     f = Flight(ground, Executive(settings("executive.time_budget=2000")))
@@ -514,8 +518,8 @@ def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  
         lost = state in (MotionState.LOST, MotionState.INITIALISING)
         ended = executive.state in (S.LANDED, S.HANDED_OVER)
         order = executive.tick(
-            Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, wind > 10, None, link or wind > 3,
-                      pilot and wind > 18, standing and up < 1, battery, np.array([wind, -wind]), battery > 0.5)
+            Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, wind > 10, None,
+                      link or wind > 3, pilot and wind > 18, standing and up < 1, battery, np.array([wind, -wind]), battery > 0.5)
         )  # fmt: skip
         assert not ended or order.what == "nothing"
         assert order.position is None or np.isfinite(order.position).all()
@@ -549,6 +553,33 @@ def test_the_spiral_covers_the_square() -> None:
         for e in 3.0 + np.linspace(-0.5, 0.5, 20) * side:
             for n in 4.0 + np.linspace(-0.5, 0.5, 20) * side:
                 assert np.abs(way - [e, n]).max(axis=1).min() <= 5.0 + 0.5
+
+
+def test_a_place_that_fell_is_not_taken_for_one_beside_it() -> None:
+    """A stays in doubt and is left. C, 3.1 m beside it, is looked at: A is better from 8 m, and is not taken again."""
+    ground = Ground({(10.0, 5.0): lambda h: 0.8, (13.1, 5.0): lambda h: 0.97 if h < 7.0 else 0.7})
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    assert f.events.count(E.REFUSED) == 1
+    np.testing.assert_allclose(f.position[:2], [13.1, 5.0], atol=0.3)
+
+
+def test_good_ground_that_is_not_listed_is_not_dropped_on_the_way() -> None:
+    """A better place elsewhere can keep it off the list: P(safe) of its cell is 0.9, and that is no refusal."""
+    ground = Ground({(10.0, 5.0): lambda h: 0.97 if h < 9.0 else 0.92}, unlisted=(9.5, 26.0))
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    assert E.REFUSED not in f.events
+
+
+def test_after_a_first_refusal_the_search_goes_on_to_its_end() -> None:
+    """Then the best place is next, wherever it is; climbing back to the search after each one took most of the time."""
+    ground = Ground({(2.0, 5.0): lambda h: 0.91, (-5.0, 3.0): lambda h: 0.91,
+                     (18.0, 18.0): lambda h: 0.97 if h < 9.0 else 0.94}, sees=12.0)  # fmt: skip
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    assert f.events.count(E.REFUSED) == 1
+    np.testing.assert_allclose(f.position[:2], [18.0, 18.0], atol=0.3)
 
 
 def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:

@@ -162,7 +162,7 @@ class Executive:
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
         found = self._best()
-        if found is not None and (found.kind == "site" or found.p_safe >= self._keys.at_once):
+        if found is not None and (found.kind == "site" or (found.p_safe >= self._keys.at_once and not self._banned)):
             return self._found(found)
         if self._corner is not None and self._reached(now, self._lane_end()):
             self._corner = None
@@ -238,7 +238,8 @@ class Executive:
         self._judged = seen.number
         low = self.state is S.COMMIT
         same = self._keys.same_place if low else max(self._keys.same_place, self._keys.beside * self._height)
-        said = opinion(self.target, seen, self._limit, same)
+        least = self._limit if low else self._keys.hopeless
+        said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._is_banned(s))
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said
 

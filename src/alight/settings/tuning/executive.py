@@ -14,7 +14,10 @@ class ExecutiveTuning(FrozenModel):
     look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
     least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
     lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
-    at_once: Fraction = Field(0.9, description="P(safe) of a place for which the search is broken off")
+    at_once: Fraction = Field(
+        0.9, description="P(safe) of a candidate for which the search is broken off, until a first one was refused"
+    )
+    hopeless: Fraction = Field(0.3, description="P(safe) below which a place in doubt is dropped without a lower look")
     beside: Positive = Field(0.4, description="Better places so near are taken instead at a look, over its height")
     same_place: Positive = Field(2.0, description="Distance within which a listed place is the one looked at, m")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
