@@ -518,8 +518,9 @@ def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  
         lost = state in (MotionState.LOST, MotionState.INITIALISING)
         ended = executive.state in (S.LANDED, S.HANDED_OVER)
         order = executive.tick(
-            Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, wind > 10, None,
-                      link or wind > 3, pilot and wind > 18, standing and up < 1, battery, np.array([wind, -wind]), battery > 0.5)
+            Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, wind > 10,
+                      link=link or wind > 3, pilot=pilot and wind > 18, standing=standing and up < 1, battery=battery,
+                      wind=np.array([wind, -wind]), holds=battery > 0.5)
         )  # fmt: skip
         assert not ended or order.what == "nothing"
         assert order.position is None or np.isfinite(order.position).all()

@@ -16,6 +16,9 @@ from alight.geometry import Grid
 from alight.landing.executive import ENDS, Executive
 from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import Navigation
+from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
 from alight.records.surface import nearest_on
@@ -45,6 +48,7 @@ class Landing:
     verdicts: int = 0
     decision: Decision | None = None  # of the whole flight, where it was asked for
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
+    cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging
 
 
 def fly_landing(
@@ -72,6 +76,17 @@ def fly_landing(
     return loop.result(map_all)
 
 
+class _MeasuredPipeline(Pipeline):
+    """A pipeline that tells what mapping costs by itself."""
+
+    costs: Timings
+
+    def map(self, navigation: Navigation) -> MapSnapshot | None:
+        """Improve the map with an exposure, measured."""
+        with self.costs.of("mapping"):
+            return super().map(navigation)
+
+
 class _Loop:
     def __init__(
         self,
@@ -87,7 +102,8 @@ class _Loop:
                 "parallax": settings.parallax.model_copy(update={"method": "ring"}),
             }
         )
-        self._pipeline = Pipeline(
+        self._costs = Timings(time.process_time)
+        self._pipeline = _MeasuredPipeline(
             vehicle.rig,
             "flight",
             self._settings,
@@ -96,6 +112,7 @@ class _Loop:
             appearance=appearance,
             imu=vehicle.imu_noise,
         )
+        self._pipeline.costs = self._costs
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
@@ -122,11 +139,14 @@ class _Loop:
 
     def step(self) -> None:
         """One order, and what comes of it."""
-        for event in self._vehicle.step(TICK, self._wanted):
+        with self._costs.of("simulator"):
+            events = self._vehicle.step(TICK, self._wanted)
+        for event in events:
             if isinstance(event, NavSample) and event.position_world is not None:
                 self._rows.append((event.t_ns, event.position_world))
             fresh = self._pictures.fresh(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
-            motion = None if fresh is None else self._pipeline.feed(fresh)
+            with self._costs.of("pipeline"):
+                motion = None if fresh is None else self._pipeline.feed(fresh)
             if motion is not None:
                 self._motion = motion
                 self._tie_to_autopilot(motion)
@@ -160,7 +180,8 @@ class _Loop:
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
-        verdict = self._pipeline.judge_now(self.executive.about)
+        with self._costs.of("judging"):
+            verdict = self._pipeline.judge_now(self.executive.about)
         if verdict is not None:
             self._number += 1
             self._landing.verdicts += 1
@@ -195,8 +216,16 @@ class _Loop:
         decision = self._pipeline.finish() if map_all else None
         return replace(
             self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p, decision=decision,
-            timings=self._pipeline.timings,
+            timings=self._pipeline.timings, cpu_of=self._cpu_of(),
         )  # fmt: skip
+
+    def _cpu_of(self) -> dict[str, float]:
+        spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
+        mapping, pipeline = spent.get("mapping", 0.0), spent.get("pipeline", 0.0)
+        return {
+            "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
+            "judging": spent.get("judging", 0.0),
+        }  # fmt: skip
 
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
