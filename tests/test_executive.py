@@ -273,6 +273,46 @@ def test_a_car_on_the_site_breaks_the_landing_off() -> None:
     assert f.states[k - 1 : k + 2] == [S.COMMIT, S.ABORT, S.SEARCH]
 
 
+def test_a_car_beside_which_good_ground_is_left_breaks_the_landing_off_too() -> None:
+    """Seen in a campaign: the site was refused, a listed one 1.6 m beside it was taken for it, and the vehicle swerved
+    to that at two metres of height and came down on the car's edge. One verdict that sees P(safe) fall is enough."""
+    there = {(10.0, 5.0): clearer_from_below, (-12.0, 0.0): lambda h: 0.97 if h < 9.0 else 0.5}
+    ground, since = Ground(there), list[float]()
+
+    def park(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.position is not None and now.position[0] > 0:
+            since.append(now.t)
+            there[10.0, 5.0], there[11.6, 5.0] = (lambda h: 0.0), (lambda h: 0.98)
+        return now
+
+    f = Flight(ground, Executive(settings()), park)
+    assert f.fly() is S.LANDED
+    k = f.events.index(E.REFUSED)
+    assert f.states[k : k + 2] == [S.COMMIT, S.ABORT]
+    assert f.executive.diary.transitions[k].t - since[0] <= 1.5  # the next verdict
+    low = [o for s, o, _ in f.orders if s is S.COMMIT and o.position is not None and o.position[0] > 0]
+    assert max(abs(o.position[0] - 10.0) for o in low if o.position is not None) < 0.1
+    assert f.position[0] < 0
+
+
+def test_a_verdict_a_little_below_the_limit_does_not_break_a_landing_off() -> None:
+    ground, count = Ground({(10.0, 5.0): lambda h: 0.97 if h < 9.0 else 0.92}), list[int]()
+
+    def waver(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.seen is not None and now.seen.number % 2:
+            count.append(1)
+            p, reasons = now.seen.hazards.p_safe.copy(), now.seen.hazards.reasons.copy()
+            p[p > 0.0], reasons[p > 0.0] = 0.93, int(Hazard.DOUBT)
+            hazards = replace(now.seen.hazards, p_safe=p, reasons=reasons)
+            return replace(now, seen=replace(now.seen, hazards=hazards, sites=Sites((), "", 0, ())))
+        return now
+
+    f = Flight(ground, Executive(settings()), waver)
+    assert f.fly() is S.LANDED
+    assert count
+    assert S.ABORT not in f.states
+
+
 def test_too_low_to_go_up_it_lands() -> None:
     ground = Ground({(10.0, 5.0): lambda h: 0.97 if h > 1.4 else 0.0})
     f = Flight(ground, Executive(settings()))

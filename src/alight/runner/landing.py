@@ -29,7 +29,7 @@ from alight_sim.steered import SteeredFlight, Wanted
 TICK = 0.1  # s between two orders
 JUDGE_EVERY = {  # s between two judgements
     FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
-    FlightState.COMMIT: 0.8,
+    FlightState.COMMIT: 0.5,
 }  # fmt: skip
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up

@@ -192,8 +192,9 @@ class Executive:
         assert self.target is not None
         said = self._opinion(now)
         if said is not None and said.standing is Standing.REFUSED:
-            if self._refusals >= self._keys.sure:
-                return E.REFUSED, said.why
+            fallen = self.state is S.COMMIT and said.p_safe < self._keys.fallen
+            if fallen or self._refusals >= self._keys.sure:
+                return E.REFUSED, f"{said.why}: {said.p_safe:.2f}" if fallen else said.why
         elif said is not None and said.standing is not Standing.NOT_SEEN:
             self.target = said.place
         if self.state is S.COMMIT:
@@ -237,7 +238,7 @@ class Executive:
             return None
         self._judged = seen.number
         low = self.state is S.COMMIT
-        same = self._keys.same_place if low else max(self._keys.same_place, self._keys.beside * self._height)
+        same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
         least = self._limit if low else self._keys.hopeless
         said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._is_banned(s))
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0

@@ -20,8 +20,14 @@ class ExecutiveTuning(FrozenModel):
     hopeless: Fraction = Field(0.3, description="P(safe) below which a place in doubt is dropped without a lower look")
     beside: Positive = Field(0.4, description="Better places so near are taken instead at a look, over its height")
     same_place: Positive = Field(2.0, description="Distance within which a listed place is the one looked at, m")
+    same_spot: Positive = Field(
+        0.5, description="The same once the landing has begun: it comes down without a swerve, m"
+    )
+    fallen: Fraction = Field(0.9, description="P(safe) below which one verdict breaks a landing off")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
-    sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before it is dropped")
+    sure: int = Field(
+        2, ge=1, description="Verdicts in a row that refuse a place before it is dropped, or a landing is broken off"
+    )
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
     visits: int = Field(
         8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"
