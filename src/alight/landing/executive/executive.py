@@ -8,13 +8,13 @@ looked at again from half the height, until the lowest look confirms it. Only th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.opinion import Opinion, Standing, opinion
-from alight.landing.executive.search import square_spiral
+from alight.landing.executive.search import SearchLanes
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
 from alight.landing.route import lowest_clear
 from alight.landing.wind import downwind, ground_speed, is_from_behind
@@ -43,7 +43,6 @@ class Executive:
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
-        self._aspect = 0.75  # of what a picture sees: its height over its width
         self.state, self.diary = S.SEARCH, FlightDiary()
         self.target: Site | None = None
         self._begun: float | None = None  # s
@@ -51,13 +50,12 @@ class Executive:
         self._home: F64 | None = None
         self._frame = 0
         self._ground: float | None = None
-        self._lanes: Iterator[tuple[float, float]] | None = None
-        self._corner: tuple[float, float] | None = None  # at the end of the lane that is searched
+        self._lanes: SearchLanes | None = None
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
         self._sound_at = -math.inf  # s, when the motion was not degraded
-        self._leg: list[F64] = []  # what is left of a look leg
+        self._across: F64 | None = None  # where the look leg leads
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
         self._banned: list[tuple[float, float]] = []
@@ -164,13 +162,15 @@ class Executive:
         found = self._best()
         if found is not None and (found.kind == "site" or (found.p_safe >= self._keys.at_once and not self._banned)):
             return self._found(found)
-        if self._corner is not None and self._reached(now, self._lane_end()):
-            self._corner = None
-        if self._corner is None and not self._next_lane():
+        assert self._home is not None
+        lanes = self._lanes = self._lanes or SearchLanes(self._home, self._keys)
+        if self._reached(now, lanes.end(self._ground)):
+            lanes.reached()
+        if lanes.over:
             if found is not None:
                 return self._found(found)
             return E.SEARCHED, self._searched_words()
-        self._way = self._lane_end() if self._corner is not None else None
+        self._way = lanes.end(self._ground)
         return None, ""
 
     def _searched_words(self) -> str:
@@ -191,10 +191,11 @@ class Executive:
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
         said = self._opinion(now)
+        if said is not None and self._is_fallen(said):
+            return E.REFUSED, f"P(safe) has fallen to {said.p_safe:.2f}: {said.why}"
         if said is not None and said.standing is Standing.REFUSED:
-            fallen = self.state is S.COMMIT and said.p_safe < self._keys.fallen
-            if fallen or self._refusals >= self._keys.sure:
-                return E.REFUSED, f"{said.why}: {said.p_safe:.2f}" if fallen else said.why
+            if self._refusals >= self._keys.sure:
+                return E.REFUSED, said.why
         elif said is not None and said.standing is not Standing.NOT_SEEN:
             self.target = said.place
         if self.state is S.COMMIT:
@@ -203,14 +204,18 @@ class Executive:
             return self._looking(now, said)
         return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
 
+    def _is_fallen(self, said: Opinion) -> bool:
+        """Whether one verdict is enough to break a landing off: something has come."""
+        seen = said.standing is not Standing.NOT_SEEN
+        return self.state is S.COMMIT and seen and said.p_safe < self._keys.fallen
+
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """A look is over when a verdict holds what the whole leg saw."""
         if not self._keys.look_again and self.target is not None:
             return E.CONFIRMED, f"P(safe) {self.target.p_safe:.3f}, not looked at again"
-        if self._leg:
-            if self._reached(now, self._leg[0]):
-                self._leg.pop(0)
-                self._leg_done = None if self._leg else now.t
+        if self._across is not None:
+            if self._reached(now, self._across):
+                self._across, self._leg_done = None, now.t
             return None, ""
         assert self.target is not None
         assert now.seen is not None or said is None
@@ -225,7 +230,7 @@ class Executive:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         self._doubts += 1
         if said.standing is Standing.CANDIDATE and self._doubts < self._keys.patience:
-            self._leg, self._leg_done = self._look_leg(now), None  # once more, from the other side
+            self._across, self._leg_done = self._leg(now).end, None  # once more, from the other side
             return None, ""
         if said.standing is Standing.REFUSED and self._refusals < self._keys.sure:
             return None, ""
@@ -280,14 +285,14 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._ban()
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._leg, self._leg_done = None, [], None
+        self._way, self._across, self._leg_done = None, None, None
         if after is S.APPROACH:
             self._begin_place(now)
         elif after is S.DESCEND:
             self._height = max(self._keys.commit_height, self._height * self._keys.lower)
-            self._way = self._leg_start(now)
+            self._way = self._leg(now).start
         elif after is S.LOOK:
-            self._leg = self._look_leg(now)
+            self._across = self._leg(now).end
         elif after is S.ABORT:
             self._climb(now)
         elif after in (S.SEARCH, S.HOLD, *ENDS) and before is not S.COMMIT:
@@ -301,7 +306,7 @@ class Executive:
         wanted = look.height if look is not None else up * self._keys.lower
         self._height = float(np.clip(wanted, self._keys.commit_height, max(up, self._keys.commit_height)))
         if self._keys.look_again:
-            self._way = self._leg_start(now)
+            self._way = self._leg(now).start
             return
         self._height = self._keys.commit_height
         self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
@@ -320,7 +325,7 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self._corner, self._ground = now.frame_id, None, None, None
+        self._frame, self._lanes, self._ground = now.frame_id, None, None
         self._home = now.position.copy()
         self._banned.clear()
         self._noted.clear()
@@ -340,7 +345,7 @@ class Executive:
             return Order("land", place, r.cruise_speed, k.landing_speed)
         if self.state is S.HOLD or now.position is None:
             return Order("hold")
-        to = self._leg[0] if self.state is S.LOOK and self._leg else self._way
+        to = self._across if self.state is S.LOOK and self._across is not None else self._way
         if to is None:
             return Order("hold")
         to = self._clear(now, to)
@@ -363,59 +368,12 @@ class Executive:
             return np.array([*now.position[:2], level])
         return np.array([to[0], to[1], level])
 
-    def _next_lane(self) -> bool:
-        """Begin the next lane of the search; False where all was searched.
-
-        The outermost lane lies so far inside that its pictures reach the edge of the square.
-        """
-        if self._home is None:
-            return True
-        if self._lanes is None:
-            shown = self._keys.search_height * self._aspect  # of the ground by a picture, its shorter side
-            side = max(self._keys.search_side - shown, 0.0)
-            self._lanes = square_spiral(self._home, side, self._keys.lane * shown)
-        self._corner = next(self._lanes, None)
-        return self._corner is not None
-
-    def _lane_end(self) -> F64:
-        """The end of this lane, at the height of the search above the ground as it is known by now."""
-        assert self._home is not None
-        assert self._corner is not None
-        height = self._keys.search_height
-        ground = self._ground if self._ground is not None else float(self._home[2]) - height
-        return np.array([*self._corner, ground + height])
-
-    def _base(self) -> float:
-        return max(self._keys.look_base * self._height, self._keys.least_base)
-
-    def _leg_start(self, now: Situation) -> F64:
-        """The end of a look leg where it begins: down the wind of the place, so that the leg leads against it.
-
-        Without wind, or where it is not known, on the vehicle's side.
-        """
-        behind = downwind(now.wind, self._route.calm)
-        return self._beside(self._side(now) if behind is None else behind)
-
-    def _look_leg(self, now: Situation) -> list[F64]:
-        """Across the place, to the other side."""
-        return [self._beside(-self._side(now))]
-
-    def _beside(self, towards: F64) -> F64:
-        """An end of a look leg, in the direction of a unit vector (2,) from the place."""
-        assert self.target is not None
-        place = np.array([self.target.east, self.target.north])
-        return np.array([*(place + self._base() * towards), self.target.up + self._height])
-
-    def _side(self, now: Situation) -> F64:
-        """(2,) unit vector from the place to the side on which the vehicle is, along the wind where there is one."""
+    def _leg(self, now: Situation) -> LookLeg:
         assert self.target is not None
         assert now.position is not None
-        away = now.position[:2] - np.array([self.target.east, self.target.north])
-        along = downwind(now.wind, self._route.calm)
-        if along is not None:
-            return along if float(along @ away) >= 0.0 else -along
-        distance = float(np.hypot(*away))
-        return np.asarray(away / distance) if distance > 0.3 else np.array([0.0, 1.0])
+        half = max(self._keys.look_base * self._height, self._keys.least_base)
+        place = np.array([self.target.east, self.target.north, self.target.up + self._height])
+        return LookLeg(place, half, now.position, downwind(now.wind, self._route.calm))
 
     def _reached(self, now: Situation, point: F64) -> bool:
         return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived

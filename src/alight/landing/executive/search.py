@@ -5,7 +5,38 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from alight.arrays import F64
+from alight.settings import ExecutiveSettings
+
+ASPECT = 0.75  # of the ground that a picture shows: its shorter side over the height
+
+
+class SearchLanes:
+    """The lanes of a search, one after the other.
+
+    The outermost lies so far inside that its pictures reach the rim of the searched square.
+
+    Args:
+        home: (3,) metres, the middle of the square; the search height above the ground, as far as is known.
+    """
+
+    def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
+        shown = keys.search_height * ASPECT
+        self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
+        self._corner = next(self._corners)
+        self.over = False  # all was searched
+
+    def end(self, ground: float | None) -> F64:
+        """(3,) metres, the end of this lane, above the ground as it is known by now."""
+        return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
+
+    def reached(self) -> None:
+        """The end of this lane: the next one begins, or the search is over."""
+        corner = next(self._corners, None)
+        self._corner, self.over = corner or self._corner, corner is None
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:
