@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from alight.landing import route
 from alight.records import ElevationMap, Route, Site
-from alight.settings import RouteSettings
+from alight.settings import RouteSettings, load_settings
 
 SETTINGS = RouteSettings(approach_height=10.0, clearance=3.0)
 
@@ -116,6 +116,10 @@ def test_against_the_wind_it_flies_slower_over_the_ground(wind: tuple[float, flo
     assert got.waypoints[1].speed == pytest.approx(speed)
     assert got.waypoints[1].t == pytest.approx(55.0 / speed)
     assert any("against the wind" in w for w in got.warnings) is (speed < 5.0)
+
+
+def test_a_recording_is_given_its_wind_by_a_setting() -> None:
+    assert load_settings("", ["route.wind=[3,-1.5]"]).stages().route.wind == (3.0, -1.5)
 
 
 def test_no_line_leads_down_with_the_wind_from_behind() -> None:

@@ -211,14 +211,14 @@ class LandingPilot:
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
-        if order.what in ("fly", "land"):
-            self._time(now_ns)
+        self._time(now_ns, order.what in ("fly", "land"))
 
-    def _time(self, now_ns: int) -> None:
+    def _time(self, now_ns: int, moves: bool) -> None:
+        """Note how late the order is; one to hold follows from a verdict as well."""
         if self._seen_ns > self._acted_ns:
             self._acted_ns = self._seen_ns
             self.way_point_times.append((now_ns - self._seen_ns) * 1e-9)
-        if self.motion is not None and self.motion.t_ns > self._guided_ns:
+        if moves and self.motion is not None and self.motion.t_ns > self._guided_ns:
             self._guided_ns = self.motion.t_ns
             self.set_point_times.append((now_ns - self.motion.t_ns) * 1e-9)
 
