@@ -163,6 +163,25 @@ def test_a_look_passes_beside_the_place() -> None:
         assert across >= 0.24 * look.height - 1.0  # a way-point counts as reached within a metre
 
 
+def test_a_look_is_judged_at_the_end_of_its_leg() -> None:
+    """`crosses` tells while the leg is flown; every look was noted when it was over."""
+    crossed = list[tuple[float, bool]]()
+
+    def note(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.LOOK:
+            crossed.append((now.t, executive.crosses))
+        else:
+            assert not executive.crosses
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), note)
+    assert f.fly() is S.LANDED
+    assert {c for _, c in crossed} == {True, False}
+    at = dict(crossed)
+    assert f.executive.diary.looks
+    assert not any(at[x.t] for x in f.executive.diary.looks)
+
+
 def test_a_place_that_falls_gives_way_to_the_next() -> None:
     ground = Ground({(10.0, 5.0): bad_from_below, (-12.0, 0.0): clearer_from_below})
     f = Flight(ground, Executive(settings()))

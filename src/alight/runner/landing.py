@@ -31,6 +31,7 @@ JUDGE_EVERY = {  # s between two judgements
     FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
     FlightState.COMMIT: 0.5,
 }  # fmt: skip
+CROSSING = 2.0  # s, the same while a look leg is flown
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
@@ -74,6 +75,11 @@ def fly_landing(
         happening(loop.t, loop.executive.state)
         loop.step()
     return loop.result(map_all)
+
+
+def judged_every(executive: Executive) -> float | None:
+    """Seconds between two judgements that the executive can use; None: it needs none."""
+    return CROSSING if executive.crosses else JUDGE_EVERY.get(executive.state)
 
 
 class _MeasuredPipeline(Pipeline):
@@ -176,7 +182,7 @@ class _Loop:
         if self._pending is not None and self.t >= self._pending[0]:
             _, self._seen = self._pending
             self._pending = None
-        every = JUDGE_EVERY.get(self.executive.state)
+        every = judged_every(self.executive)
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t

@@ -67,6 +67,11 @@ class Executive:
         """(2,) metres, the place that a verdict is wanted on; None: the ground below."""
         return None if self.target is None else np.array([self.target.east, self.target.north])
 
+    @property
+    def crosses(self) -> bool:
+        """Whether a look leg is still being flown: the look is judged at its end."""
+        return self.state is S.LOOK and self._across is not None
+
     # -- the step
 
     def tick(self, now: Situation) -> Order:

@@ -18,7 +18,7 @@ from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Order, Seen, Situation, Transition
 from alight.runner.fly.orders import OrderSender, OrderTaker
-from alight.runner.landing import JUDGE_EVERY, as_seen, look_picture
+from alight.runner.landing import as_seen, judged_every, look_picture
 from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 
@@ -202,7 +202,7 @@ class LandingPilot:
         self._had_position = known
 
     def _decide(self, now: Situation, now_ns: int) -> None:
-        every = JUDGE_EVERY.get(self.state)
+        every = judged_every(self.executive)
         if every is not None and now.t - self._asked >= every:
             self._asked = now.t
             self._judge(self.executive.about)
