@@ -498,7 +498,7 @@ def test_speed_through_the_air_is_limited() -> None:
     wind = np.array([-6.0, 0.0, 0.0])
     f = Flight(
         Ground({(25.0, 0.0): lambda h: 0.97 if h < 9.0 else 0.92}, sees=40.0),
-        Executive(settings("route.air_speed=8")),
+        Executive(settings("tuning.route.air_speed=8")),
         at_times(-1.0, 999.0, wind=wind),
     )  # fmt: skip
     assert f.fly() is S.LANDED
