@@ -20,7 +20,8 @@ FOUND = 0.95  # the chance with which `resolved` would have been found
 SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may take up
 NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
-NEAR_BY, FAR_OFF = 0.35, 0.6  # of the height of an obstacle, what a sample covers: below, above it a rate counts alone
+# of the height of an obstacle: what a sample and a pixel cover where the rates from near by count alone, and not at all
+SAMPLES_NEAR, PIXELS_NEAR = (0.5, 0.7), (0.27, 0.4)
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
 
@@ -81,14 +82,15 @@ def evidence_of(
 
 
 def _near(elevation: ElevationMap, lander: Lander, discs: Discs) -> F32:
-    """Share of the rates for ground looked at from near by, by what a sample covers where there is one."""
-    known = np.isfinite(elevation.sampling)
-    covered, samples = (
-        discs.mean(discs.coarse(v.astype(np.float32))) for v in (np.where(known, elevation.sampling, 0), known)
-    )
-    width = covered / np.maximum(samples, np.float32(1e-6)) / np.float32(lander.tallest_obstacle)
-    share = np.log(FAR_OFF / np.maximum(width, np.float32(1e-6))) / math.log(FAR_OFF / NEAR_BY)
-    return np.where(samples > 0, share.clip(0, 1), 0).astype(np.float32)
+    """Share of the rates for ground looked at from near by, by what samples and pixels cover where there are any."""
+    out = np.ones(discs.grid.shape, np.float32)
+    for width, (full, none) in ((elevation.sampling, SAMPLES_NEAR), (elevation.picture_sampling, PIXELS_NEAR)):
+        known = np.isfinite(width)
+        covered, number = (discs.mean(discs.coarse(v.astype(np.float32))) for v in (np.where(known, width, 0), known))
+        usual = np.maximum(covered, np.float32(1e-6)) / np.maximum(number, np.float32(1e-6))
+        share = np.log(np.float32(none * lander.tallest_obstacle) / usual) / np.float32(math.log(none / full))
+        out = np.where(number > 0, np.minimum(out, share.clip(0, 1)), np.float32(0))
+    return out
 
 
 def factors_of(
