@@ -69,7 +69,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
         px = camera.project((points - C) @ (B @ LOOKS_FORWARD))
         seen = np.flatnonzero(((px > 0) & (px < [camera.width - 1, camera.height - 1])).all(axis=1))
         features.append(
-            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.float32))
+            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.uint8))
         )
         ids.append(seen)
     pairs = []
@@ -307,7 +307,7 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
 
 
 def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
-    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.float32)) for _ in range(3)]
+    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.uint8)) for _ in range(3)]
     none = np.eye(3), np.zeros(3)
     pairs = [
         Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),

@@ -66,6 +66,12 @@ def run(
     ] = None,
     settings: SettingsOption = None,
     assign: SetOption = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
+    ] = False,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster for photos: tcp://host:8786.")
+    ] = None,
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -75,7 +81,7 @@ def run(
     from alight.runner import replay
 
     with progress_bar() as tell:
-        result = replay.find(source, out, chosen, poses, force, tell)
+        result = replay.find(source, out, replay.Find(chosen, poses, force, resume, scheduler), tell)
     leave_result(result, out, force)
 
 

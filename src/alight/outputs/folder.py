@@ -16,6 +16,7 @@ from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, lock_folder, release_folder
+from alight.outputs.work_folder import WORK, is_work, remove_work
 from alight.records import ElevationMap, OutputError, RunResult
 
 log = logging.getLogger(__name__)
@@ -162,13 +163,18 @@ def is_run(folder: Path) -> bool:
     return isinstance(tree, dict) and "alight" in tree
 
 
+def is_finished(folder: Path) -> bool:
+    """Whether the folder holds a finished run, and no work of a later one that is not."""
+    return is_run(folder) and not is_work(folder / WORK)
+
+
 def _is_ours(folder: Path) -> bool:
     """A finished run, or what an interrupted one left: its lock or half a file, and no file of another name."""
     known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     there = list(folder.iterdir())
     began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
-    return is_run(folder) or (began and all(p.name in known and p.is_file() for p in there))
+    return is_run(folder) or (began and all(is_work(p) or (p.name in known and p.is_file()) for p in there))
 
 
 def prepare_folder(out: Path, overwrite: bool = False) -> None:
@@ -269,6 +275,7 @@ def write_folder(
     if is_run(out) or not writer.written:
         release_folder(out)
     writer.complain()
+    remove_work(out)
     return writer.written
 
 

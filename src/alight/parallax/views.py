@@ -16,9 +16,10 @@ from alight.arrays import F32, F64
 from alight.geometry import Camera, Grid, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
-from alight.records import View
+from alight.records import Pixels, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
+GLANCE = 1.01  # of the squared ideal radius: rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
 
 
@@ -36,14 +37,16 @@ class Prepared:
     ratio: float  # pixels a cell spans
 
 
-def rgb_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def rgb_of(image: Pixels) -> NDArray[np.uint8]:
     """The image with three channels."""
-    return np.asarray(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
+    pixels = np.asarray(image)
+    return np.asarray(pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
 
 
-def grey_of(image: NDArray[np.uint8]) -> F32:
+def grey_of(image: Pixels) -> F32:
     """The image as float32 grey levels (RGB by the usual luma weights)."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    pixels = np.asarray(image)
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if pixels.ndim == 3 else pixels
     return np.asarray(grey, dtype=np.float32)
 
 
@@ -187,15 +190,33 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
     return out
 
 
+def facing(views: Sequence[View], grid: Grid, height: float) -> list[int]:
+    """Which views may see some of a grid at a height: all that `choose_views` could take, at a glance."""
+    if not views:
+        return []
+    points = _lattice(grid, height)
+    rotations = np.array([v.world_from_cam.rotation for v in views])
+    rays = (points[None] - np.array([v.centre for v in views])[:, None]) @ rotations
+    limits = np.array([radius2_limit(v.camera) for v in views])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        near = (rays[..., 0] ** 2 + rays[..., 1] ** 2) / rays[..., 2] ** 2 < GLANCE * limits[:, None]
+    return np.flatnonzero((near & (rays[..., 2] > 0)).any(axis=1)).tolist()
+
+
+def _lattice(grid: Grid, height: float) -> F64:
+    """(49, 3) points of a grid at a height."""
+    xs, ys = grid.xy()
+    px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
+    return np.column_stack([px.ravel(), py.ravel(), np.full(px.size, height)])
+
+
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
     """Choose up to `count` views for a grid: every part seen often, over a wide and even baseline.
 
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
     are already in. Views flatter than `max_tangent` (horizontal over vertical distance) serve where nothing else sees.
     """
-    xs, ys = grid.xy()
-    px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
-    points = np.c_[px.ravel(), py.ravel(), np.full(px.size, height)]
+    points = _lattice(grid, height)
     inside, offset = [], []
     for v in views:
         uv = v.camera.project(v.world_from_cam.inverse.apply(points))

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from alight.pipeline.judging import Verdict
-from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.lanes import Judge
+from alight.pipeline.mapping import FinishedMap
 from alight.pipeline.navigation import Trajectory
 from alight.records import ElevationMap, HazardMap, Motion, Route, Sites, TerrainMap
 
@@ -35,15 +36,15 @@ class Decision:
     def of(
         cls,
         trajectory: Trajectory,
-        seen: MapSnapshot,
+        found: FinishedMap,
         verdict: Verdict,
         route: Route | None,
-        warnings: tuple[str, ...],
-        notes: Mapping[str, object],
+        judge: Judge,
     ) -> Decision:
         """The verdict on the finished map, and the way to the best site."""
+        warnings = [*trajectory.warnings, *found.warnings, *judge.warnings, *verdict.warnings]
+        above = None if found.snapshot is None else found.snapshot.vehicle.height_above_ground
         return cls(
             verdict.sites, list(trajectory.motions), verdict.elevation, verdict.cover, verdict.danger, route,
-            seen.vehicle.height_above_ground, [*trajectory.warnings, *warnings, *verdict.warnings],
-            {**trajectory.notes, **notes},
+            above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)},
         )  # fmt: skip

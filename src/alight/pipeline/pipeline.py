@@ -9,6 +9,7 @@ from typing import Literal
 from alight import terrain
 from alight.arrays import F64
 from alight.elevation import TileStore
+from alight.jobs import Jobs
 from alight.landing import route
 from alight.landing.reserve import Reserve
 from alight.pipeline.decision import Decision
@@ -37,7 +38,7 @@ class Pipeline:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
         schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
         lanes: to use instead of those that `kind` and the settings call for, such as processes of their own.
-        imu: noise that the recording states for its IMU.
+        imu, jobs: noise that the recording states for its IMU; who does the work of photos and maps at the end.
     """
 
     def __init__(
@@ -53,12 +54,12 @@ class Pipeline:
         schedule: Schedule | None = None,
         lanes: Lanes | None = None,
         imu: ImuNoise | None = None,
+        jobs: Jobs | None = None,
     ) -> None:
         self._settings = stages = (settings or Settings()).stages(imu)
-        self._timings = Timings(clock, history)
-        lanes = lanes or Lanes.of(rig, kind, stages, self._timings, poses, far, history, appearance, schedule)
+        self._timings, self._turns = Timings(clock, history), turns(schedule, stages.sites.every)
+        lanes = lanes or Lanes.of(rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs)
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
-        self._turns = turns(schedule, stages.sites.every)
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion when that is known at once."""
@@ -108,8 +109,7 @@ class Pipeline:
         tell("judging", 0.2)
         way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
         tell("judging", 1.0)
-        warnings, notes = (*found.warnings, *self._judging.warnings), self._judging.notes(verdict)
-        return Decision.of(trajectory, found.snapshot, verdict, way, warnings, notes)
+        return Decision.of(trajectory, found, verdict, way, self._judging)
 
     def _route(self, verdict: Verdict, seen: MapSnapshot) -> Route | None:
         """The way to the best site, planned in the world."""

@@ -4,7 +4,7 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 """
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
-from alight.records.events import Event, Frame, ImuSample, NavSample, Prediction, Rig, RigCamera, Tracks
+from alight.records.events import Event, Frame, ImuSample, NavSample, Pixels, Prediction, Rig, RigCamera, Tracks
 from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.result import RunResult
@@ -66,6 +66,7 @@ __all__ = [
     "Notice",
     "NoticeKind",
     "OutputError",
+    "Pixels",
     "Place",
     "PlaceSigma",
     "Prediction",

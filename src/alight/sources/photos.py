@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from hashlib import blake2b, file_digest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,9 +13,10 @@ import numpy as np
 from alight.geometry import Camera
 from alight.records import Event, Frame, InputError, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
-from alight.sources.images import UNREADABLE, read_image
+from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import photo_camera
+from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
@@ -22,6 +24,7 @@ from alight.sources.source import Findings, RecordedSource, Trajectory
 SUFFIXES = (".jpg", ".jpeg")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
 SECOND = 1_000_000_000
+HELD = 0.5  # of the memory for images, by pictures that were read
 RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
@@ -44,6 +47,7 @@ class Photos(RecordedSource):
     imu_noise = ImuNoise()
 
     def __init__(self, root: Path, files: Sequence[Path], settings: Settings) -> None:
+        self._memory = PictureMemory(HELD * 1e6 * settings.parallax.store_mb)
         self._findings = Findings()
         self._findings.expect("photos", len(files))
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
@@ -66,12 +70,20 @@ class Photos(RecordedSource):
         lens = self.rig.cameras[0].camera
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             try:
-                image = read_image(tags.path, (lens.width, lens.height))
+                self._memory.get(tags.path, (lens.width, lens.height))
             except ValueError as e:
                 self._findings.lose("photos", name, str(e))
                 continue
             yield nav_sample(tags, t_ns, self.local)
-            yield Frame(t_ns, (image,), name)
+            yield Frame(t_ns, (PhotoPixels(tags.path, (lens.width, lens.height), self._memory),), name)
+
+    def digest(self) -> str:
+        """Of the names and the bytes of all photos that are used."""
+        of = blake2b()
+        for (_, tags), name in zip(self._photos, self._names, strict=True):
+            with tags.path.open("rb") as file:
+                of.update(f"{name} {file_digest(file, blake2b).hexdigest()}\n".encode(errors="surrogateescape"))
+        return of.hexdigest()
 
     # -- opening
 

@@ -74,6 +74,9 @@ class Source(Described, Protocol):
     def length(self) -> int:
         """Exposures that `events` will try to yield."""
 
+    def digest(self) -> str:
+        """Of everything that is read, where work is saved by it (photos); else empty."""
+
     def events(self) -> Iterator[Event]:
         """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
 
@@ -122,6 +125,10 @@ class RecordedSource:
     length: int
     schedule: Schedule | None = None
     flown_with: Settings | None = None
+
+    def digest(self) -> str:
+        """Nothing is saved."""
+        return ""
 
     @property
     def counts(self) -> dict[str, int]:

@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
+from alight.jobs import InTurn, Jobs
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -72,11 +73,13 @@ def adjust(
     rig: Rig,
     settings: BundleSettings,
     progress: Callable[[float], None] | None = None,
+    jobs: Jobs | None = None,
 ) -> BundleResult:
     """Find the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
     `nav[i]` belongs to `frames[i]`: position in metres, attitude body to world, their sigmas; None is 'not
     measured'. Camera 0 of the rig is used. Photos that cannot be registered have None and a warning.
+    `jobs` finds features and matches pairs; None: this process.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
@@ -87,23 +90,17 @@ def adjust(
         raise InputError(f"{len(frames)} frames and {len(nav)} navigation samples: give one, or None, for each frame")
     tell = progress or (lambda _: None)
     priors = make_priors(nav, rig, settings)
-    features = _extract(frames, settings, lambda f: tell(0.35 * f))
+    jobs, features, pairs = jobs or InTurn(), list[PhotoFeatures | None](), list[Pair]()
+    for found in extract_all(frames, settings, jobs):
+        features.append(found)
+        tell(0.35 * len(features) / len(frames))
     wanted = neighbours(priors.centres, settings.neighbours)
-    done = iter(range(1, len(wanted) + 1))
-    pairs = match_pairs(priors.camera, features, wanted, settings, lambda: tell(0.35 + 0.35 * next(done) / len(wanted)))
+    for n, matched in enumerate(match_pairs(priors.camera, frames, features, wanted, settings, jobs), 1):
+        pairs += matched
+        tell(0.35 + 0.35 * n / len(frames))
     solved = solve_bundle(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f))
     tell(1.0)
     return _result(frames, features, rig, priors, solved, settings)
-
-
-def _extract(
-    frames: Sequence[Frame], settings: BundleSettings, tell: Callable[[float], None]
-) -> list[PhotoFeatures | None]:
-    out = []
-    for f in extract_all([frame.images[0] if frame.images else None for frame in frames], settings):
-        out.append(f)
-        tell(len(out) / len(frames))
-    return out
 
 
 def solve_bundle(

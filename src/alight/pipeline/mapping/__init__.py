@@ -6,6 +6,7 @@ There are two ways behind one interface: recursive (flight), and in one batch at
 from __future__ import annotations
 
 from alight.elevation import TileStore
+from alight.jobs import Jobs
 from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
 from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
 from alight.pipeline.mapping.recursive import RecursiveMapper
@@ -20,7 +21,7 @@ __all__ = [
 
 
 def mapping_lane(
-    rig: Rig, settings: StageSettings, at_end: bool, far: TileStore | None, timings: Timings, history: bool
+    rig: Rig, settings: StageSettings, at_end: bool, far: TileStore | None, timings: Timings, history: bool, jobs: Jobs
 ) -> MappingLane:
     """Choose the way to map.
 
@@ -28,9 +29,10 @@ def mapping_lane(
         at_end: all motions come at the end of the recording.
         far: where tiles go that the vehicle has left behind; None: memory.
         history: keep what the end of a recording needs; without it there is no end to wait for.
+        jobs: matches tiles at the end.
     """
     if at_end:
-        return PhotoMapper(rig, settings, far, timings)
+        return PhotoMapper(rig, settings, far, timings, jobs)
     if settings.parallax.method == "ring" or not history:  # without an end there is no batch
         return RecursiveMapper(rig, settings, far, timings, history)
-    return BatchMapper(rig, settings, far, timings)
+    return BatchMapper(rig, settings, far, timings, jobs)

@@ -7,6 +7,7 @@ import logging
 from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.geometry import Grid
+from alight.jobs import Jobs
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
@@ -24,9 +25,9 @@ log = logging.getLogger(__name__)
 class BatchMapper:
     """Keeps keyframes by their baseline, and maps at the end; where the store is full, a part of it before."""
 
-    def __init__(self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings) -> None:
+    def __init__(self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings, jobs: Jobs) -> None:
         self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
-        self._map = BatchMap(settings, far)
+        self._map = BatchMap(settings, far, jobs=jobs)
         self.store = FrameStore(settings.mapping.turn)
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:

@@ -4,25 +4,65 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from hashlib import blake2b
 
 import numpy as np
 
+from alight.arrays import I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
-from alight.parallax import Images, Matched, ground_sampling, match_tile, with_datum
+from alight.jobs import InTurn, Jobs, Kept, Sent, Task
+from alight.parallax import Images, Matched, choose_views, facing, ground_sampling, match_tile, with_datum
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import ElevationMap, Heights, KeyframePosterior, View
+from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, View
+from alight.settings import ParallaxSettings
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 BLOCK = 2  # tiles across that are matched together: a smaller share of what is matched is margin
 SHARE = 0.5  # of the shorter side of the pictures, that such a block covers at most
 # cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
+BLANK = np.empty((0, 0), np.uint8)  # a picture that is sent apart
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What is matched at once."""
+
+    grid: Grid
+    searched: tuple[float, float]  # lowest and highest ground, metres
+    views: list[View]
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedBlock:
+    """The heights of a block, and the numbers of the views that they were matched with."""
+
+    heights: Heights
+    chosen: I64
+
+
+def match_block(
+    images: Images,
+    views: Sequence[View],
+    pixels: Sequence[Pixels],
+    grid: Grid,
+    searched: tuple[float, float],
+    settings: ParallaxSettings,
+) -> MatchedBlock | None:
+    """Match one grid with views whose pictures came apart; None where fewer than two see it."""
+    whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
+    found = match_tile(images.of(whole), grid, *searched, settings)
+    if found is None:
+        return None
+    number = {id(v): k for k, v in enumerate(whole)}
+    return MatchedBlock(found.heights, np.array([number[id(v)] for v in found.views], dtype=np.int64))
 
 
 def core(heights: Heights, margin: int) -> Heights:
@@ -41,7 +81,9 @@ def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
 class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
 
+    jobs: Jobs = field(default_factory=InTurn)
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
+    _step: int = 0  # times that tiles were matched
 
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
@@ -81,21 +123,41 @@ class BatchMap(GroundMap):
         assert self.ground is not None
         (west, south), (east, north) = bounds(asking, self.ground)
         refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
-        images = Images(views, self.elevation.cell_at(level), self.ground)
         camera = float(np.median([v.centre[2] for v in asking]))
-        grids = self._grids(asking, (west, east), (south, north), level)
+        grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
+        self._step += 1
+        images = Kept(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
+        seen = [self._seen(grid, self._range(grid, camera), views) for grid in grids]
         done = 0
-        for n, grid in enumerate(grids):
-            if only(grid):
-                found = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
-                if found is not None:
-                    heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
-                    self.elevation.add(heights)
-                    self._matched.append(Matched.of(heights.grid, found.views))
-                    self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
-                    done += 1
-            progress((n + 1) / len(grids))
+        for n, (block, found) in enumerate(zip(seen, self.jobs.run(self._task(images, b) for b in seen), strict=True)):
+            if found is not None:
+                heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
+                self.elevation.add(heights)
+                self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
+                self.elevation.roll(
+                    (block.grid.east, block.grid.north), NEAR_TILES * heights.grid.cell * block.grid.cols
+                )
+                done += 1
+            progress((n + 1) / len(seen))
         return done
+
+    def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> Block:
+        """A grid with the views that it will be matched with, and those of the same moments."""
+        s, middle = self.settings.parallax, 0.5 * (searched[0] + searched[1])
+        near = [views[k] for k in facing(views, grid, middle)]
+        at = {near[k].t_ns for k in choose_views(near, grid, middle, s.views, s.sweep.max_tangent)}
+        return Block(grid, searched, [v for v in views if v.t_ns in at])
+
+    def _task(self, images: Kept, block: Block) -> Task:
+        """Matching a block; the pixels are sent apart, so that neighbours share them."""
+        place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
+        pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
+        views = tuple(replace(v, image=BLANK) for v in block.views)
+        about = blake2b(repr((block.grid, block.searched)).encode())
+        for v in views:
+            about.update(repr(v.key).encode())
+        arguments = images, views, pixels, block.grid, block.searched, self.settings.parallax
+        return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(
         self, asking: list[View], east: tuple[float, float], north: tuple[float, float], level: int

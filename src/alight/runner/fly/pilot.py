@@ -53,7 +53,7 @@ class PictureWatch:
         image = next((i for i in frame.images if i is not None), None)
         if image is None:
             return
-        small = image[::SPARSE, ::SPARSE].copy()
+        small = np.asarray(image)[::SPARSE, ::SPARSE].copy()
         if self._last is not None and np.array_equal(small, self._last):
             self.frozen += 1
             return
