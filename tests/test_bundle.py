@@ -12,6 +12,7 @@ pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion.bundle.adjust import joint_of, select, solve_bundle
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -77,7 +78,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
         common, a, b = np.intersect1d(ids[i], ids[j], return_indices=True)
         spoilt = rng.random(len(common)) < wrong
         b[spoilt] = rng.permutation(b[spoilt])
-        found = verify(camera, features[i], features[j], np.stack([a, b], axis=1), 20)
+        found = verify((camera, camera), features[i], features[j], np.stack([a, b], axis=1), 20)
         pairs += [] if found is None else [Pair(i, j, *found)]
     return Scene(centres, body, points, features, ids, pairs, tracks(features, pairs))
 
@@ -267,7 +268,9 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
     priors = told(exact, mounting=np.array([0.01, -0.02, 0.01]))
     rng = np.random.default_rng(2)
     obs = select(exact.observations, 30)
-    start = triangulate_bundle(exact.centres, exact.body @ LOOKS_FORWARD, CAMERA, obs)
+    start = triangulate_bundle(
+        exact.centres, exact.body @ LOOKS_FORWARD, PhotoLenses.one(CAMERA, len(exact.centres)), obs
+    )
     state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),

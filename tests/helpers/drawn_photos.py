@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -41,10 +42,10 @@ def texture(seed: int) -> NDArray[np.uint8]:
     return np.asarray(np.clip(128 + 45 * total / np.std(total), 0, 255), dtype=np.uint8)
 
 
-def look(ground: NDArray[np.uint8], centre: F64, world_from_cam: F64) -> NDArray[np.uint8]:
+def look(ground: NDArray[np.uint8], centre: F64, world_from_cam: F64, camera: Camera = CAMERA) -> NDArray[np.uint8]:
     """The relief from a place, (H, W, 3)."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(np.float64)
-    ray = CAMERA.rays(np.stack([u, v], axis=-1)) @ world_from_cam.T
+    ray = camera.rays(np.stack([u, v], axis=-1)) @ world_from_cam.T
     h = np.zeros(u.shape)
     for _ in range(8):
         xyz = centre + ray * ((h - centre[2]) / ray[..., 2])[..., None]
@@ -54,12 +55,14 @@ def look(ground: NDArray[np.uint8], centre: F64, world_from_cam: F64) -> NDArray
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
-def draw_photos(folder: Path, lines: int = 2, per_line: int = 4) -> Path:
-    """Lines of photos 10 m apart, 14 m from line to line, with RTK, gimbal and calibration."""
+def draw_photos(folder: Path, lines: int = 2, per_line: int = 4, zooms: tuple[float, ...] = (1.0,)) -> Path:
+    """Lines of photos 10 m apart, 14 m from line to line, with RTK, gimbal and lens; lines take turns in zoom."""
     ground = texture(3)
     rng = np.random.default_rng(9)
     for k in range(lines * per_line):
         line, step = divmod(k, per_line)
+        zoom = zooms[line % len(zooms)]
+        camera = replace(CAMERA, fu=zoom * CAMERA.fu, fv=zoom * CAMERA.fv)
         along = step if line % 2 == 0 else per_line - 1 - step
         centre = np.array([10.0 * along, 14.0 * line, UP]) - [15.0, 7.0, 0.0] + rng.normal(0, 0.3, 3)
         yaw = 90.0 if line % 2 == 0 else -90.0
@@ -67,13 +70,13 @@ def draw_photos(folder: Path, lines: int = 2, per_line: int = 4) -> Path:
         latitude, longitude, height = (float(v) for v in PLACE.to_geodetic(centre))
         tags = d.dji_tags(
             AbsoluteAltitude=f"{height:.4f}", RelativeAltitude=f"{centre[2]:.2f}", GimbalYawDegree=f"{yaw:.2f}",
-            CalibratedFocalLength=f"{CAMERA.fu}", CalibratedOpticalCenterX="200.0", CalibratedOpticalCenterY="160.0",
+            CalibratedFocalLength=f"{camera.fu}", CalibratedOpticalCenterX="200.0", CalibratedOpticalCenterY="160.0",
             DewarpData="",
         )  # fmt: skip
         minutes, seconds = divmod(3 * k, 60)
         d.write_photo(
             folder / f"DJI_{k:04d}.JPG", second=f"{seconds:02d}", xmp=d.xmp_packet(tags), size=(400, 320),
-            place=(latitude, longitude, height), image=Image.fromarray(look(ground, centre, world_from_cam)),
-            photo={36867: f"2026:01:26 13:{minutes:02d}:{seconds:02d}"},
+            place=(latitude, longitude, height), image=Image.fromarray(look(ground, centre, world_from_cam, camera)),
+            photo={36867: f"2026:01:26 13:{minutes:02d}:{seconds:02d}", 37386: 8.0 * zoom},
         )  # fmt: skip
     return folder

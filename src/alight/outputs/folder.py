@@ -132,6 +132,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
         "counts": vectors.plain(result.counts),
         "common_error": common_error(result.elevation),
         "notes": vectors.plain(result.notes),
+        "photos": [vectors.plain(row.as_json()) for row in result.photos],
         "diary": None if result.diary is None else [vectors.plain(e.as_tree()) for e in result.diary.entries],
         "warnings": report.warnings(result),
         "time": timing_summary(result.timings),

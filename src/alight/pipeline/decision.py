@@ -9,7 +9,7 @@ from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Judge
 from alight.pipeline.mapping import FinishedMap
 from alight.pipeline.navigation import Trajectory
-from alight.records import ElevationMap, HazardMap, Motion, Route, Sites, TerrainMap
+from alight.records import ElevationMap, HazardMap, Motion, PhotoOutcome, Route, Sites, TerrainMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +25,15 @@ class Decision:
     height_above_ground: float | None = None  # metres
     warnings: list[str] = field(default_factory=list)
     notes: Mapping[str, object] = field(default_factory=dict)
+    photos: tuple[PhotoOutcome, ...] = ()
 
     @classmethod
     def none(cls, trajectory: Trajectory, reason: str, *warnings: str) -> Decision:
         """No site, and why."""
         said = [*trajectory.warnings, *warnings]
-        return cls(Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes)
+        return cls(
+            Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes, photos=trajectory.photos
+        )
 
     @classmethod
     def of(
@@ -46,5 +49,5 @@ class Decision:
         above = None if found.snapshot is None else found.snapshot.vehicle.height_above_ground
         return cls(
             verdict.sites, list(trajectory.motions), verdict.elevation, verdict.cover, verdict.danger, route,
-            above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)},
+            above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)}, trajectory.photos,
         )  # fmt: skip

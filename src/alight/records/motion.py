@@ -46,12 +46,12 @@ class KeyframePosterior:
     """Exposures from one posterior: poses that agree with each other, and how far they may be off together.
 
     In flight the last keyframes, in their map; of a recording exposures of the whole of it, in the world. `lenses`
-    holds the camera once for each of L lens numbers that were estimated with the poses, that number off by one unit.
+    holds the cameras once for each of L lens numbers that were estimated with the poses, that number off by one unit.
     """
 
     motions: tuple[Motion, ...]  # K, oldest first
     covariance: F64  # (6K + L, 6K + L): a pose of the rig is position [m], rotation vector in the world [rad]
-    lenses: tuple[Camera, ...] = ()  # L
+    lenses: tuple[tuple[Camera, ...], ...] = ()  # L times the cameras of the rig
 
 
 @dataclass(frozen=True, eq=False)

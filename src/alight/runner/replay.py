@@ -13,7 +13,7 @@ from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
-from alight.records import Frame, InputError, RunResult
+from alight.records import Frame, InputError, PhotoFacts, PhotoOutcome, PhotoRow, RunResult
 from alight.runner.work import SavedJobs, cluster_jobs, work_key
 from alight.settings import Settings
 from alight.sources import Described, Source, open_source, read_tum
@@ -88,7 +88,10 @@ def replay(
     decision = pipeline.finish(tell)
     for stage, seconds in pipeline.timings.items():
         log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
-    return result_of(source, settings, decision, pipeline.timings)
+    photos = _photo_table(source.photos, decision.photos)
+    for row in photos:
+        log.info("%s", row.line)
+    return result_of(source, settings, decision, pipeline.timings, photos)
 
 
 def appearance_of(settings: Settings) -> Model | None:
@@ -103,7 +106,18 @@ def appearance_of(settings: Settings) -> Model | None:
     return read_model(None if name == "default" else Path(name))
 
 
-def result_of(source: Described, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
+def _photo_table(photos: Sequence[PhotoFacts], outcomes: Sequence[PhotoOutcome]) -> list[PhotoRow]:
+    of = {o.t_ns: o for o in outcomes}
+    return [PhotoRow(p, None if p.t_ns is None else of.get(p.t_ns)) for p in photos]
+
+
+def result_of(
+    source: Described,
+    settings: Settings,
+    d: Decision,
+    timings: Mapping[str, Sequence[float]],
+    photos: Sequence[PhotoRow] = (),
+) -> RunResult:
     """Everything that the output folder and the report are made of."""
     return RunResult(
         source_name=source.name,
@@ -121,6 +135,7 @@ def result_of(source: Described, settings: Settings, d: Decision, timings: Mappi
         counts=source.counts,
         notes={**source.notes, **d.notes},
         warnings=[*source.warnings, *d.warnings],
+        photos=photos,
         timings=timings,
     )
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import LocalFrame, Pose
-from alight.records import Event, Rig, Schedule
+from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
@@ -53,6 +53,10 @@ class Source(Described, Protocol):
     @property
     def rig(self) -> Rig:
         """The cameras, in the order of `Frame.images`."""
+
+    @property
+    def photos(self) -> Sequence[PhotoFacts]:
+        """What was understood of each photo, of a set of photos; complete once `events` has been exhausted."""
 
     @property
     def truth_trajectory(self) -> Trajectory | None:
@@ -125,6 +129,11 @@ class RecordedSource:
     length: int
     schedule: Schedule | None = None
     flown_with: Settings | None = None
+
+    @property
+    def photos(self) -> Sequence[PhotoFacts]:
+        """None."""
+        return ()
 
     def digest(self) -> str:
         """Nothing is saved."""

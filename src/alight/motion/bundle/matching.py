@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
@@ -137,17 +138,17 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     return PhotoFeatures(corner / factor - 0.5, table)
 
 
-def photo_name(frame: Frame) -> str:
-    """What the pixels of a photo are called among the tasks of a run."""
-    return f"photo-{frame.t_ns}-0"
+def taken_by(frame: Frame) -> int:
+    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
+    return next((k for k, image in enumerate(frame.images) if image is not None), 0)
 
 
 def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
     """Find the features of every photo, in order; None where there is no picture."""
     colmap()
-    images = [frame.images[0] if frame.images else None for frame in frames]
+    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
     tasks = (
-        Task(f"features-{frame.t_ns}", extract, (Sent(photo_name(frame), image), settings))
+        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
         for frame, image in zip(frames, images, strict=True)
         if image is not None
     )
@@ -201,17 +202,19 @@ def match_descriptors(a: F32, b: F32) -> I64:
     return np.stack([i, best[i]], axis=1)
 
 
-def verify(camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int) -> tuple[I64, F64, F64] | None:
+def verify(
+    cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
+) -> tuple[I64, F64, F64] | None:
     """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
     if len(matches) < least:
         return None
-    pc, lens = colmap(), colmap_camera(camera)
+    pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
     options = pc.TwoViewGeometryOptions()
     options.compute_relative_pose = True
     options.min_num_inliers = least
     options.ransac.random_seed = 1
-    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, camera.width / 1600)
-    g = pc.estimate_two_view_geometry(lens, a.pixels + 0.5, lens, b.pixels + 0.5, matches.astype(np.uint32), options)
+    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, cameras[0].width / 1600)
+    g = pc.estimate_two_view_geometry(one, a.pixels + 0.5, other, b.pixels + 0.5, matches.astype(np.uint32), options)
     if g.cam2_from_cam1 is None or len(g.inlier_matches) < least:
         return None
     R = np.asarray(g.cam2_from_cam1.rotation.matrix())
@@ -222,18 +225,22 @@ def verify(camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: I64, lea
 
 
 def match_photo(
-    camera: Camera, settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
+    cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
 ) -> list[Pair | None]:
-    """Match and verify one photo with others; `ij` (N, 2) are their numbers. None where they do not match."""
+    """Match and verify one photo with others; `ij` (N, 2) are their numbers. None where they do not match.
+
+    `cameras` are that of the first photo and those of the others.
+    """
     out = list[Pair | None]()
-    for (i, j), other in zip(ij.tolist(), others, strict=True):
-        found = verify(camera, first, other, match_descriptors(first.unit, other.unit), settings.matches)
+    for (i, j), other, camera in zip(ij.tolist(), others, cameras[1:], strict=True):
+        matches = match_descriptors(first.unit, other.unit)
+        found = verify((cameras[0], camera), first, other, matches, settings.matches)
         out.append(None if found is None else Pair(i, j, *found))
     return out
 
 
 def match_pairs(
-    camera: Camera,
+    lenses: PhotoLenses,
     frames: Sequence[Frame],
     features: Sequence[PhotoFeatures | None],
     wanted: Sequence[tuple[int, int]],
@@ -248,7 +255,8 @@ def match_pairs(
     def task(i: int, others: Sequence[int]) -> Task:
         about = " ".join(f"{k} {frames[k].t_ns}" for k in (i, *others))
         ij = np.array([(i, j) for j in others])
-        arguments = camera, settings, sent(i), tuple(sent(j) for j in others), ij
+        cameras = tuple(lenses.of_photo(k) for k in (i, *others))
+        arguments = cameras, settings, sent(i), tuple(sent(j) for j in others), ij
         return Task(f"pairs-{frames[i].t_ns}", match_photo, arguments, about)
 
     of: dict[int, list[int]] = {}

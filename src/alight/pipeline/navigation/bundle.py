@@ -45,4 +45,6 @@ class BundleLane:
     def _adjusted(self, progress: Progress) -> Trajectory:
         found = adjust(self._frames, self._nav, self._rig, self._settings, progress, self._jobs)
         motions = tuple(m for m in found.motions if m is not None)
-        return Trajectory(motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.points_world)
+        return Trajectory(
+            motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.photos, found.points_world
+        )

@@ -18,13 +18,13 @@ from alight.geometry import Camera, Grid, Pose
 from alight.motion.bundle.matching import Pair, PhotoFeatures
 from alight.pipeline.mapping.batch_map import MatchedBlock
 from alight.pipeline.navigation import Trajectory
-from alight.records import Heights, KeyframePosterior, Motion, MotionState, Rig, RigCamera
+from alight.records import Heights, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig, RigCamera
 
 KINDS: dict[str, type[Any]] = {
     k.__name__: k
     for k in (
-        Camera, Grid, Heights, KeyframePosterior, MatchedBlock, Motion, Pair, PhotoFeatures, Pose, Rig, RigCamera,
-        Trajectory,
+        Camera, Grid, Heights, KeyframePosterior, MatchedBlock, Motion, Pair, PhotoFeatures, PhotoOutcome, Pose, Rig,
+        RigCamera, Trajectory,
     )
 }  # fmt: skip
 _HEAD = struct.Struct("<16sI")  # digest of what follows and of what it rests on; length of the tree
