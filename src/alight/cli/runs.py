@@ -43,6 +43,8 @@ def tell_result(result: RunResult) -> None:
     for w in warnings(result):
         complain(f"warning: {w}", "yellow")
     tell_answer(result.sites, partial(_place, result))
+    if "prior_dem" in result.notes:
+        say(f"PRIOR DEM  {result.notes['prior_dem']}")
 
 
 def leave_result(result: RunResult, out: Path, force: bool) -> None:
@@ -66,6 +68,9 @@ def run(
     ] = None,
     settings: SettingsOption = None,
     assign: SetOption = None,
+    prior_dem: Annotated[
+        Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False,
@@ -81,7 +86,7 @@ def run(
     from alight.runner import replay
 
     with progress_bar() as tell:
-        result = replay.find(source, out, replay.Find(chosen, poses, force, resume, scheduler), tell)
+        result = replay.find(source, out, replay.Find(chosen, poses, force, resume, prior_dem, scheduler), tell)
     leave_result(result, out, force)
 
 

@@ -23,7 +23,7 @@ from alight.pipeline.navigation import (
     navigation_lane,
 )
 from alight.pipeline.timing import Timings
-from alight.records import Event, Frame, Rig, Schedule
+from alight.records import Event, Frame, PriorHeights, Rig, Schedule
 from alight.settings import StageSettings
 
 Progress = Callable[[float], None]
@@ -68,6 +68,7 @@ class Lanes:
         appearance: terrain.Model | None = None,
         schedule: Schedule | None = None,
         jobs: Jobs | None = None,
+        prior: PriorHeights | None = None,
     ) -> Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
         jobs = jobs or InTurn()
@@ -80,7 +81,7 @@ class Lanes:
             return cls(navigation, mapping, judging)
         return cls(
             navigation_lane(rig, kind, stages, poses, history, jobs),
-            mapping_lane(rig, stages, at_end, far, timings, history, jobs),
+            mapping_lane(rig, stages, at_end, far, timings, history, jobs, prior),
             judging,
         )
 

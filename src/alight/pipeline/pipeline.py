@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -17,12 +17,10 @@ from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation, TimedPoses
-from alight.pipeline.timing import Clock, Timings
+from alight.pipeline.timing import Clock, Tell, Timings
 from alight.pipeline.turns import turns
-from alight.records import Event, Motion, Rig, Route, Schedule
+from alight.records import Event, Motion, PriorHeights, Rig, Route, Schedule
 from alight.settings import ImuNoise, Settings
-
-Tell = Callable[[str, float], None]  # stage, share done
 
 
 class Pipeline:
@@ -38,7 +36,7 @@ class Pipeline:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
         schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
         lanes: to use instead of those that `kind` and the settings call for, such as processes of their own.
-        imu, jobs: noise that the recording states for its IMU; who does the work of photos and maps at the end.
+        imu, jobs, prior: noise of the recording's IMU; who does the work of photos; heights known from elsewhere.
     """
 
     def __init__(
@@ -55,10 +53,13 @@ class Pipeline:
         lanes: Lanes | None = None,
         imu: ImuNoise | None = None,
         jobs: Jobs | None = None,
+        prior: PriorHeights | None = None,
     ) -> None:
         self._settings = stages = (settings or Settings()).stages(imu)
         self._timings, self._turns = Timings(clock, history), turns(schedule, stages.sites.every)
-        lanes = lanes or Lanes.of(rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs)
+        lanes = lanes or Lanes.of(
+            rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs, prior
+        )
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
 
     def feed(self, event: Event) -> Motion | None:
@@ -84,8 +85,7 @@ class Pipeline:
 
     def judge_now(self, about: F64 | None = None) -> Verdict | None:
         """Judge the ground under the newest keyframe, and about a place of the map, (2,) metres; None without a map."""
-        seen = self._mapping.snapshot(about)
-        return None if seen is None else self.judge(seen)
+        return None if (seen := self._mapping.snapshot(about)) is None else self.judge(seen)
 
     @property
     def reserve(self) -> Reserve:

@@ -8,6 +8,7 @@ from alight.records.events import Event, Frame, ImuSample, NavSample, Pixels, Pr
 from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
 from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
+from alight.records.prior import PriorComparison, PriorHeights
 from alight.records.result import RunResult
 from alight.records.schedule import Schedule
 from alight.records.surface import (
@@ -75,6 +76,8 @@ __all__ = [
     "Place",
     "PlaceSigma",
     "Prediction",
+    "PriorComparison",
+    "PriorHeights",
     "RefinedMotions",
     "Rig",
     "RigCamera",

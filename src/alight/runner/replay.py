@@ -13,11 +13,12 @@ from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
-from alight.records import Frame, InputError, PhotoFacts, PhotoOutcome, PhotoRow, RunResult
+from alight.records import Frame, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
 from alight.runner.work import SavedJobs, cluster_jobs, work_key
 from alight.settings import Settings
 from alight.sources import Described, Source, open_source, read_tum
 from alight.sources.library import read_model
+from alight.sources.prior_dem import read_prior
 from alight.terrain import Model
 
 __all__ = ["Find", "find", "given_poses", "replay", "write_run"]
@@ -49,6 +50,7 @@ def replay(
     tell: Tell = lambda stage, share: None,
     far: TileStore | None = None,
     jobs: Jobs | None = None,
+    prior: Path | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -59,6 +61,7 @@ def replay(
         tell: called with the stage and the share of it that is done.
         far: where the map puts what the flight has left behind; None: memory.
         jobs: who does the work of photos and maps at the end; None: this process.
+        prior: DEM from elsewhere, that the search for heights begins with and the map is compared with.
 
     Raises:
         InputError: nothing in the recording can be used.
@@ -75,6 +78,7 @@ def replay(
         schedule=source.schedule,
         imu=source.imu_noise,
         jobs=jobs,
+        prior=_prior(source, settings, prior),
     )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
@@ -104,6 +108,16 @@ def appearance_of(settings: Settings) -> Model | None:
     if name is None or not settings.terrain.enabled:
         return None
     return read_model(None if name == "default" else Path(name))
+
+
+def _prior(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
+    if dem is None:
+        return None
+    if not source.georeferenced:
+        raise InputError(f"--prior-dem: {source.name} says nothing about its place on Earth; run it without")
+    if settings.parallax.method == "ring":
+        raise InputError("--prior-dem: is for maps made at the end; run it without, or with parallax.method=batch")
+    return read_prior(dem, source.local)
 
 
 def _photo_table(photos: Sequence[PhotoFacts], outcomes: Sequence[PhotoOutcome]) -> list[PhotoRow]:
@@ -148,6 +162,7 @@ class Find:
     poses: str | None = None  # as for `replay`
     overwrite: bool = False  # write into a folder that holds other files
     resume: bool = False  # go on with what an interrupted run of photos left in the folder
+    prior: Path | None = None  # DEM from elsewhere
     scheduler: str | None = None  # address of a Dask cluster that does the work of photos
 
 
@@ -169,14 +184,16 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
     if how.resume and is_finished(out):
         raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
+    _prior(source, settings, how.prior)  # a wrong one is told before any work
     prepare_folder(out, how.overwrite)
     with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
         if not digest:
-            return replay(source, settings, how.poses, tell, far)
+            return replay(source, settings, how.poses, tell, far, prior=how.prior)
         given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
+        given += [how.prior] if how.prior else []
         work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
         try:
-            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work))
+            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), how.prior)
         except KeyboardInterrupt:
             log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
             raise

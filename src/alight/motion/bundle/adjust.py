@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
@@ -312,14 +311,22 @@ def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframeP
     free = np.flatnonzero(solved.free)
     start = 6 * len(priors.centres)
     sigma = np.sqrt(np.diag(solved.joint)[start:])
-    move = block_diag(*(_about_body(m) for m in motions), np.diag(1.0 / sigma))
+    move = np.array([_about_body(m) for m in motions])
     rows = np.concatenate([rows, start + np.arange(len(free))])
     off = [solved.state.lens + s * np.eye(len(solved.state.lens))[k] for k, s in zip(free, sigma, strict=True)]
-    covariance = move @ solved.joint[np.ix_(rows, rows)] @ move.T
+    once = _moved(solved.joint[np.ix_(rows, rows)], move, sigma)
+    covariance = _moved(np.ascontiguousarray(once.T), move, sigma)
     order = np.argsort([m.t_ns for m in motions], kind="stable")
     rows = np.concatenate([(6 * order[:, None] + np.arange(6)).ravel(), np.arange(6 * len(order), len(covariance))])
     lenses = tuple(priors.lenses.moved(lens).cameras for lens in off)
     return KeyframePosterior(tuple(motions[i] for i in order), covariance[np.ix_(rows, rows)], lenses)
+
+
+def _moved(rows: F64, move: F64, sigma: F64) -> F64:
+    """Rows of a joint covariance, those of each pose moved by a (6, 6), those of the lens in units of their sigma."""
+    n = 6 * len(move)
+    poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
+    return np.concatenate([poses, rows[n:] / sigma[:, None]])
 
 
 def _about_body(motion: Motion) -> F64:

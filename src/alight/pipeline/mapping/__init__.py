@@ -11,7 +11,7 @@ from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
 from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
 from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.timing import Timings
-from alight.records import Rig
+from alight.records import PriorHeights, Rig
 from alight.settings import StageSettings
 
 __all__ = [
@@ -21,7 +21,14 @@ __all__ = [
 
 
 def mapping_lane(
-    rig: Rig, settings: StageSettings, at_end: bool, far: TileStore | None, timings: Timings, history: bool, jobs: Jobs
+    rig: Rig,
+    settings: StageSettings,
+    at_end: bool,
+    far: TileStore | None,
+    timings: Timings,
+    history: bool,
+    jobs: Jobs,
+    prior: PriorHeights | None = None,
 ) -> MappingLane:
     """Choose the way to map.
 
@@ -30,9 +37,10 @@ def mapping_lane(
         far: where tiles go that the vehicle has left behind; None: memory.
         history: keep what the end of a recording needs; without it there is no end to wait for.
         jobs: matches tiles at the end.
+        prior: heights from elsewhere, that the search at the end begins with.
     """
     if at_end:
-        return PhotoMapper(rig, settings, far, timings, jobs)
+        return PhotoMapper(rig, settings, far, timings, jobs, prior)
     if settings.parallax.method == "ring" or not history:  # without an end there is no batch
         return RecursiveMapper(rig, settings, far, timings, history)
-    return BatchMapper(rig, settings, far, timings, jobs)
+    return BatchMapper(rig, settings, far, timings, jobs, prior)

@@ -9,15 +9,15 @@ from hashlib import blake2b
 
 import numpy as np
 
-from alight.arrays import I64
+from alight.arrays import F64, I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, Kept, Sent, Task
-from alight.parallax import Images, Matched, choose_views, facing, ground_sampling, match_tile, with_datum
+from alight.parallax import Images, Matched, choose_views, facing, ground_sampling, height_range, match_tile, with_datum
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, View
+from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
@@ -25,6 +25,8 @@ BLOCK = 2  # tiles across that are matched together: a smaller share of what is 
 SHARE = 0.5  # of the shorter side of the pictures, that such a block covers at most
 # cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
+PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
+ENOUGH = 40  # points or cells that may speak for a place
 BLANK = np.empty((0, 0), np.uint8)  # a picture that is sent apart
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
@@ -65,6 +67,12 @@ def match_block(
     return MatchedBlock(found.heights, np.array([number[id(v)] for v in found.views], dtype=np.int64))
 
 
+def spread_of(values: F64) -> tuple[float, float]:
+    """Median, and the median deviation from it as 1-sigma of a Gaussian."""
+    middle = float(np.median(values))
+    return middle, 1.4826 * float(np.median(np.abs(values - middle)))
+
+
 def core(heights: Heights, margin: int) -> Heights:
     """The heights without their margin."""
     inner = slice(margin, -margin)
@@ -82,6 +90,7 @@ class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
 
     jobs: Jobs = field(default_factory=InTurn)
+    prior: PriorHeights | None = None  # heights from elsewhere, that the search begins with
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
     _step: int = 0  # times that tiles were matched
 
@@ -140,6 +149,51 @@ class BatchMap(GroundMap):
                 done += 1
             progress((n + 1) / len(seen))
         return done
+
+    def _range(
+        self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
+    ) -> tuple[float, float]:
+        """Also the heights of the prior there; by themselves where points are few."""
+        low, high = super()._range(grid, camera, known, part)
+        if self.prior is None or self.settings.parallax.height_range:
+            return low, high
+        heights = self.prior.over(grid.coarser(PRIOR_EVERY))
+        heights = heights[np.isfinite(heights)]
+        offset, spread = self._above_prior()
+        if not len(heights) or not np.isfinite(offset):
+            return low, high
+        heights += offset
+        below, above = height_range(np.column_stack([heights, heights, heights]), camera)
+        below, above = below - PRIOR_SIGMAS * spread, above + PRIOR_SIGMAS * spread
+        if not self._enough_points(grid):
+            return below, above
+        return min(low, below), max(high, above)
+
+    def _enough_points(self, grid: Grid) -> bool:
+        """Whether the points near a grid say by themselves how high its ground is."""
+        wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
+        away = np.hypot(
+            self._points[:, 0] - grid.east - 0.5 * wide, self._points[:, 1] - grid.north + 0.5 * tall
+        )  # fmt: skip
+        return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
+
+    def _above_prior(self) -> tuple[float, float]:
+        """By how much the points lie above the prior (median, metres), and their NMAD; NaN where too few can say."""
+        assert self.prior is not None
+        off = self._points[:, 2] - self.prior.at(self._points[:, 0], self._points[:, 1])
+        off = off[np.isfinite(off)]
+        return spread_of(off) if len(off) >= ENOUGH else (np.nan, np.nan)
+
+    def against_prior(self) -> PriorComparison | None:
+        """The map, where its heights are given out, against the prior; None where they do not meet."""
+        found = GroundMap.snapshot(self)
+        if self.prior is None or found is None:
+            return None
+        off = (found.height - self.prior.over(found.grid))[found.trusted]
+        off = off[np.isfinite(off)]
+        if len(off) < ENOUGH:
+            return None
+        return PriorComparison(self.prior.name, *spread_of(off), len(off) * found.grid.cell**2)
 
     def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> Block:
         """A grid with the views that it will be matched with, and those of the same moments."""
