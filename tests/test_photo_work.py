@@ -18,11 +18,11 @@ import pytest
 from drawn_photos import SMALL, draw_photos
 
 from alight.cli import call
-from alight.jobs import InTurn, Kept, Sent, Task
+from alight.jobs import InTurn, KeptHere, Sent, Task
 from alight.outputs.work_folder import WORK, WorkFolder
 from alight.records import InputError
 from alight.runner.work import SavedJobs
-from alight.runner.work.packing import is_whole, pack, unpack
+from alight.runner.work.packing import is_whole, pack_result, unpack_result
 
 RASTERS = ("dem.tif", "flags.tif", "ortho.tif", "safe.tif", "reasons.tif", "terrain.tif", "trajectory.csv")
 
@@ -63,14 +63,18 @@ def test_nothing_is_done_twice_but_what_was_not_saved(after: int, threads: int) 
 
 
 def test_pieces_that_are_there_stand_in_their_place_between_those_that_are_not() -> None:
-    saved = {f"square-{k}": pack(square(k), str(k)) for k in (1, 2, 5)}
+    saved = {f"square-{k}": pack_result(square(k), str(k)) for k in (1, 2, 5)}
     jobs = SavedJobs(InTurn(), saved)
     assert [len(v) for v in jobs.run(tasks(7))] == list(range(7))
     assert jobs.done == [f"square-{k}" for k in (0, 3, 4, 6)]
 
 
 def test_a_piece_that_is_damaged_or_rests_on_something_else_is_done_again() -> None:
-    saved = {"square-0": pack(square(0), "something else"), "square-1": pack(square(1), "1")[:-1], "square-2": b""}
+    saved = {
+        "square-0": pack_result(square(0), "something else"),
+        "square-1": pack_result(square(1), "1")[:-1],
+        "square-2": b"",
+    }
     jobs = SavedJobs(InTurn(), saved)
     list(jobs.run(tasks(3)))
     assert jobs.done == ["square-0", "square-1", "square-2"]
@@ -82,15 +86,15 @@ def test_packing_gives_the_same_bits_and_knows_no_other_kind() -> None:
         "b": np.array([np.nan, np.inf, -0.0, 5e-324]),
         "c": np.arange(6, dtype=np.uint16).reshape(2, 3)[:, ::-1],
     }
-    data = pack(value, "x")
-    back = unpack(data)
+    data = pack_result(value, "x")
+    back = unpack_result(data)
     assert is_whole(data, "x")
     assert not is_whole(data, "y")
     assert repr(back["a"]) == repr(value["a"])
     assert back["b"].tobytes() == value["b"].tobytes()
     np.testing.assert_array_equal(back["c"], value["c"])
     with pytest.raises(TypeError, match="not saved"):
-        pack(Path("x"), "")
+        pack_result(Path("x"), "")
 
 
 def test_arguments_are_sent_and_kept() -> None:
@@ -104,7 +108,7 @@ def test_arguments_are_sent_and_kept() -> None:
         return len(cache) + sum(both) + c
 
     jobs = InTurn()
-    work = [Task(f"{k}", add, (Kept("cache", make), (Sent("a", 10), 20), 30)) for k in range(3)]
+    work = [Task(f"{k}", add, (KeptHere("cache", make), (Sent("a", 10), 20), 30)) for k in range(3)]
     assert list(jobs.run(work)) == [61, 61, 61]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from drawn_photos import PLACE, SMALL, draw_photos, relief
-from rasterio.transform import from_origin
+from rasterio.transform import Affine
 
 from alight.cli import call
 from alight.geometry import Grid
@@ -27,12 +27,12 @@ def write_dem(path: Path, crs: str | None = "EPSG:32632", offset: float = -GEOID
     size = int(side)
     if crs is None or crs.startswith("+"):
         east, north = np.meshgrid(np.arange(size) - 0.5 * side + 0.5, 0.5 * side - 0.5 - np.arange(size))
-        transform = from_origin(-0.5 * side, 0.5 * side, 1.0, 1.0)
+        transform = Affine(1.0, 0.0, -0.5 * side, 0.0, -1.0, 0.5 * side)
     else:
         to_dem = pyproj.Transformer.from_crs(PLACE.crs, crs, always_xy=True)
         x0, y0 = to_dem.transform(0.0, 0.0)
         step = 1.0 if crs == "EPSG:32632" else 1e-5
-        transform = from_origin(x0 - 0.5 * size * step, y0 + 0.5 * size * step, step, step)
+        transform = Affine(step, 0.0, x0 - 0.5 * size * step, 0.0, -step, y0 + 0.5 * size * step)
         cols, rows = np.meshgrid(np.arange(size) + 0.5, np.arange(size) + 0.5)
         east, north = to_dem.transform(transform.c + step * cols, transform.f - step * rows, direction="INVERSE")
     height = (relief(np.asarray(east), np.asarray(north)) + PLACE.height + offset).astype(np.float32)

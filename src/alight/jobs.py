@@ -21,7 +21,7 @@ class Sent:
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class KeptHere:
     """An argument that each thread makes for itself and keeps from task to task, such as a cache."""
 
     name: str  # the same name is the same object
@@ -34,7 +34,7 @@ class Task:
 
     name: str  # unique in a run
     do: Callable[..., Any]  # a function of a module; of a task that stays here, any
-    arguments: tuple[Any, ...] = ()  # `Sent` and `Kept` are replaced by what they stand for, also within a tuple
+    arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by what they stand for, also within a tuple
     about: str = ""  # what else its result rests on; a saved one of another text is not used
     here: bool = False  # it is not worth sending, or has tasks of its own
 
@@ -75,20 +75,28 @@ class InTurn:
         """Do one task."""
         return task.do(*resolved(task.arguments, lambda sent: sent.value, self._keep))
 
-    def _keep(self, kept: Kept) -> Any:
+    def _keep(self, kept: KeptHere) -> Any:
         if self._kept[0] != kept.name:
             self._kept = kept.name, kept.make()
         return self._kept[1]
 
 
-def resolved(arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[Kept], Any]) -> tuple[Any, ...]:
-    """The arguments with what `Sent` and `Kept` stand for."""
+def resolved(
+    arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[KeptHere], Any]
+) -> tuple[Any, ...]:
+    """The arguments with what `Sent` and `KeptHere` stand for."""
 
     def one(argument: Any) -> Any:
         if isinstance(argument, tuple):
-            return tuple(one(a) for a in argument) if any(isinstance(a, Sent | Kept) for a in argument) else argument
+            return (
+                tuple(one(a) for a in argument) if any(isinstance(a, Sent | KeptHere) for a in argument) else argument
+            )
         return (
-            sent(argument) if isinstance(argument, Sent) else kept(argument) if isinstance(argument, Kept) else argument
+            sent(argument)
+            if isinstance(argument, Sent)
+            else kept(argument)
+            if isinstance(argument, KeptHere)
+            else argument
         )
 
     return tuple(one(a) for a in arguments)

@@ -58,7 +58,9 @@ def leave_result(result: RunResult, out: Path, force: bool) -> None:
 
 @app.command()
 def run(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/) or a folder of photos.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/), photos, or a video with .srt.")
+    ],
     out: OutOption,
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")

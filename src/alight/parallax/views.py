@@ -19,7 +19,7 @@ from alight.parallax.view_kernels import normalise
 from alight.records import Pixels, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
-GLANCE = 1.01  # of the squared ideal radius: rounding never loses a view
+GLANCE = 1e-6  # rad: rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
 
 
@@ -190,24 +190,24 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
     return out
 
 
-def facing(views: Sequence[View], grid: Grid, height: float) -> list[int]:
-    """Which views may see some of a grid at a height: all that `choose_views` could take, at a glance."""
+def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
+    """Which views may see some of a grid between two heights (metres): all that do, and some that do not.
+
+    The cone about a picture against the sphere about the ground, for all views at once: with thousands of photos, most
+    are nowhere near a tile.
+    """
     if not views:
         return []
-    points = _lattice(grid, height)
-    rotations = np.array([v.world_from_cam.rotation for v in views])
-    rays = (points[None] - np.array([v.centre for v in views])[:, None]) @ rotations
-    limits = np.array([radius2_limit(v.camera) for v in views])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        near = (rays[..., 0] ** 2 + rays[..., 1] ** 2) / rays[..., 2] ** 2 < GLANCE * limits[:, None]
-    return np.flatnonzero((near & (rays[..., 2] > 0)).any(axis=1)).tolist()
-
-
-def _lattice(grid: Grid, height: float) -> F64:
-    """(49, 3) points of a grid at a height."""
-    xs, ys = grid.xy()
-    px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
-    return np.column_stack([px.ravel(), py.ravel(), np.full(px.size, height)])
+    x, y = grid.xy()
+    middle = np.array([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1]), 0.5 * (low + high)])
+    radius = 0.5 * float(np.linalg.norm([x[-1] - x[0] + grid.cell, y[0] - y[-1] + grid.cell, high - low]))
+    ray = middle - np.array([v.centre for v in views])
+    axes = np.array([v.world_from_cam.rotation[:, 2] for v in views])
+    distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+    off = np.arccos(np.clip((ray * axes).sum(axis=1) / distance, -1.0, 1.0))
+    field = np.arctan(np.sqrt([radius2_limit(v.camera) for v in views]))
+    wide = np.where(distance > radius, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
+    return np.flatnonzero(off <= field + wide + GLANCE).tolist()
 
 
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:
@@ -216,7 +216,9 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
     are already in. Views flatter than `max_tangent` (horizontal over vertical distance) serve where nothing else sees.
     """
-    points = _lattice(grid, height)
+    xs, ys = grid.xy()
+    px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
+    points = np.c_[px.ravel(), py.ravel(), np.full(px.size, height)]
     inside, offset = [], []
     for v in views:
         uv = v.camera.project(v.world_from_cam.inverse.apply(points))

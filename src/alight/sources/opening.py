@@ -10,8 +10,13 @@ from alight.sources.flight_log import FlightLog
 from alight.sources.photos import Photos, find_photos
 from alight.sources.recording import Recording
 from alight.sources.source import Source
+from alight.sources.video import SUFFIXES as VIDEOS
+from alight.sources.video import open_video
 
-LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap) or a folder of JPEG photos"
+LOOKED_FOR = (
+    "a flight log (a folder with mav0/), a recording (.mcap), a folder of JPEG photos or a video (.mp4) with telemetry "
+    "(.srt)"
+)
 
 
 def open_source(path: str | Path, settings: Settings | None = None) -> Source:
@@ -32,6 +37,8 @@ def _open(path: Path, settings: Settings) -> Source:
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
         return Recording(path, settings)
+    if path.is_file() and path.suffix.lower() in VIDEOS:
+        return open_video(path, settings)
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()

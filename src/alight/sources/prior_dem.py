@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
-from rasterio.transform import from_origin
+from rasterio.transform import Affine
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform_bounds
 
@@ -48,7 +48,7 @@ def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
         cols, rows = (max(int(np.ceil(length / cell)), 1) for length in (east - west, north - south))
         try:
             with WarpedVRT(
-                dem, crs=local.crs, transform=from_origin(west, north, cell, cell), width=cols, height=rows,
+                dem, crs=local.crs, transform=Affine(cell, 0, west, 0, -cell, north), width=cols, height=rows,
                 resampling=Resampling.bilinear, nodata=dem.nodata if dem.nodata is not None else np.nan,
             ) as seen:  # fmt: skip
                 height = seen.read(1, masked=True).astype(np.float32).filled(np.nan)

@@ -12,8 +12,17 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
-from alight.jobs import InTurn, Jobs, Kept, Sent, Task
-from alight.parallax import Images, Matched, choose_views, facing, ground_sampling, height_range, match_tile, with_datum
+from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
+from alight.parallax import (
+    Images,
+    Matched,
+    choose_views,
+    ground_sampling,
+    height_range,
+    match_tile,
+    may_see,
+    with_datum,
+)
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
@@ -34,7 +43,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class TileBlock:
     """What is matched at once."""
 
     grid: Grid
@@ -135,7 +144,7 @@ class BatchMap(GroundMap):
         camera = float(np.median([v.centre[2] for v in asking]))
         grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
         self._step += 1
-        images = Kept(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
+        images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
         seen = [self._seen(grid, self._range(grid, camera), views) for grid in grids]
         done = 0
         for n, (block, found) in enumerate(zip(seen, self.jobs.run(self._task(images, b) for b in seen), strict=True)):
@@ -195,14 +204,14 @@ class BatchMap(GroundMap):
             return None
         return PriorComparison(self.prior.name, *spread_of(off), len(off) * found.grid.cell**2)
 
-    def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> Block:
+    def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> TileBlock:
         """A grid with the views that it will be matched with, and those of the same moments."""
         s, middle = self.settings.parallax, 0.5 * (searched[0] + searched[1])
-        near = [views[k] for k in facing(views, grid, middle)]
+        near = [views[k] for k in may_see(views, grid, middle, middle)]
         at = {near[k].t_ns for k in choose_views(near, grid, middle, s.views, s.sweep.max_tangent)}
-        return Block(grid, searched, [v for v in views if v.t_ns in at])
+        return TileBlock(grid, searched, [v for v in views if v.t_ns in at])
 
-    def _task(self, images: Kept, block: Block) -> Task:
+    def _task(self, images: KeptHere, block: TileBlock) -> Task:
         """Matching a block; the pixels are sent apart, so that neighbours share them."""
         place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
         pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)

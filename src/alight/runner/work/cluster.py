@@ -14,7 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from alight import __version__, compiled
-from alight.jobs import InTurn, Jobs, Kept, Sent, Task, resolved
+from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task, resolved
 from alight.records import InputError, MissingExtraError
 
 log = logging.getLogger(__name__)
@@ -139,7 +139,7 @@ def do_here(run: str, do: Callable[..., Any], *arguments: Any) -> Any:
         return do(*resolved(arguments, lambda sent: sent.value, partial(_kept, run)))
 
 
-def _kept(run: str, kept: Kept) -> Any:
+def _kept(run: str, kept: KeptHere) -> Any:
     """The last object that this thread made for itself, or a new one in its place."""
     if getattr(_here, "name", None) != (run, kept.name):
         _here.name, _here.value = (run, kept.name), kept.make()

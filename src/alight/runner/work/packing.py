@@ -31,7 +31,7 @@ _HEAD = struct.Struct("<16sI")  # digest of what follows and of what it rests on
 DTYPES = frozenset(["<f4", "<f8", "<i8", "<i4", "<u2", "|u1", "|b1"])
 
 
-def pack(value: Any, about: str) -> bytes:
+def pack_result(value: Any, about: str) -> bytes:
     """A value, and what else it rests on, as bytes."""
     arrays = list[NDArray[Any]]()
     plain = _plain(value, arrays)
@@ -45,7 +45,7 @@ def is_whole(data: bytes, about: str) -> bool:
     return len(data) > _HEAD.size and _HEAD.unpack_from(data)[0] == _digest(about.encode(), data[_HEAD.size :])
 
 
-def unpack(data: bytes) -> Any:
+def unpack_result(data: bytes) -> Any:
     """The way back.
 
     Raises:

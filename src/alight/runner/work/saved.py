@@ -10,7 +10,7 @@ from typing import Any
 
 from alight import __version__
 from alight.jobs import Jobs, Task
-from alight.runner.work.packing import is_whole, pack, unpack
+from alight.runner.work.packing import is_whole, pack_result, unpack_result
 from alight.settings import Settings
 from alight.sources import Source
 
@@ -41,7 +41,7 @@ class SavedJobs:
         for value in self._doing.run(open_tasks(), threads):
             yield from self._known(drawn)
             task, _ = drawn.popleft()
-            self._saved[task.name] = pack(value, task.about)
+            self._saved[task.name] = pack_result(value, task.about)
             self.done.append(task.name)
             yield value
         yield from self._known(drawn)
@@ -49,7 +49,7 @@ class SavedJobs:
     def _known(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
         """Yield what is saved, up to the next task that is not."""
         while drawn and drawn[0][1]:
-            yield unpack(self._saved[drawn.popleft()[0].name])
+            yield unpack_result(self._saved[drawn.popleft()[0].name])
 
 
 def work_key(source: Source, digest: str, settings: Settings, *files: Path) -> dict[str, Any]:
