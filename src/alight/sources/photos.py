@@ -94,10 +94,6 @@ class Photos(RecordedSource):
         """What was understood of each photo, those that are not used included; complete after `events`."""
         return [self._facts[path] for path in sorted(self._facts)]
 
-    def hold(self, folder: object) -> None:
-        """Keep what the files lie in for as long as this source lives."""
-        self._held = folder
-
     def digest(self) -> str:
         """Of the names and the bytes of all photos that are used."""
         of = blake2b()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import shutil
 import tempfile
+import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -36,7 +38,7 @@ _NAMES = {"longtitude": "longitude"}  # DJI's own spelling
 
 
 @dataclass(frozen=True)
-class Telemetry:
+class Subtitle:
     """What one subtitle says."""
 
     seconds: float  # from the start of the video
@@ -53,7 +55,7 @@ class Telemetry:
         return latitude, longitude, altitude
 
 
-def read_srt(text: str) -> list[Telemetry]:
+def read_srt(text: str) -> list[Subtitle]:
     """The telemetry of subtitles in which each line of numbers is `name: value`, as `[latitude: 45.1]`."""
     out = []
     for block in re.split(r"\n\s*\n", text.replace("\r", "")):
@@ -61,7 +63,7 @@ def read_srt(text: str) -> list[Telemetry]:
             continue
         h, m, s, ms = (int(v) for v in at.groups())
         said = {_NAMES.get(k.lower(), k.lower()): float(v) for k, v in _PAIR.findall(block[at.end() :])}
-        out.append(Telemetry(3600 * h + 60 * m + s + ms / 10 ** len(at.group(4)), _stamp(block), said))
+        out.append(Subtitle(3600 * h + 60 * m + s + ms / 10 ** len(at.group(4)), _stamp(block), said))
     return out
 
 
@@ -94,21 +96,30 @@ def open_video(path: Path, settings: Settings) -> Photos:
         raise InputError(
             f"{subtitles}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...]"
         )
-    folder = tempfile.TemporaryDirectory(prefix="alight-video-")
-    root = Path(folder.name) / path.stem
+    folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
+    root = folder / path.stem
     root.mkdir()
+    try:
+        source = _opened(path, rows, root, settings)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    weakref.finalize(source, shutil.rmtree, folder, True)
+    return source
+
+
+def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings) -> Photos:
     files = list(_write_frames(path, rows, root))
     if not files:
         raise InputError(
             f"{path}: not one frame could be decoded; convert it: ffmpeg -i {path.name} -c:v libx264 OUT.mp4"
         )
     source = Photos(root, files, settings)
-    source.hold(folder)
     source.notes["video"] = f"{len(files)} frames of {path.name}, chosen by the distance flown"
     return source
 
 
-def _write_frames(path: Path, rows: Sequence[Telemetry], root: Path) -> Iterator[Path]:
+def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[Path]:
     film = cv2.VideoCapture(str(path))
     try:
         rate = film.get(cv2.CAP_PROP_FPS) or 30.0
@@ -130,7 +141,7 @@ def _write_frames(path: Path, rows: Sequence[Telemetry], root: Path) -> Iterator
         film.release()
 
 
-def _apart(a: Telemetry, b: Telemetry) -> float:
+def _apart(a: Subtitle, b: Subtitle) -> float:
     """Metres."""
     assert a.place is not None
     assert b.place is not None
@@ -139,7 +150,7 @@ def _apart(a: Telemetry, b: Telemetry) -> float:
     return math.hypot(east, north, b.place[2] - a.place[2])
 
 
-def _focal_px(row: Telemetry, width: float) -> float | None:
+def _focal_px(row: Subtitle, width: float) -> float | None:
     """The focal length by that for 35 mm film (DJI's 4:3 sensors, whose whole width is filmed)."""
     film = row.said.get("focal_len")
     if not film or film <= 0:
@@ -148,7 +159,7 @@ def _focal_px(row: Telemetry, width: float) -> float | None:
     return width / FOUR_THIRDS * film / FILM_DIAGONAL
 
 
-def _step(row: Telemetry, film: Any) -> float:
+def _step(row: Subtitle, film: Any) -> float:
     """Metres from one frame to the next."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     focal = _focal_px(row, width)
@@ -163,7 +174,7 @@ def _dms(degrees: float) -> tuple[float, float, float]:
     return float(whole), float(minutes), (degrees - whole) * 3600 - minutes * 60
 
 
-def _write_photo(path: Path, pixels: U8, row: Telemetry, seconds: float) -> None:
+def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
     """A JPEG with the tags that a photo of the same drone would have."""
     assert row.place is not None
     latitude, longitude, altitude = row.place
