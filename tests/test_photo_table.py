@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import damage as d
 import numpy as np
 import pytest
 from drawn_photos import CAMERA, draw_photos
+from PIL import Image, PngImagePlugin
 
 from alight.cli import call
 from alight.geometry import enu_from_flu
@@ -73,6 +75,26 @@ def test_an_autel_that_writes_its_pitch_from_the_horizon_into_the_names_of_pix4d
 def test_what_an_altitude_is_counted_from(tmp_path: Path, main: dict[int, str], xmp: dict[str, str], kind: str) -> None:
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(xmp) if xmp else b"", main=main, photo=LENS)
     assert facts(tmp_path)[0].altitude_kind == kind
+
+
+def test_png_and_tiff_with_the_same_tags(tmp_path: Path) -> None:
+    jpeg = d.write_photo(tmp_path / "a" / "a.jpg")
+    with Image.open(jpeg) as picture:
+        exif, xmp = picture.getexif(), picture.info["xmp"]
+        text = PngImagePlugin.PngInfo()
+        text.add_itxt("XML:com.adobe.xmp", xmp.decode())
+        for name in ("b", "c"):
+            (tmp_path / name).mkdir()
+        picture.save(tmp_path / "b" / "a.png", exif=exif, pnginfo=text)
+        details, gps = exif.get_ifd(0x8769), exif.get_ifd(0x8825)
+        exif[700] = xmp
+        exif.get_ifd(0x8769).update(details)
+        exif.get_ifd(0x8825).update(gps)
+        picture.save(tmp_path / "c" / "a.tif", exif=exif)
+    (jpg,), (png,), (tif,) = (facts(tmp_path / n) for n in "abc")
+    assert replace(png, name="") == replace(jpg, name="") == replace(tif, name="")
+    frames = [e for e in opened(tmp_path / "c").events() if isinstance(e, Frame)]
+    assert np.asarray(frames[0].images[0]).shape == (48, 64, 3)
 
 
 def test_a_phone_says_where_but_not_whither(tmp_path: Path) -> None:

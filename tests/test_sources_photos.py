@@ -250,7 +250,7 @@ def test_file_that_is_no_photo(photos: Path, data: bytes) -> None:
 
 def test_nothing_but_rubbish(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(b"hello")
-    with pytest.raises(InputError, match="none of the 1 JPEG files can be read"):
+    with pytest.raises(InputError, match="none of the 1 pictures can be read"):
         opened(tmp_path)
 
 

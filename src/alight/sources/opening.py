@@ -13,10 +13,7 @@ from alight.sources.source import Source
 from alight.sources.video import SUFFIXES as VIDEOS
 from alight.sources.video import open_video
 
-LOOKED_FOR = (
-    "a flight log (a folder with mav0/), a recording (.mcap), a folder of JPEG photos or a video (.mp4) with telemetry "
-    "(.srt)"
-)
+LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
 
 
 def open_source(path: str | Path, settings: Settings | None = None) -> Source:
@@ -50,4 +47,6 @@ def _open(path: Path, settings: Settings) -> Source:
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
     if inside := sorted(p.parent.name for p in root.glob("*/mav0")):
         raise InputError(f"{path}: holds {len(inside)} flight log(s); name one of them, such as {path / inside[0]}")
-    raise InputError(f"{path}: nothing usable in it; looked for mav0/ and for .jpg or .jpeg files, give {LOOKED_FOR}")
+    raise InputError(
+        f"{path}: nothing usable in it; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
+    )

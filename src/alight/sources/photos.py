@@ -27,7 +27,7 @@ from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, ph
 from alight.sources.photo_tags import PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
-SUFFIXES = (".jpg", ".jpeg")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
 SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
@@ -38,7 +38,7 @@ RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
 def find_photos(folder: Path) -> list[Path]:
-    """JPEG files of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
+    """Pictures of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
     found = [*folder.iterdir(), *(p for sub in sorted(folder.iterdir()) if sub.is_dir() for p in sub.iterdir())]
     return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file())
 
@@ -70,7 +70,7 @@ class Photos(RecordedSource):
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
         self._photos = ordered
-        self._cameras = list(dict.fromkeys(c for c, _ in Counter(p.camera for _, p in ordered).most_common()))
+        self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
@@ -126,7 +126,7 @@ class Photos(RecordedSource):
             if problem:
                 self._findings.say(f"{path.name}: {problem}, so its gimbal and calibration are unknown")
         if not photos:
-            raise InputError(f"{files[0].parent}: none of the {len(files)} JPEG files can be read; copy them again")
+            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
         return photos
 
     def _upright(self, photos: list[PhotoTags]) -> list[PhotoTags]:
