@@ -61,9 +61,9 @@ class Recording(RecordedSource):
                     continue
             yield event
 
-    def _scan(self) -> tuple[FlightHead, dict[str, list[int]], int, list[str]]:
+    def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], int, list[str]]:
         head, frames, notes = None, 0, list[str]()
-        entries: dict[str, list[int]] = {k: [] for k in Schedule.__dataclass_fields__}
+        entries: dict[str, list[Any]] = {k: [] for k in Schedule.__dataclass_fields__}
         for topic, data in self._messages():
             if topic == HEAD:
                 head = FlightHead.from_json(data.decode())
@@ -75,6 +75,9 @@ class Recording(RecordedSource):
                     entries[entry["kind"]].append(int(entry["t_ns"]))
                     if entry["kind"] == "mapped":
                         entries["effort"].append(int(entry["value"]))
+                    elif entry["kind"] == "judged":
+                        place = entry.get("about")  # recordings of before 2026-11-23 do not say
+                        entries["about"].append(None if place is None else (float(place[0]), float(place[1])))
             elif topic == NOTES:
                 note = parse_json(data)
                 notes.append(f"{note['lane']}: {note['note']}")
