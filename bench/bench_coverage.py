@@ -19,7 +19,7 @@ from motion_common import DATA, Row
 from alight.evaluation import evaluate
 from alight.outputs import write_run
 from alight.outputs.folder import is_run
-from alight.runner.replay import find
+from alight.runner.replay import Find, find
 from alight.settings import load_settings
 
 FLIGHTS = {"sample": "sample", **{n: f"rendered/{n}" for n in ("gravelpit", "scree", "shore")}}
@@ -36,7 +36,7 @@ REGISTERED = {", registered": "path", ", registered by its heights": "heights"}
 def run(flight: Path, method: str, out: Path) -> None:
     """One run of one flight, where `out` has none yet."""
     if not is_run(out):
-        result = find(flight, out, load_settings("", [f"parallax.method={method}"]))
+        result = find(flight, out, Find(load_settings("", [f"parallax.method={method}"])))
         write_run(result, out)
 
 

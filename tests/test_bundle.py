@@ -12,6 +12,7 @@ pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion.bundle.adjust import joint_of, select, solve_bundle
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -22,7 +23,15 @@ from alight.motion.bundle.matching import (
     verify,
 )
 from alight.motion.bundle.priors import make_priors
-from alight.motion.bundle.solver import Adjustment, BundleState, Priors, residuals, total_cost, triangulate_bundle
+from alight.motion.bundle.solver import (
+    Adjustment,
+    BundleState,
+    Priors,
+    residuals,
+    solved_steps,
+    total_cost,
+    triangulate_bundle,
+)
 from alight.motion.bundle.summary import Solved
 from alight.records import Motion, NavSample, Rig, RigCamera
 from alight.settings import BundleSettings
@@ -69,7 +78,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
         px = camera.project((points - C) @ (B @ LOOKS_FORWARD))
         seen = np.flatnonzero(((px > 0) & (px < [camera.width - 1, camera.height - 1])).all(axis=1))
         features.append(
-            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.float32))
+            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.uint8))
         )
         ids.append(seen)
     pairs = []
@@ -77,7 +86,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
         common, a, b = np.intersect1d(ids[i], ids[j], return_indices=True)
         spoilt = rng.random(len(common)) < wrong
         b[spoilt] = rng.permutation(b[spoilt])
-        found = verify(camera, features[i], features[j], np.stack([a, b], axis=1), 20)
+        found = verify((camera, camera), features[i], features[j], np.stack([a, b], axis=1), 20)
         pairs += [] if found is None else [Pair(i, j, *found)]
     return Scene(centres, body, points, features, ids, pairs, tracks(features, pairs))
 
@@ -267,7 +276,9 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
     priors = told(exact, mounting=np.array([0.01, -0.02, 0.01]))
     rng = np.random.default_rng(2)
     obs = select(exact.observations, 30)
-    start = triangulate_bundle(exact.centres, exact.body @ LOOKS_FORWARD, CAMERA, obs)
+    start = triangulate_bundle(
+        exact.centres, exact.body @ LOOKS_FORWARD, PhotoLenses.one(CAMERA, len(exact.centres)), obs
+    )
     state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
@@ -306,8 +317,25 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[6 * n + k], rel=1e-2, abs=1.0)
 
 
+def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
+    """A strip of 210 photos, each tied to its neighbours, and lens numbers tied to all."""
+    rng = np.random.default_rng(3)
+    n, k = 6 * 210, 5
+    near = np.abs(np.arange(210)[:, None] - np.arange(210)) <= 3
+    A = rng.normal(size=(n, n)) * np.kron(near, np.ones((6, 6)))
+    S = np.zeros((n + k, n + k))
+    S[:n, :n] = A @ A.T
+    S[:n, n:] = rng.normal(size=(n, k))
+    S[n:, :n] = S[:n, n:].T
+    S += 50 * np.eye(n + k)
+    rhs = rng.normal(size=n + k)
+    np.testing.assert_allclose(solved_steps(S, rhs), np.linalg.solve(S, rhs), rtol=1e-8, atol=1e-10)
+    with pytest.raises(np.linalg.LinAlgError):
+        solved_steps(np.zeros((1300, 1300)), np.ones(1300))
+
+
 def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
-    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.float32)) for _ in range(3)]
+    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.uint8)) for _ in range(3)]
     none = np.eye(3), np.zeros(3)
     pairs = [
         Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),

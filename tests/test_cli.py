@@ -84,8 +84,8 @@ def test_a_mistake_is_one_whole_line_without_a_traceback_in_a_process(tmp_path: 
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == (
-        f"error: {deep}: no such folder; give a flight log (a folder with mav0/), a recording (.mcap) or a folder of "
-        "JPEG photos\n"
+        f"error: {deep}: no such folder; give a flight log (a folder with mav0/), a recording (.mcap), a folder of "
+        "photos or a video (.mp4) with a .srt\n"
     )
 
 

@@ -102,7 +102,7 @@ def test_a_lens_that_is_off_is_felt_too() -> None:
     """A focal length that is truly longer by a thousandth: heights shrink towards the cameras by 3 cm."""
     motions, points = motions_of(), ground(np.random.default_rng(5))
     longer = replace(CAMERA, fu=CAMERA.fu * 1.001, fv=CAMERA.fv * 1.001)
-    J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((37, 37)), (longer,)))
+    J = sensitivity(points, cameras_of(motions), KeyframePosterior(motions, np.zeros((37, 37)), ((longer,),)))
     found = matched(motions, np.zeros(36), points, longer) - points
     assert np.abs(found[:, 2]).mean() > 0.02
     np.testing.assert_allclose(J[:, :, 36], found, atol=2e-3)

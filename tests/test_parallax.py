@@ -18,7 +18,7 @@ from alight.parallax import Images, RecursiveParallax, find_points, ground_sampl
 from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import triangulate_pair
-from alight.parallax.views import choose_views
+from alight.parallax.views import choose_views, may_see
 from alight.records import REFUSED, ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PointsTuning
@@ -163,6 +163,32 @@ def test_views_are_chosen_for_their_baseline() -> None:
 
 
 # -- what must not be trusted
+
+
+def test_no_view_that_sees_a_place_is_lost_at_a_glance_and_most_others_are() -> None:
+    """Views in all directions over a kilometre, and the same choice from what is left as from all."""
+    rng = np.random.default_rng(4)
+    like = level_views()[0]
+    views = []
+    for k in range(300):
+        centre = rng.uniform([-500, -500, 20], [500, 500, 60])
+        turned = so3_exp(rng.normal(0, 0.4, 3)) @ like.world_from_cam.rotation
+        views.append(replace(like, t_ns=k, world_from_cam=Pose(turned, centre)))
+    for _ in range(40):
+        grid = Grid(*rng.uniform(-400, 400, 2), 0.5, 40, 40)
+        low, high = np.sort(rng.uniform(-5, 15, 2))
+        near = may_see(views, grid, low, high)
+        e, n = np.meshgrid(*grid.xy())
+        for z in (low, 0.5 * (low + high), high):
+            at = np.column_stack([e.ravel(), n.ravel(), np.full(e.size, z)])
+            for i in sorted(set(range(len(views))) - set(near)):
+                uv = like.camera.project(views[i].world_from_cam.inverse.apply(at))
+                with np.errstate(invalid="ignore"):
+                    inside = ((uv >= 0) & (uv <= [like.camera.width - 1, like.camera.height - 1])).all(axis=1)
+                assert not inside.any()
+            chosen = choose_views(views, grid, z, 8, 1.0)
+            assert [near[j] for j in choose_views([views[j] for j in near], grid, z, 8, 1.0)] == chosen
+        assert len(near) < 60
 
 
 def test_ground_without_texture_is_not_trusted() -> None:

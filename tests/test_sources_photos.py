@@ -47,7 +47,7 @@ def test_healthy_folder(photos: Path) -> None:
     assert nav.position_world[2] == pytest.approx(45, abs=1e-3)
     assert nav.position_world[1] == pytest.approx(-1.5e-5 * 111_140, abs=0.02)
     np.testing.assert_allclose(nav.sigma_position, [0.02, 0.015, 0.03])
-    assert events[3].images[0].shape == (48, 64, 3)
+    assert np.asarray(events[3].images[0]).shape == (48, 64, 3)
 
 
 def test_looking_down_with_the_top_of_the_image_to_the_east(photos: Path) -> None:
@@ -200,7 +200,8 @@ def test_two_cameras_mixed(photos: Path) -> None:
     source = opened(photos)
     assert source.length == 4
     assert "A_thermal.JPG" not in names(source)
-    assert "1 photo(s) of another camera are left out: DJI H20T, 32x24 (first: A_thermal.JPG)" in source.warnings
+    left_out = "1 photo(s) of another camera are left out: DJI H20T, 32x24 (first: A_thermal.JPG): fewer than 3 photos"
+    assert any(w.startswith(left_out) for w in source.warnings)
     assert any("B_zoomed.JPG" in w and "12 mm" in w for w in source.warnings)
     assert source.counts["photos of another camera"] == 2
 
@@ -249,7 +250,7 @@ def test_file_that_is_no_photo(photos: Path, data: bytes) -> None:
 
 def test_nothing_but_rubbish(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(b"hello")
-    with pytest.raises(InputError, match="none of the 1 JPEG files can be read"):
+    with pytest.raises(InputError, match="none of the 1 pictures can be read"):
         opened(tmp_path)
 
 

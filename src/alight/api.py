@@ -79,6 +79,8 @@ def run(
     lander: Lander | None = None,
     settings: SettingsLike = None,
     poses: str | None = None,
+    prior_dem: str | Path | None = None,
+    scheduler: str | None = None,
     progress: Progress = _quiet,
 ) -> Result:
     """Find landing sites in a recorded flight or a folder of photos. No folder is written: see `Result.save`.
@@ -88,6 +90,8 @@ def run(
         lander: the aircraft's footprint and limits; wins over `settings`.
         settings: a `Settings` model, a mapping of keys, or the name of a YAML file.
         poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
+        prior_dem: heights from elsewhere, to begin the search with and to compare with.
+        scheduler: address of a Dask cluster that does the work of photos, such as tcp://host:8786.
         progress: called with the stage and the share of it that is done.
 
     Raises:
@@ -95,12 +99,15 @@ def run(
     """
     from alight.outputs import FileStore
     from alight.runner.replay import replay
+    from alight.runner.work import cluster_jobs
     from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
     recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
-    with single_threaded_algebra(), closing(FileStore(Path(tempfile.gettempdir()))) as store:
-        return Result(replay(recording, chosen, poses, progress, store))
+    prior = None if prior_dem is None else Path(prior_dem)
+    store = FileStore(Path(tempfile.gettempdir()))
+    with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
+        return Result(replay(recording, chosen, poses, progress, store, jobs, prior))
 
 
 def judge(

@@ -142,6 +142,11 @@ class SimulatedFlight:
         """None: it was not flown live."""
 
     @property
+    def photos(self) -> tuple[()]:
+        """A flight is no set of photos."""
+        return ()
+
+    @property
     def flown_with(self) -> None:
         """None: it was not flown live."""
 

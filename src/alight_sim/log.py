@@ -17,9 +17,8 @@ import yaml
 from numpy.typing import NDArray
 from rasterio.windows import Window
 
-from alight.arrays import U8
 from alight.geometry import Pose, quaternion_from_matrix
-from alight.records import Frame, ImuSample, NavSample, OutputError, Rig, RigCamera, Terrain
+from alight.records import Frame, ImuSample, NavSample, OutputError, Pixels, Rig, RigCamera, Terrain
 from alight_sim.flight import SimulatedFlight
 
 EARTH_RADIUS = 6371008.8  # metres, mean
@@ -168,10 +167,10 @@ def _truth_rows(flight: SimulatedFlight) -> Iterable[str]:
         yield _join(int(t), [f"{v:.10f}" for v in numbers])
 
 
-def encode_image(image: U8, kind: str) -> bytes:
+def encode_image(image: Pixels, kind: str) -> bytes:
     """An RGB image (H, W, 3) as the bytes of a `jpg` or `png` file."""
     options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if kind == "jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 3]
-    return bytes(cv2.imencode(f".{kind}", np.ascontiguousarray(image[..., ::-1]), options)[1])
+    return bytes(cv2.imencode(f".{kind}", np.ascontiguousarray(np.asarray(image)[..., ::-1]), options)[1])
 
 
 def _write_streams(flight: SimulatedFlight, root: Path, image: str, progress: Progress | None) -> None:

@@ -173,8 +173,9 @@ def write_photo(
     model: str = "FC1",
     main: dict[int, Any] | None = None,
     photo: dict[int, Any] | None = None,
+    image: Image.Image | None = None,
 ) -> Path:
-    """One JPEG with EXIF (extra `main` and `photo` tags by number) and XMP."""
+    """One JPEG with EXIF (extra `main` and `photo` tags by number) and XMP; of noise, or an `image`."""
     exif = Image.Exif()
     for tag, value in ({271: "DJI", 272: model, 274: 1} | (main or {})).items():
         exif[tag] = value
@@ -187,7 +188,10 @@ def write_photo(
         gps = {1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude))}
         exif.get_ifd(0x8825).update(gps | {5: b"\x00", 6: altitude})
     path.parent.mkdir(parents=True, exist_ok=True)
-    picture(seed, size).save(path, "JPEG", exif=exif, xmp=xmp_packet(dji_tags()) if xmp is None else xmp)
+    quality = {} if image is None else {"quality": 95}
+    (image or picture(seed, size)).save(
+        path, "JPEG", **quality, exif=exif, xmp=xmp_packet(dji_tags()) if xmp is None else xmp
+    )
     return path
 
 

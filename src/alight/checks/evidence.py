@@ -171,7 +171,7 @@ def gather_evidence(
                 present.append([image is not None for image in event.images])
                 for camera, image in zip(cameras, event.images, strict=True):
                     if image is not None:
-                        camera.take(event.t_ns, image, since)
+                        camera.take(event.t_ns, np.asarray(image), since)
                 matcher.take(event)
     if not stamps:
         raise InputError(
@@ -199,7 +199,7 @@ class _Matcher:
             if first is None or other is None or frame.t_ns - self._last.get(k, -(2**62)) < MATCHED_EVERY * 1e9:
                 continue
             self._last[k] = frame.t_ns
-            parts.append((frame.t_ns, *match_pictures(first, other)))
+            parts.append((frame.t_ns, *match_pictures(np.asarray(first), np.asarray(other))))
 
     def found(self) -> tuple[RigMatches, ...]:
         out = []

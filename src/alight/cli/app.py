@@ -15,13 +15,14 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.logging import RichHandler
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from alight import __version__
 from alight.documents import DocumentError, read_text
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
 
+SPEED_OVER = 300.0  # s, from whose progress the time left is estimated: a tile may take a minute
 MENDABLE, INTERRUPTED, TERMINATED = 2, 130, 143  # exit codes
 # typer's errors descend from the click it brings along or, older, from click itself; it shows this one leaf of both
 UsageError: type[Exception] = typer.BadParameter.__mro__[1]
@@ -73,8 +74,12 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
     )
-    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
+    with Progress(
+        *columns, console=stderr, transient=True, disable=not stderr.is_terminal, speed_estimate_period=SPEED_OVER
+    ) as bar:
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, share: float) -> None:

@@ -43,6 +43,8 @@ def tell_result(result: RunResult) -> None:
     for w in warnings(result):
         complain(f"warning: {w}", "yellow")
     tell_answer(result.sites, partial(_place, result))
+    if "prior_dem" in result.notes:
+        say(f"PRIOR DEM  {result.notes['prior_dem']}")
 
 
 def leave_result(result: RunResult, out: Path, force: bool) -> None:
@@ -56,7 +58,9 @@ def leave_result(result: RunResult, out: Path, force: bool) -> None:
 
 @app.command()
 def run(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/) or a folder of photos.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A flight log (mav0/), photos, or a video with .srt.")
+    ],
     out: OutOption,
     poses: Annotated[
         str | None, typer.Option(metavar="FILE|truth", help="Body poses (TUM, ENU) instead of the estimate.")
@@ -66,6 +70,15 @@ def run(
     ] = None,
     settings: SettingsOption = None,
     assign: SetOption = None,
+    prior_dem: Annotated[
+        Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
+    ] = False,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster for photos: tcp://host:8786.")
+    ] = None,
     force: ForceOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -75,7 +88,7 @@ def run(
     from alight.runner import replay
 
     with progress_bar() as tell:
-        result = replay.find(source, out, chosen, poses, force, tell)
+        result = replay.find(source, out, replay.Find(chosen, poses, force, resume, prior_dem, scheduler), tell)
     leave_result(result, out, force)
 
 

@@ -1,9 +1,10 @@
 """What a run leaves behind, and how it is read back."""
 
 from alight.outputs.file_store import FileStore
-from alight.outputs.folder import FILES, prepare_folder, timing_summary, write_run
+from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height, world_up
 from alight.outputs.reading import Run, read_run
+from alight.outputs.work_folder import WorkFolder
 from alight.records import RunResult
 
 __all__ = [
@@ -11,7 +12,9 @@ __all__ = [
     "FileStore",
     "Run",
     "RunResult",
+    "WorkFolder",
     "ellipsoidal_height",
+    "is_finished",
     "prepare_folder",
     "read_run",
     "timing_summary",

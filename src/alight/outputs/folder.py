@@ -16,6 +16,7 @@ from alight.geometry import Grid
 from alight.outputs import rasters, trajectory, vectors
 from alight.outputs.atomic_write import output_error, partial_path, write_whole
 from alight.outputs.folder_lock import LOCK, lock_folder, release_folder
+from alight.outputs.work_folder import WORK, is_work, remove_work
 from alight.records import ElevationMap, OutputError, RunResult
 
 log = logging.getLogger(__name__)
@@ -131,6 +132,7 @@ def run_json(result: RunResult, missing: Mapping[str, str]) -> dict[str, Any]:
         "counts": vectors.plain(result.counts),
         "common_error": common_error(result.elevation),
         "notes": vectors.plain(result.notes),
+        "photos": [vectors.plain(row.as_json()) for row in result.photos],
         "diary": None if result.diary is None else [vectors.plain(e.as_tree()) for e in result.diary.entries],
         "warnings": report.warnings(result),
         "time": timing_summary(result.timings),
@@ -162,13 +164,18 @@ def is_run(folder: Path) -> bool:
     return isinstance(tree, dict) and "alight" in tree
 
 
+def is_finished(folder: Path) -> bool:
+    """Whether the folder holds a finished run, and no work of a later one that is not."""
+    return is_run(folder) and not is_work(folder / WORK)
+
+
 def _is_ours(folder: Path) -> bool:
     """A finished run, or what an interrupted one left: its lock or half a file, and no file of another name."""
     known = {LOCK, RUN_JSON, *FILES, *JUDGEMENT_FILES, "recording.rrd"}
     known |= {partial_path(Path(name)).name for name in known} | {"recording.mcap"}
     there = list(folder.iterdir())
     began = not there or any(p.name == LOCK or p.name.endswith(".tmp") for p in there)
-    return is_run(folder) or (began and all(p.name in known and p.is_file() for p in there))
+    return is_run(folder) or (began and all(is_work(p) or (p.name in known and p.is_file()) for p in there))
 
 
 def prepare_folder(out: Path, overwrite: bool = False) -> None:
@@ -269,6 +276,7 @@ def write_folder(
     if is_run(out) or not writer.written:
         release_folder(out)
     writer.complain()
+    remove_work(out)
     return writer.written
 
 

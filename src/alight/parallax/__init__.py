@@ -6,9 +6,9 @@ from alight.parallax.orthophoto import orthophoto
 from alight.parallax.pose_error import Matched
 from alight.parallax.recursive import RecursiveParallax
 from alight.parallax.sparse_points import find_points, height_range, supported
-from alight.parallax.views import ground_sampling
+from alight.parallax.views import choose_views, ground_sampling, may_see
 
 __all__ = [
-    "Images", "Matched", "RecursiveParallax", "find_points", "ground_sampling", "height_range", "match_tile",
-    "orthophoto", "supported", "with_datum",
+    "Images", "Matched", "RecursiveParallax", "choose_views", "find_points", "ground_sampling",
+    "height_range", "match_tile", "may_see", "orthophoto", "supported", "with_datum",
 ]  # fmt: skip

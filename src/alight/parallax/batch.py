@@ -7,7 +7,8 @@ For recorded flights, photos, and the restart after a gap.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -48,18 +49,25 @@ class Images:
         self.views = views
         self.cell = cell
         self.height = height  # metres, of the ground in general: for the ground sampling distance
-        self._ready: OrderedDict[int, list[Prepared]] = OrderedDict()
+        self._ready: OrderedDict[Hashable, list[Prepared]] = OrderedDict()
         self._most_bytes = most_bytes
+
+    def of(self, views: Sequence[View]) -> Images:
+        """Other views of the recording; what is ready is shared."""
+        other = copy(self)
+        other.views = views
+        return other
 
     def get(self, index: int, halved: int = 0) -> Prepared:
         """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
-        if index not in self._ready:
-            self._ready[index] = [prepare_view(self.views[index], self.cell, self.height)]
-            each = PYRAMID * (self._ready[index][0].grey.nbytes + self._ready[index][0].norm.nbytes)
+        key = self.views[index].key
+        if key not in self._ready:
+            self._ready[key] = [prepare_view(self.views[index], self.cell, self.height)]
+            each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
             while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
                 self._ready.popitem(last=False)
-        self._ready.move_to_end(index)
-        levels = self._ready[index]
+        self._ready.move_to_end(key)
+        levels = self._ready[key]
         while len(levels) <= halved:
             levels.append(coarser(levels[-1]))
         return levels[halved]

@@ -15,7 +15,7 @@ import numpy as np
 from alight.arrays import F32, U8
 from alight.geometry import Grid, box_of, ground_projection
 from alight.parallax.orthophoto_kernels import add_view, exposure_gains, sees
-from alight.parallax.views import ground_sampling, pixels_on_ground, project_cells, radius2_limit, rgb_of
+from alight.parallax.views import ground_sampling, may_see, pixels_on_ground, project_cells, radius2_limit, rgb_of
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
@@ -92,7 +92,8 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
             fine = part.finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
-            mean, number, pixel = _block(views, fine, up, count)
+            near = [views[k] for k in may_see(views, fine, float(up.min()), float(up.max()))]
+            mean, number, pixel = _block(near, fine, up, count)
             seen = (number > 0) & ~upsample(unseen[rows, cols], factor)
             out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
             middle = (slice(factor // 2, None, factor),) * 2

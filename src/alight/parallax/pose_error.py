@@ -26,6 +26,7 @@ class PosedCamera(NamedTuple):
     t_ns: int
     camera: Camera
     world_from_cam: Pose
+    cam: int = 0  # index in the rig
 
 
 class Matched(NamedTuple):
@@ -37,7 +38,7 @@ class Matched(NamedTuple):
     @classmethod
     def of(cls, grid: Grid, views: Sequence[View]) -> Matched:
         """Those of views."""
-        return cls(grid, tuple(PosedCamera(v.t_ns, v.camera, v.world_from_cam) for v in views))
+        return cls(grid, tuple(PosedCamera(v.t_ns, v.camera, v.world_from_cam, v.cam) for v in views))
 
     def holds(self, east: F64, north: F64) -> NDArray[np.bool_]:
         """Which places lie in the tile."""
@@ -74,7 +75,7 @@ def sensitivity(points: F64, cameras: Sequence[PosedCamera], joint: KeyframePost
         for k, share in _shares(view.t_ns, joint):
             out[:, :, 6 * k : 6 * k + 6] += share * (W @ _carried(points, joint.motions[k].world_from_body.translation))
         for n, lens in enumerate(joint.lenses):
-            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens, points)[..., None])[..., 0]
+            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens[view.cam], points)[..., None])[..., 0]
     found = np.linalg.solve(normal + _REGULAR * np.eye(3), out)
     return np.asarray(np.where(count[:, None, None] >= _LEAST, found, np.nan))
 

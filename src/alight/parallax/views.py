@@ -16,9 +16,10 @@ from alight.arrays import F32, F64
 from alight.geometry import Camera, Grid, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
-from alight.records import View
+from alight.records import Pixels, View
 
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
+GLANCE = 1e-6  # rad: rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
 
 
@@ -36,14 +37,16 @@ class Prepared:
     ratio: float  # pixels a cell spans
 
 
-def rgb_of(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def rgb_of(image: Pixels) -> NDArray[np.uint8]:
     """The image with three channels."""
-    return np.asarray(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2RGB))
+    pixels = np.asarray(image)
+    return np.asarray(pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
 
 
-def grey_of(image: NDArray[np.uint8]) -> F32:
+def grey_of(image: Pixels) -> F32:
     """The image as float32 grey levels (RGB by the usual luma weights)."""
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
+    pixels = np.asarray(image)
+    grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) if pixels.ndim == 3 else pixels
     return np.asarray(grey, dtype=np.float32)
 
 
@@ -185,6 +188,26 @@ def stack(prepared: list[Prepared], grid: Grid, h: F32, buffers: Buffers | None 
     for i, p in enumerate(prepared):
         sample(p.norm, *maps(p, grid, h, held), out=out[i])
     return out
+
+
+def may_see(views: Sequence[View], grid: Grid, low: float, high: float) -> list[int]:
+    """Which views may see some of a grid between two heights (metres): all that do, and some that do not.
+
+    The cone about a picture against the sphere about the ground, for all views at once: with thousands of photos, most
+    are nowhere near a tile.
+    """
+    if not views:
+        return []
+    x, y = grid.xy()
+    middle = np.array([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1]), 0.5 * (low + high)])
+    radius = 0.5 * float(np.linalg.norm([x[-1] - x[0] + grid.cell, y[0] - y[-1] + grid.cell, high - low]))
+    ray = middle - np.array([v.centre for v in views])
+    axes = np.array([v.world_from_cam.rotation[:, 2] for v in views])
+    distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-9)
+    off = np.arccos(np.clip((ray * axes).sum(axis=1) / distance, -1.0, 1.0))
+    field = np.arctan(np.sqrt([radius2_limit(v.camera) for v in views]))
+    wide = np.where(distance > radius, np.arcsin(np.minimum(radius / distance, 1.0)), np.pi)
+    return np.flatnonzero(off <= field + wide + GLANCE).tolist()
 
 
 def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, max_tangent: float) -> list[int]:

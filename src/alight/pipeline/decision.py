@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from alight.pipeline.judging import Verdict
-from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.lanes import Judge
+from alight.pipeline.mapping import FinishedMap
 from alight.pipeline.navigation import Trajectory
-from alight.records import ElevationMap, HazardMap, Motion, Route, Sites, TerrainMap
+from alight.records import ElevationMap, HazardMap, Motion, PhotoOutcome, Route, Sites, TerrainMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,26 +25,29 @@ class Decision:
     height_above_ground: float | None = None  # metres
     warnings: list[str] = field(default_factory=list)
     notes: Mapping[str, object] = field(default_factory=dict)
+    photos: tuple[PhotoOutcome, ...] = ()
 
     @classmethod
     def none(cls, trajectory: Trajectory, reason: str, *warnings: str) -> Decision:
         """No site, and why."""
         said = [*trajectory.warnings, *warnings]
-        return cls(Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes)
+        return cls(
+            Sites((), reason), list(trajectory.motions), warnings=said, notes=trajectory.notes, photos=trajectory.photos
+        )
 
     @classmethod
     def of(
         cls,
         trajectory: Trajectory,
-        seen: MapSnapshot,
+        found: FinishedMap,
         verdict: Verdict,
         route: Route | None,
-        warnings: tuple[str, ...],
-        notes: Mapping[str, object],
+        judge: Judge,
     ) -> Decision:
         """The verdict on the finished map, and the way to the best site."""
+        warnings = [*trajectory.warnings, *found.warnings, *judge.warnings, *verdict.warnings]
+        above = None if found.snapshot is None else found.snapshot.vehicle.height_above_ground
         return cls(
             verdict.sites, list(trajectory.motions), verdict.elevation, verdict.cover, verdict.danger, route,
-            seen.vehicle.height_above_ground, [*trajectory.warnings, *warnings, *verdict.warnings],
-            {**trajectory.notes, **notes},
+            above, warnings, {**trajectory.notes, **found.notes, **judge.notes(verdict)}, trajectory.photos,
         )  # fmt: skip

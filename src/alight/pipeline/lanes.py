@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 from alight import terrain
 from alight.arrays import F64
 from alight.elevation import TileStore
+from alight.jobs import InTurn, Jobs
 from alight.landing.reserve import Reserve
 from alight.pipeline.judging import JudgingLane, Verdict
 from alight.pipeline.mapping import FinishedMap, MappingLane, MapSnapshot, MapUpdate, RecursiveMapper, mapping_lane
@@ -22,7 +23,7 @@ from alight.pipeline.navigation import (
     navigation_lane,
 )
 from alight.pipeline.timing import Timings
-from alight.records import Event, Frame, Rig, Schedule
+from alight.records import Event, Frame, PriorHeights, Rig, Schedule
 from alight.settings import StageSettings
 
 Progress = Callable[[float], None]
@@ -66,8 +67,11 @@ class Lanes:
         history: bool = True,
         appearance: terrain.Model | None = None,
         schedule: Schedule | None = None,
+        jobs: Jobs | None = None,
+        prior: PriorHeights | None = None,
     ) -> Lanes:
         """The lanes that a kind of recording and the settings call for; see `Pipeline` for the arguments."""
+        jobs = jobs or InTurn()
         judging, at_end = JudgingLane(stages, appearance, timings), all_at_end(kind, stages, poses)
         if schedule is not None and (schedule.navigation_anew or schedule.mapping_anew):
             navigation = FilterAgain(
@@ -76,8 +80,8 @@ class Lanes:
             mapping = MappingAgain(lambda: RecursiveMapper(rig, stages, far, timings, history), schedule.mapping_anew)
             return cls(navigation, mapping, judging)
         return cls(
-            navigation_lane(rig, kind, stages, poses, history),
-            mapping_lane(rig, stages, at_end, far, timings, history),
+            navigation_lane(rig, kind, stages, poses, history, jobs),
+            mapping_lane(rig, stages, at_end, far, timings, history, jobs, prior),
             judging,
         )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
 from alight import terrain
 from alight.arrays import F64
 from alight.elevation import TileStore
+from alight.jobs import Jobs
 from alight.landing import route
 from alight.landing.reserve import Reserve
 from alight.pipeline.decision import Decision
@@ -16,12 +17,10 @@ from alight.pipeline.judging import Verdict
 from alight.pipeline.lanes import Lanes
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import Navigation, TimedPoses
-from alight.pipeline.timing import Clock, Timings
+from alight.pipeline.timing import Clock, Tell, Timings
 from alight.pipeline.turns import turns
-from alight.records import Event, Motion, Rig, Route, Schedule
+from alight.records import Event, Motion, PriorHeights, Rig, Route, Schedule
 from alight.settings import ImuNoise, Settings
-
-Tell = Callable[[str, float], None]  # stage, share done
 
 
 class Pipeline:
@@ -37,7 +36,7 @@ class Pipeline:
         appearance: what ground looks like; None: the map's own evidence alone says what covers it.
         schedule: of a live run, to do again what it did and when; None: every exposure in its turn.
         lanes: to use instead of those that `kind` and the settings call for, such as processes of their own.
-        imu: noise that the recording states for its IMU.
+        imu, jobs, prior: noise of the recording's IMU; who does the work of photos; heights known from elsewhere.
     """
 
     def __init__(
@@ -53,12 +52,15 @@ class Pipeline:
         schedule: Schedule | None = None,
         lanes: Lanes | None = None,
         imu: ImuNoise | None = None,
+        jobs: Jobs | None = None,
+        prior: PriorHeights | None = None,
     ) -> None:
         self._settings = stages = (settings or Settings()).stages(imu)
-        self._timings = Timings(clock, history)
-        lanes = lanes or Lanes.of(rig, kind, stages, self._timings, poses, far, history, appearance, schedule)
+        self._timings, self._turns = Timings(clock, history), turns(schedule, stages.sites.every)
+        lanes = lanes or Lanes.of(
+            rig, kind, stages, self._timings, poses, far, history, appearance, schedule, jobs, prior
+        )
         self._navigation, self._mapping, self._judging = lanes.navigation, lanes.mapping, lanes.judging
-        self._turns = turns(schedule, stages.sites.every)
 
     def feed(self, event: Event) -> Motion | None:
         """Take one event; an exposure gives its motion when that is known at once."""
@@ -83,8 +85,7 @@ class Pipeline:
 
     def judge_now(self, about: F64 | None = None) -> Verdict | None:
         """Judge the ground under the newest keyframe, and about a place of the map, (2,) metres; None without a map."""
-        seen = self._mapping.snapshot(about)
-        return None if seen is None else self.judge(seen)
+        return None if (seen := self._mapping.snapshot(about)) is None else self.judge(seen)
 
     @property
     def reserve(self) -> Reserve:
@@ -108,8 +109,7 @@ class Pipeline:
         tell("judging", 0.2)
         way = self._route(verdict := self.judge(found.snapshot), found.snapshot)
         tell("judging", 1.0)
-        warnings, notes = (*found.warnings, *self._judging.warnings), self._judging.notes(verdict)
-        return Decision.of(trajectory, found.snapshot, verdict, way, warnings, notes)
+        return Decision.of(trajectory, found, verdict, way, self._judging)
 
     def _route(self, verdict: Verdict, seen: MapSnapshot) -> Route | None:
         """The way to the best site, planned in the world."""

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Clock = Callable[[], float]  # seconds
+Tell = Callable[[str, float], None]  # stage, share done
 LAST_STEPS = 1000  # whose times are kept in flight
 
 

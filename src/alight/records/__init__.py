@@ -4,9 +4,11 @@ World ENU, body FLU, camera optical; SI, radians, `int` nanoseconds; unknown is 
 """
 
 from alight.records.errors import AlightError, InputError, MissingExtraError, OutputError, SettingsError
-from alight.records.events import Event, Frame, ImuSample, NavSample, Prediction, Rig, RigCamera, Tracks
+from alight.records.events import Event, Frame, ImuSample, NavSample, Pixels, Prediction, Rig, RigCamera, Tracks
 from alight.records.landing import Doubt, Hazard, HazardMap, Kind, NextView, Route, Site, Sites, Waypoint
 from alight.records.motion import KeyframePosterior, Motion, MotionState, RefinedMotions, View
+from alight.records.photos import PHOTO_COLUMNS, PhotoFacts, PhotoOutcome, PhotoRow
+from alight.records.prior import PriorComparison, PriorHeights
 from alight.records.result import RunResult
 from alight.records.schedule import Schedule
 from alight.records.surface import (
@@ -38,6 +40,7 @@ from alight.records.telemetry import (
 __all__ = [
     "FIX_3D",
     "LANDABLE",
+    "PHOTO_COLUMNS",
     "REFUSED",
     "AlightError",
     "Battery",
@@ -66,9 +69,15 @@ __all__ = [
     "Notice",
     "NoticeKind",
     "OutputError",
+    "PhotoFacts",
+    "PhotoOutcome",
+    "PhotoRow",
+    "Pixels",
     "Place",
     "PlaceSigma",
     "Prediction",
+    "PriorComparison",
+    "PriorHeights",
     "RefinedMotions",
     "Rig",
     "RigCamera",

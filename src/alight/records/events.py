@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from alight.arrays import F64, U8
 from alight.geometry import Camera, Pose
+
+
+class StoredPixels(Protocol):
+    """A picture that is not held in memory: `np.asarray` reads it."""
+
+    nbytes: int  # of memory that it holds for good
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> U8:
+        """The pixels, (H, W) grey or (H, W, 3) RGB."""
+
+
+Pixels = U8 | StoredPixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +45,7 @@ class Frame:
     """One exposure of the whole rig. An image that was dropped or unreadable is None."""
 
     t_ns: int
-    images: tuple[U8 | None, ...]  # one a camera, (H, W) grey or (H, W, 3) RGB
+    images: tuple[Pixels | None, ...]  # one a camera, (H, W) grey or (H, W, 3) RGB
     name: str = ""
 
 

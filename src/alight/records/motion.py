@@ -7,8 +7,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from alight.arrays import F64, U8
+from alight.arrays import F64
 from alight.geometry import Camera, Pose
+from alight.records.events import Pixels
 
 
 class MotionState(IntEnum):
@@ -45,12 +46,12 @@ class KeyframePosterior:
     """Exposures from one posterior: poses that agree with each other, and how far they may be off together.
 
     In flight the last keyframes, in their map; of a recording exposures of the whole of it, in the world. `lenses`
-    holds the camera once for each of L lens numbers that were estimated with the poses, that number off by one unit.
+    holds the cameras once for each of L lens numbers that were estimated with the poses, that number off by one unit.
     """
 
     motions: tuple[Motion, ...]  # K, oldest first
     covariance: F64  # (6K + L, 6K + L): a pose of the rig is position [m], rotation vector in the world [rad]
-    lenses: tuple[Camera, ...] = ()  # L
+    lenses: tuple[tuple[Camera, ...], ...] = ()  # L times the cameras of the rig
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class View:
 
     t_ns: int
     cam: int  # index in the rig
-    image: U8  # (H, W) grey or (H, W, 3) RGB
+    image: Pixels  # (H, W) grey or (H, W, 3) RGB
     camera: Camera
     world_from_cam: Pose
 
@@ -75,3 +76,8 @@ class View:
     def centre(self) -> F64:
         """The camera centre C in the world, (3,) metres."""
         return np.asarray(self.world_from_cam.translation)
+
+    @property
+    def key(self) -> tuple[int, int, bytes]:
+        """The same of all views of one image from one pose."""
+        return self.t_ns, self.cam, self.world_from_cam.matrix.tobytes()

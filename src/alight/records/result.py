@@ -9,6 +9,7 @@ from alight.geometry import LocalFrame
 from alight.records.executive import FlightDiary
 from alight.records.landing import HazardMap, Route, Sites
 from alight.records.motion import Motion
+from alight.records.photos import PhotoRow
 from alight.records.surface import ElevationMap, TerrainMap
 from alight.records.telemetry import Home
 from alight.settings import Settings
@@ -38,6 +39,7 @@ class RunResult:
     counts: Mapping[str, int] = field(default_factory=dict)  # "frames read": 32, "frames dropped, cut off": 1
     notes: Mapping[str, object] = field(default_factory=dict)  # words, numbers, lists: "focal": "held", "points": 19472
     warnings: Sequence[str] = ()
+    photos: Sequence[PhotoRow] = ()  # of a set of photos, those that were not used included
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
     not_written: Mapping[str, str] = field(default_factory=dict)  # file name: why
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jinja2
 
 from alight import __version__
-from alight.records import RunResult
+from alight.records import PHOTO_COLUMNS, RunResult
 from alight.report import canvas, facts, figures, maps, words
 from alight.report.facts import warnings
 from alight.report.figures import Figure
@@ -53,6 +53,8 @@ def render(result: RunResult) -> str:
         film=film(result),
         facts=facts.run_facts(result),
         details=facts.details(result),
+        photos=[row.cells for row in result.photos],
+        photo_columns=PHOTO_COLUMNS,
         times=facts.times(result.timings),
         missing=dict(result.not_written),
         settings=result.settings.to_yaml(),

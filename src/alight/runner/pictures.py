@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import U8
-from alight.records import Frame
+from alight.records import Frame, Pixels
 
 SPARSE = 4  # pixels, step in which two pictures are compared
 
@@ -43,7 +43,7 @@ class PictureWatch:
         """Seconds since the last picture that was new."""
         return math.inf if self.newest_ns is None else (now_ns - self.newest_ns) * 1e-9
 
-    def _repeats(self, cam: int, image: U8) -> bool:
-        small, before = image[::SPARSE, ::SPARSE].copy(), self._last.get(cam)
+    def _repeats(self, cam: int, image: Pixels) -> bool:
+        small, before = np.asarray(image)[::SPARSE, ::SPARSE].copy(), self._last.get(cam)
         self._last[cam] = small
         return before is not None and np.array_equal(small, before)

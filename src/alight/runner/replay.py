@@ -6,18 +6,22 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 
 from alight.elevation import TileStore
-from alight.outputs import FileStore, prepare_folder, write_run
+from alight.jobs import Jobs
+from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
-from alight.records import Frame, InputError, RunResult
+from alight.records import Frame, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
+from alight.runner.work import SavedJobs, cluster_jobs, work_key
 from alight.settings import Settings
 from alight.sources import Described, Source, open_source, read_tum
 from alight.sources.library import read_model
+from alight.sources.prior_dem import read_prior
 from alight.terrain import Model
 
-__all__ = ["find", "given_poses", "replay", "write_run"]
+__all__ = ["Find", "find", "given_poses", "replay", "write_run"]
 
 log = logging.getLogger(__name__)
 
@@ -45,6 +49,8 @@ def replay(
     poses: str | None = None,
     tell: Tell = lambda stage, share: None,
     far: TileStore | None = None,
+    jobs: Jobs | None = None,
+    prior: Path | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -54,6 +60,8 @@ def replay(
         poses: `truth` or a TUM file of body poses in ENU, instead of the estimated motion.
         tell: called with the stage and the share of it that is done.
         far: where the map puts what the flight has left behind; None: memory.
+        jobs: who does the work of photos and maps at the end; None: this process.
+        prior: DEM from elsewhere, that the search for heights begins with and the map is compared with.
 
     Raises:
         InputError: nothing in the recording can be used.
@@ -69,6 +77,8 @@ def replay(
         appearance=appearance_of(settings),
         schedule=source.schedule,
         imu=source.imu_noise,
+        jobs=jobs,
+        prior=_prior(source, settings, prior),
     )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
@@ -82,7 +92,10 @@ def replay(
     decision = pipeline.finish(tell)
     for stage, seconds in pipeline.timings.items():
         log.info("%s: %.2f s in %d step(s)", stage, sum(seconds), len(seconds))
-    return result_of(source, settings, decision, pipeline.timings)
+    photos = _photo_table(source.photos, decision.photos)
+    for row in photos:
+        log.info("%s", row.line)
+    return result_of(source, settings, decision, pipeline.timings, photos)
 
 
 def appearance_of(settings: Settings) -> Model | None:
@@ -97,7 +110,28 @@ def appearance_of(settings: Settings) -> Model | None:
     return read_model(None if name == "default" else Path(name))
 
 
-def result_of(source: Described, settings: Settings, d: Decision, timings: Mapping[str, Sequence[float]]) -> RunResult:
+def _prior(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
+    if dem is None:
+        return None
+    if not source.georeferenced:
+        raise InputError(f"--prior-dem: {source.name} says nothing about its place on Earth; run it without")
+    if settings.parallax.method == "ring":
+        raise InputError("--prior-dem: is for maps made at the end; run it without, or with parallax.method=batch")
+    return read_prior(dem, source.local)
+
+
+def _photo_table(photos: Sequence[PhotoFacts], outcomes: Sequence[PhotoOutcome]) -> list[PhotoRow]:
+    of = {o.t_ns: o for o in outcomes}
+    return [PhotoRow(p, None if p.t_ns is None else of.get(p.t_ns)) for p in photos]
+
+
+def result_of(
+    source: Described,
+    settings: Settings,
+    d: Decision,
+    timings: Mapping[str, Sequence[float]],
+    photos: Sequence[PhotoRow] = (),
+) -> RunResult:
     """Everything that the output folder and the report are made of."""
     return RunResult(
         source_name=source.name,
@@ -115,28 +149,51 @@ def result_of(source: Described, settings: Settings, d: Decision, timings: Mappi
         counts=source.counts,
         notes={**source.notes, **d.notes},
         warnings=[*source.warnings, *d.warnings],
+        photos=photos,
         timings=timings,
     )
 
 
-def find(
-    path: Path,
-    out: Path,
-    settings: Settings,
-    poses: str | None = None,
-    overwrite: bool = False,
-    tell: Tell = lambda stage, share: None,
-) -> RunResult:
+@dataclass(frozen=True)
+class Find:
+    """How a landing site is found in a recording."""
+
+    settings: Settings
+    poses: str | None = None  # as for `replay`
+    overwrite: bool = False  # write into a folder that holds other files
+    resume: bool = False  # go on with what an interrupted run of photos left in the folder
+    prior: Path | None = None  # DEM from elsewhere
+    scheduler: str | None = None  # address of a Dask cluster that does the work of photos
+
+
+def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: None) -> RunResult:
     """Find a landing site in a flight log, a recording or a folder of photos, once `out` is known to take the results.
 
     A recording is replayed with the settings of its flight where no others are given, and then gives the same bits.
+    The work of photos is saved in the folder piece by piece, until the results are written.
 
     Raises:
         AlightError: the input cannot be used, or the output cannot be written; the message says how to mend it.
     """
+    settings = how.settings
     source = open_source(path, settings)
     if source.flown_with is not None and settings == Settings():
         settings = source.flown_with
-    prepare_folder(out, overwrite)
-    with closing(FileStore(out)) as far:
-        return replay(source, settings, poses, tell, far)
+    digest = source.digest()
+    if not digest and (option := "--resume" if how.resume else how.scheduler and "--scheduler"):
+        raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
+    if how.resume and is_finished(out):
+        raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
+    _prior(source, settings, how.prior)  # a wrong one is told before any work
+    prepare_folder(out, how.overwrite)
+    with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
+        if not digest:
+            return replay(source, settings, how.poses, tell, far, prior=how.prior)
+        given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
+        given += [how.prior] if how.prior else []
+        work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
+        try:
+            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), how.prior)
+        except KeyboardInterrupt:
+            log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
+            raise

@@ -10,8 +10,10 @@ from alight.sources.flight_log import FlightLog
 from alight.sources.photos import Photos, find_photos
 from alight.sources.recording import Recording
 from alight.sources.source import Source
+from alight.sources.video import SUFFIXES as VIDEOS
+from alight.sources.video import open_video
 
-LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap) or a folder of JPEG photos"
+LOOKED_FOR = "a flight log (a folder with mav0/), a recording (.mcap), a folder of photos or a video (.mp4) with a .srt"
 
 
 def open_source(path: str | Path, settings: Settings | None = None) -> Source:
@@ -32,6 +34,8 @@ def _open(path: Path, settings: Settings) -> Source:
         raise InputError(f"{path}: no such folder; give {LOOKED_FOR}")
     if path.is_file() and path.suffix.lower() == ".mcap":
         return Recording(path, settings)
+    if path.is_file() and path.suffix.lower() in VIDEOS:
+        return open_video(path, settings)
     if not path.is_dir():
         raise InputError(f"{path}: a file; give {LOOKED_FOR}")
     root = path.resolve()
@@ -43,4 +47,6 @@ def _open(path: Path, settings: Settings) -> Source:
         raise InputError(f"{path}: the folder is empty; give {LOOKED_FOR}")
     if inside := sorted(p.parent.name for p in root.glob("*/mav0")):
         raise InputError(f"{path}: holds {len(inside)} flight log(s); name one of them, such as {path / inside[0]}")
-    raise InputError(f"{path}: nothing usable in it; looked for mav0/ and for .jpg or .jpeg files, give {LOOKED_FOR}")
+    raise InputError(
+        f"{path}: nothing usable in it; looked for mav0/ and for .jpg, .png or .tif files, give {LOOKED_FOR}"
+    )

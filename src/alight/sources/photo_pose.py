@@ -17,6 +17,7 @@ BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
 RTK_FIXED, RTK_FLOAT = 50, 34
+FARTHEST_BACK = math.radians(-45.0)  # pitch of a camera beyond straight down
 GIMBAL_SIGMA = np.array([0.02, 0.02, 0.1])  # rad, roll pitch (about horizontal axes), yaw (about the vertical)
 FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
 GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
@@ -25,13 +26,16 @@ GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     """`world_from_body` (3, 3) of the gimbal, and which tags it came from ("" without any).
 
-    DJI: gimbal angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw, Pitch, Roll`
-    (Parrot, senseFly, Sentera and others): zero is a camera that looks down with the image's top to the north.
+    DJI and Parrot's own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
+    Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
+    image's top to the north. Some Autel drones write a pitch from the horizon into these: no camera looks so far back.
     """
-    gimbal = _angles(tags, "dji:Gimbal{}Degree")
-    if gimbal is not None:
-        return enu_from_flu(*gimbal), "gimbal"
+    for pattern in ("dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree"):
+        if (gimbal := _angles(tags, pattern)) is not None:
+            return enu_from_flu(*gimbal), "gimbal"
     pix4d = _angles(tags, "camera:{}")
+    if pix4d is not None and pix4d[1] < FARTHEST_BACK:
+        return enu_from_flu(*pix4d), "camera, from the horizon"
     if pix4d is not None:
         yaw, pitch, roll = pix4d
         sign = -1 if "sensefly" in tags.text(0x010F).lower() else 1  # senseFly counts roll the other way round

@@ -1,4 +1,4 @@
-"""What a drone writes into its photos: EXIF (pillow) and the XMP packet of DJI and of Pix4D's `Camera` names."""
+"""What a drone writes into its photos: EXIF (pillow), and the XMP packet of DJI, Parrot, Autel and Pix4D's `Camera`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,9 @@ from PIL import ExifTags, Image
 from alight.sources.images import open_image
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
+SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera, MicaSense), Parrot, Autel
+    "dji": "dji:", "camera/1.0": "camera:", "drone-parrot": "parrot:", "drone-autel": "autel:",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,24 @@ class PhotoTags:
         """What makes two photos be of one camera: maker, model, image size, focal length in mm."""
         focal = self.number(Base.FocalLength)
         return self.text(Base.Make), self.text(Base.Model), self.size, None if focal is None else round(focal, 2)
+
+    @property
+    def altitude_kind(self) -> str:
+        """What the altitude is counted from, as far as the photo says.
+
+        EXIF 3 has values of its own for the ellipsoid; DJI names a fused or an RTK altitude; Parrot documents its
+        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai.
+        """
+        reference = self.gps.get(Gps.GPSAltitudeRef)
+        code = reference[0] if isinstance(reference, bytes) and reference else reference
+        model = self.text(Base.Model).lower()
+        if code in (2, 3) or self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt" or "anafiai" in model:
+            return "ellipsoid"
+        if self.xmp_number("dji:RtkFlag") == 50:
+            return "ellipsoid (RTK fixed)"
+        if self.text(Base.Make).lower() == "parrot":
+            return "sea level (EGM96)"
+        return "sea level or ellipsoid: not said"
 
     @property
     def orientation(self) -> int:
@@ -83,7 +104,7 @@ class PhotoTags:
 
     def _altitude(self) -> float | None:
         exif, absolute = finite(self.gps.get(Gps.GPSAltitude)), self.xmp_number("dji:AbsoluteAltitude")
-        if exif is not None and self.gps.get(Gps.GPSAltitudeRef) in (b"\x01", 1):
+        if exif is not None and self.gps.get(Gps.GPSAltitudeRef) in (b"\x01", 1, b"\x03", 3):
             exif = -exif
         if absolute is not None and (exif is None or abs(exif - absolute) > 1):
             return absolute  # some firmware leaves the EXIF altitude at zero
@@ -112,7 +133,7 @@ def _angle(dms: Any, ref: Any, negative: str) -> float | None:
 def _xmp_key(qualified: str) -> str:
     space, _, local = qualified.rpartition("}")
     space = space.lower()
-    prefix = "dji:" if "dji" in space else "camera:" if "camera/1.0" in space else ""
+    prefix = next((prefix for part, prefix in SPACES.items() if part in space), "")
     return prefix + local
 
 

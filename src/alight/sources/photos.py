@@ -1,38 +1,50 @@
-"""A folder of drone photos as a source: one exposure and one GPS/INS measurement a photo."""
+"""A folder of drone photos as a source: one exposure and one GPS/INS measurement a photo.
+
+Each zoom level, and each camera with a few photos, is a camera of the rig; an exposure has the picture of one of them.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from hashlib import blake2b, file_digest
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from alight.geometry import Camera
-from alight.records import Event, Frame, InputError, Rig, RigCamera
+from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
-from alight.sources.images import UNREADABLE, read_image
+from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import photo_camera
+from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
-SUFFIXES = (".jpg", ".jpeg")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
 SECOND = 1_000_000_000
+HELD = 0.5  # of the memory for images, by pictures that were read
+LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
+BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
+CameraKey = tuple[str, str, tuple[int, int], float | None]
 RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
 def find_photos(folder: Path) -> list[Path]:
-    """JPEG files of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
+    """Pictures of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
     found = [*folder.iterdir(), *(p for sub in sorted(folder.iterdir()) if sub.is_dir() for p in sub.iterdir())]
     return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file())
 
 
 class Photos(RecordedSource):
-    """The photos of one camera in one folder.
+    """The photos in one folder.
 
     Raises:
         InputError: no readable photo, none with GPS, or no focal length.
@@ -44,10 +56,12 @@ class Photos(RecordedSource):
     imu_noise = ImuNoise()
 
     def __init__(self, root: Path, files: Sequence[Path], settings: Settings) -> None:
+        self._memory = PictureMemory(HELD * 1e6 * settings.parallax.store_mb)
         self._findings = Findings()
         self._findings.expect("photos", len(files))
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
-        photos = self._one_camera(self._upright(self._readable(files)))
+        self._facts: dict[Path, PhotoFacts] = {}
+        photos = self._of_cameras(self._upright(self._readable(files)), settings)
         if not any(p.position for p in photos):
             raise InputError(
                 f"{root}: no photo has a GPS position; photos need EXIF GPS latitude, longitude and altitude"
@@ -56,24 +70,48 @@ class Photos(RecordedSource):
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
         self._photos = ordered
+        self._cameras = [c for c, _ in Counter(p.camera for _, p in ordered).most_common()]
         self._names = _names([p for _, p in ordered], root)
         self.length = len(ordered)
         self.local = local_frame([p for _, p in ordered])
         self.rig, self.notes = self._calibrate(settings)
         self._note()
+        self._understand()
 
     def events(self) -> Iterator[Event]:
-        lens = self.rig.cameras[0].camera
         for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
             try:
-                image = read_image(tags.path, (lens.width, lens.height))
+                self._memory.get(tags.path, tags.size)
             except ValueError as e:
-                self._findings.lose("photos", name, str(e))
+                self._lose(tags.path, str(e), name)
                 continue
             yield nav_sample(tags, t_ns, self.local)
-            yield Frame(t_ns, (image,), name)
+            pixels, own = PhotoPixels(tags.path, tags.size, self._memory), self._cameras.index(tags.camera)
+            yield Frame(t_ns, tuple(pixels if k == own else None for k in range(len(self._cameras))), name)
+
+    @property
+    def photos(self) -> list[PhotoFacts]:
+        """What was understood of each photo, those that are not used included; complete after `events`."""
+        return [self._facts[path] for path in sorted(self._facts)]
+
+    def digest(self) -> str:
+        """Of the names and the bytes of all photos that are used."""
+        of = blake2b()
+        for (_, tags), name in zip(self._photos, self._names, strict=True):
+            with tags.path.open("rb") as file:
+                of.update(f"{name} {file_digest(file, blake2b).hexdigest()}\n".encode(errors="surrogateescape"))
+        return of.hexdigest()
 
     # -- opening
+
+    def _lose(self, path: Path, why: str, name: str = "") -> None:
+        """Leave a photo out, with a warning."""
+        self._findings.lose("photos", name or path.name, why)
+        self._leave_out(path, why)
+
+    def _leave_out(self, path: Path, why: str) -> None:
+        facts = self._facts.get(path) or PhotoFacts(path.name, (0, 0), "")
+        self._facts[path] = replace(facts, left_out=why, t_ns=None)
 
     def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
         photos = []
@@ -81,13 +119,14 @@ class Photos(RecordedSource):
             try:
                 tags, problem = read_tags(path)
             except UNREADABLE as e:
-                self._findings.lose("photos", path.name, "it is no image" if "identify" in str(e) else str(e))
+                self._lose(path, "it is no image" if "identify" in str(e) else str(e))
                 continue
             photos.append(tags)
+            self._facts[path] = facts_of(tags)
             if problem:
                 self._findings.say(f"{path.name}: {problem}, so its gimbal and calibration are unknown")
         if not photos:
-            raise InputError(f"{files[0].parent}: none of the {len(files)} JPEG files can be read; copy them again")
+            raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
         return photos
 
     def _upright(self, photos: list[PhotoTags]) -> list[PhotoTags]:
@@ -96,21 +135,40 @@ class Photos(RecordedSource):
         for p in photos:
             if p.orientation not in (0, 1):
                 why = f"its EXIF orientation is {p.orientation}; turn it losslessly and set the tag to 1"
-                self._findings.lose("photos", p.path.name, why)
+                self._lose(p.path, why)
         if not upright:
             raise InputError(
                 f"{photos[0].path.parent}: every photo has an EXIF orientation other than 1; turn them losslessly"
             )
         return upright
 
-    def _one_camera(self, photos: list[PhotoTags]) -> list[PhotoTags]:
-        groups = Counter(p.camera for p in photos)
-        (chosen, _), *others = groups.most_common()
-        for other, count in others:
-            first = next(p.path.name for p in photos if p.camera == other)
-            self._findings.say(f"{count} photo(s) of another camera are left out: {_title(other)} (first: {first})")
-            self._findings.counts["photos of another camera"] = sum(n for _, n in others)
-        return [p for p in photos if p.camera == chosen]
+    def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
+        """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
+        groups = Counter(p.camera for p in photos).most_common()
+        first = groups[0][0]
+        out = dict[object, str]()
+        for camera, count in groups[1:]:
+            its = next(p for p in photos if p.camera == camera)
+            if settings.sources.calibration:
+                out[camera] = "sources.calibration is of another camera"
+            elif count < LEAST_OF_A_CAMERA:
+                out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
+            elif "infrared" in its.xmp.get("dji:ImageSource", "").lower():
+                out[camera] = "an infrared picture"
+            elif not has_focal_length(its):
+                out[camera] = "no focal length in its tags"
+            else:
+                continue
+            self._findings.say(
+                f"{count} photo(s) of another camera are left out: {_title(camera)} (first: {its.path.name}): "
+                f"{out[camera]}"
+            )
+        if out:
+            self._findings.counts["photos of another camera"] = sum(p.camera in out for p in photos)
+        for p in photos:
+            if p.camera in out:
+                self._leave_out(p.path, out[p.camera])
+        return [p for p in photos if p.camera not in out or p.camera == first]
 
     def _in_order(self, photos: list[PhotoTags]) -> list[tuple[int, PhotoTags]]:
         """By time of capture, then name; photos of one second share it out, so that time rises strictly."""
@@ -132,14 +190,48 @@ class Photos(RecordedSource):
                 "focal_from": f"Kalibr {path.name}",
                 "focal_px": lens.fu,
             }
-        dewarp = Counter(p.xmp.get("dji:DewarpData", "") for _, p in self._photos).most_common()
-        chosen = next(p for _, p in self._photos if p.xmp.get("dji:DewarpData", "") == dewarp[0][0])
+        found = [self._lens(camera) for camera in self._cameras]
+        names = [f"cam{k}" for k in range(len(found))]
+        rig = Rig(tuple(RigCamera(n, lens, BODY_FROM_CAM) for n, (lens, _) in zip(names, found, strict=True)))
+        notes = found[0][1]
+        if len(found) > 1:
+            notes["cameras"] = [
+                f"{_title(c)}: {n['focal_px']:g} px, {n['focal_from']}"
+                for c, (_, n) in zip(self._cameras, found, strict=True)
+            ]
+        return rig, notes
+
+    def _lens(self, camera: CameraKey) -> tuple[Camera, dict[str, Any]]:
+        """The lens of one camera, from the most frequent calibration that its photos carry."""
+        its = [p for _, p in self._photos if p.camera == camera]
+        dewarp = Counter(p.xmp.get("dji:DewarpData", "") for p in its).most_common()
+        chosen = next(p for p in its if p.xmp.get("dji:DewarpData", "") == dewarp[0][0])
         if len(dewarp) > 1:
             self._findings.say(
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
             )
-        lens, notes = photo_camera(chosen)
-        return Rig((RigCamera("cam0", lens, BODY_FROM_CAM),)), notes
+        return photo_camera(chosen)
+
+    def _understand(self) -> None:
+        """Fill in what only the whole set tells: exposure, flight and camera, focal length in use."""
+        flight, before = 0, None
+        for (t_ns, tags), name in zip(self._photos, self._names, strict=True):
+            taken = tags.time_ns
+            new = before is not None and taken is not None and taken - before > BETWEEN_FLIGHTS * SECOND
+            flight, before = flight + new, before if taken is None else taken
+            own = self._cameras.index(tags.camera)
+            lens = self.rig.cameras[own].camera
+            self._facts[tags.path] = replace(
+                self._facts[tags.path], name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
+                focal_px=round(lens.fu, 1),
+            )  # fmt: skip
+            if "Kalibr" in str(self.notes["focal_from"]):
+                self._facts[tags.path] = replace(self._facts[tags.path], focal_from=str(self.notes["focal_from"]))
+        for path, facts in self._facts.items():
+            if facts.t_ns is None and not facts.left_out:
+                self._leave_out(path, "by sources.skip or sources.every")
+        if flight:
+            self.notes["flights"] = flight + 1
 
     def _note(self) -> None:
         photos = [p for _, p in self._photos]
@@ -168,7 +260,29 @@ class Photos(RecordedSource):
             self._findings.say(f"{kinds['none']} photo(s) say nothing about where the camera looked")
 
 
-def _title(camera: tuple[str, str, tuple[int, int], float | None]) -> str:
+def facts_of(tags: PhotoTags) -> PhotoFacts:
+    """What one photo says by itself."""
+    make, model, size, _ = tags.camera
+    focal, focal_from = None, ""
+    with suppress(InputError):
+        lens, notes = photo_camera(tags)
+        focal, focal_from = round(lens.fu, 1), str(notes["focal_from"])
+    place, t_ns = tags.position, tags.time_ns
+    fix = RTK_NAMES.get(rtk_flag(tags) or 0, "GPS")
+    return PhotoFacts(
+        tags.path.name, size, f"{make or 'unknown'} {model or 'camera'}", focal, focal_from,
+        None if place is None else place[:2], "" if place is None else fix, None if place is None else place[2],
+        "" if place is None else tags.altitude_kind, photo_attitude(tags)[1],
+        "" if t_ns is None else f"{datetime.fromtimestamp(t_ns // SECOND, UTC):%Y-%m-%d %H:%M:%S}",
+    )  # fmt: skip
+
+
+def has_focal_length(tags: PhotoTags) -> bool:
+    """Whether a photo says how long its lens is."""
+    return facts_of(tags).focal_px is not None
+
+
+def _title(camera: CameraKey) -> str:
     make, model, (w, h), focal = camera
     return f"{make or 'unknown'} {model or 'camera'}, {w}x{h}" + (f", {focal:g} mm" if focal else "")
 

@@ -36,7 +36,12 @@ class GroundRaster:
     warnings: tuple[str, ...]
 
 
-def _open(path: Path) -> Any:
+def open_raster(path: Path) -> Any:
+    """Open a raster with rasterio.
+
+    Raises:
+        InputError: it is none.
+    """
     if not path.exists():
         raise InputError(f"{path}: there is no such file; name a raster such as a GeoTIFF")
     if not path.is_file():
@@ -110,7 +115,7 @@ def _sigma(given: str | None, grid: Grid, own: F32 | None, usual: float) -> tupl
 
 
 def _sigma_raster(path: Path, grid: Grid) -> F32:
-    with _open(path) as d:
+    with open_raster(path) as d:
         sigma = _band(path, d, 1)
     if sigma.shape != grid.shape:
         raise InputError(
@@ -128,7 +133,7 @@ def _sensible_sigma(sigma: F32) -> F32:
 
 def _image(path: Path, grid: Grid) -> U8:
     """Pixels of an image that covers the same ground, a whole number of them a cell."""
-    with _open(path) as d:
+    with open_raster(path) as d:
         bands = (1, 2, 3) if d.count >= 3 else (1,)
         if d.dtypes[0] != "uint8":
             raise InputError(f"{path}: {d.dtypes[0]} pixels; give 8 bit: gdal_translate -ot Byte -scale")
@@ -159,7 +164,7 @@ def read_ground(path: Path, sigma: str | None, image: Path | None, usual_sigma: 
         InputError: it is no raster, its cells are no square metres with north up, nothing is known, or sigma or image
             are on another grid.
     """
-    with _open(path) as d:
+    with open_raster(path) as d:
         grid, crs = _grid(path, d), d.crs
         height = _band(path, d, 1)
         suspect = doubt_of_heights(path, height, d)

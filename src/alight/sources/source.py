@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from alight.geometry import LocalFrame, Pose
-from alight.records import Event, Rig, Schedule
+from alight.records import Event, PhotoFacts, Rig, Schedule
 from alight.settings import ImuNoise, Settings
 
 Trajectory = tuple[NDArray[np.int64], list[Pose]]  # (N,) ns and as many world_from_body
@@ -55,6 +55,10 @@ class Source(Described, Protocol):
         """The cameras, in the order of `Frame.images`."""
 
     @property
+    def photos(self) -> Sequence[PhotoFacts]:
+        """What was understood of each photo, of a set of photos; complete once `events` has been exhausted."""
+
+    @property
     def truth_trajectory(self) -> Trajectory | None:
         """True body poses in the world, where the recording has them."""
 
@@ -73,6 +77,9 @@ class Source(Described, Protocol):
     @property
     def length(self) -> int:
         """Exposures that `events` will try to yield."""
+
+    def digest(self) -> str:
+        """Of everything that is read, where work is saved by it (photos); else empty."""
 
     def events(self) -> Iterator[Event]:
         """Yield frames, navigation and inertial samples in order of time, images decoded one at a time.
@@ -122,6 +129,15 @@ class RecordedSource:
     length: int
     schedule: Schedule | None = None
     flown_with: Settings | None = None
+
+    @property
+    def photos(self) -> Sequence[PhotoFacts]:
+        """None."""
+        return ()
+
+    def digest(self) -> str:
+        """Nothing is saved."""
+        return ""
 
     @property
     def counts(self) -> dict[str, int]:

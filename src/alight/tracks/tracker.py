@@ -104,7 +104,7 @@ class Tracker:
         """
         if frame.images[0] is None:
             return self._tracks_of(frame.t_ns, np.empty(0, np.int64), np.empty((0, len(self._cameras), 2)), np.empty(0))
-        image = grey(frame.images[0])
+        image = grey(np.asarray(frame.images[0]))
         soft = smooth_image(image)
         found, poses = self._track_in_time(image, soft, prediction), prediction.world_from_cams if prediction else None
         pose = poses[0] if poses and self._prediction_error[0] < self._settings.sure_px else None
@@ -277,7 +277,7 @@ class Tracker:
         for i in range(1, len(self._cameras)):
             other = frame.images[i]
             if other is not None and len(pixels):
-                found, z = self._match_stereo(i, image, grey(other), pixels, depth, (patches, pose))
+                found, z = self._match_stereo(i, image, grey(np.asarray(other)), pixels, depth, (patches, pose))
                 observed[:, i] = found
                 depth = np.where(np.isfinite(z), z, depth)
         return observed, depth

@@ -10,10 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
+from alight.jobs import InTurn, Jobs
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -22,6 +22,7 @@ from alight.motion.bundle.matching import (
     extract_all,
     match_pairs,
     neighbours,
+    taken_by,
     tracks,
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
@@ -32,13 +33,20 @@ from alight.motion.bundle.solver import (
     BundleState,
     Priors,
     intersection_angle,
-    lens_camera,
     project_points,
     residuals,
     triangulate_bundle,
 )
-from alight.motion.bundle.summary import LEAST_SEEN, FirstPoses, Solved, bundle_warnings, notes_of, why_no_motion
-from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, Rig
+from alight.motion.bundle.summary import (
+    LEAST_SEEN,
+    FirstPoses,
+    Solved,
+    bundle_warnings,
+    notes_of,
+    outcomes_of,
+    why_no_motion,
+)
+from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, PhotoOutcome, Rig
 from alight.settings import BundleSettings
 
 log = logging.getLogger(__name__)
@@ -63,6 +71,7 @@ class BundleResult:
     points_world: F64  # (N, 3) metres
     warnings: list[str]
     notes: dict[str, object]
+    photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each
     joint: KeyframePosterior | None = None  # covariance of the poses registered, and of the lens where it is free
 
 
@@ -72,11 +81,13 @@ def adjust(
     rig: Rig,
     settings: BundleSettings,
     progress: Callable[[float], None] | None = None,
+    jobs: Jobs | None = None,
 ) -> BundleResult:
     """Find the pose of every photo from the images, with GPS, gimbal attitude and calibration as priors.
 
     `nav[i]` belongs to `frames[i]`: position in metres, attitude body to world, their sigmas; None is 'not
-    measured'. Camera 0 of the rig is used. Photos that cannot be registered have None and a warning.
+    measured'. Of each frame the first camera with a picture is used. Photos that cannot be registered have None and a
+    warning. `jobs` finds features and matches pairs; None: this process.
 
     Raises:
         MissingExtraError: pycolmap is not installed.
@@ -86,24 +97,18 @@ def adjust(
     if len(frames) != len(nav):
         raise InputError(f"{len(frames)} frames and {len(nav)} navigation samples: give one, or None, for each frame")
     tell = progress or (lambda _: None)
-    priors = make_priors(nav, rig, settings)
-    features = _extract(frames, settings, lambda f: tell(0.35 * f))
+    priors = make_priors(nav, rig, settings, np.array([taken_by(f) for f in frames], dtype=np.int64))
+    jobs, features, pairs = jobs or InTurn(), list[PhotoFeatures | None](), list[Pair]()
+    for found in extract_all(frames, settings, jobs):
+        features.append(found)
+        tell(0.35 * len(features) / len(frames))
     wanted = neighbours(priors.centres, settings.neighbours)
-    done = iter(range(1, len(wanted) + 1))
-    pairs = match_pairs(priors.camera, features, wanted, settings, lambda: tell(0.35 + 0.35 * next(done) / len(wanted)))
+    for n, matched in enumerate(match_pairs(priors.lenses, frames, features, wanted, settings, jobs), 1):
+        pairs += matched
+        tell(0.35 + 0.35 * n / len(frames))
     solved = solve_bundle(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f))
     tell(1.0)
     return _result(frames, features, rig, priors, solved, settings)
-
-
-def _extract(
-    frames: Sequence[Frame], settings: BundleSettings, tell: Callable[[float], None]
-) -> list[PhotoFeatures | None]:
-    out = []
-    for f in extract_all([frame.images[0] if frame.images else None for frame in frames], settings):
-        out.append(f)
-        tell(len(out) / len(frames))
-    return out
 
 
 def solve_bundle(
@@ -119,7 +124,7 @@ def solve_bundle(
         return None
     photos = first.photos
     priors = levelled(priors) if first.climbs else priors
-    priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), len(photos))
+    priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), photos)
     obs, _ = obs.keep(np.isin(obs.photo, photos))
     state = BundleState(first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
     few, most = select(obs, min(_COARSE, settings.observations)), select(obs, settings.observations)
@@ -241,11 +246,11 @@ def retriangulate(
     state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
 ) -> tuple[BundleState, BundleObservations]:
     """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
-    camera = lens_camera(priors.camera, state.lens)
+    lenses = priors.lenses.moved(state.lens)
     for _ in range(2):
-        points = triangulate_bundle(state.centres, state.rotations, camera, obs, scale_px=scale)
+        points = triangulate_bundle(state.centres, state.rotations, lenses, obs, scale_px=scale)
         state = replace(state, points=points)
-        pixels, in_cam = project_points(state, obs, camera)
+        pixels, in_cam = project_points(state, obs, lenses)
         residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
         wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
         good = (in_cam[:, 2] > 0) & wide[obs.point]
@@ -269,21 +274,23 @@ def _result(
     state, obs = solved.state, solved.observations
     tagged = priors
     priors = levelled(priors) if solved.first.climbs else priors
-    camera = lens_camera(priors.camera, state.lens)
+    lenses = priors.lenses.moved(state.lens)
     seen = np.bincount(obs.photo, minlength=len(frames))
     motions: list[Motion | None] = [None] * len(frames)
     for i in solved.registered:
         world_from_cam = Pose(state.rotations[i], state.centres[i])
-        body = world_from_cam @ rig.cameras[0].body_from_cam.inverse
-        motions[i] = Motion(frames[i].t_ns, body, (world_from_cam,), solved.covariance[i], tracks=int(seen[i]))
-    refined = Rig((replace(rig.cameras[0], camera=camera), *rig.cameras[1:]))
+        body = world_from_cam @ rig.cameras[lenses.of[i]].body_from_cam.inverse
+        cams = tuple(world_from_cam if k == lenses.of[i] else body @ c.body_from_cam for k, c in enumerate(rig.cameras))
+        motions[i] = Motion(frames[i].t_ns, body, cams, solved.covariance[i], tracks=int(seen[i]))
+    refined = Rig(tuple(replace(c, camera=lens) for c, lens in zip(rig.cameras, lenses.cameras, strict=True)))
     use = np.isin(obs.photo, solved.registered)
     kept, old = obs.keep(use)
     warnings = [*solved.first.warnings, *_climbing(tagged, solved)]
     warnings += bundle_warnings(frames, features, motions, priors, solved)
     notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
     joint = joint_of([m for m in motions if m is not None], priors, solved)
-    return BundleResult(motions, refined, state.points[old], warnings, notes, joint)
+    photos = outcomes_of(frames, features, motions, tagged, solved)
+    return BundleResult(motions, refined, state.points[old], warnings, notes, photos, joint)
 
 
 def _climbing(priors: Priors, solved: Solved) -> list[str]:
@@ -304,14 +311,22 @@ def joint_of(motions: list[Motion], priors: Priors, solved: Solved) -> KeyframeP
     free = np.flatnonzero(solved.free)
     start = 6 * len(priors.centres)
     sigma = np.sqrt(np.diag(solved.joint)[start:])
-    move = block_diag(*(_about_body(m) for m in motions), np.diag(1.0 / sigma))
+    move = np.array([_about_body(m) for m in motions])
     rows = np.concatenate([rows, start + np.arange(len(free))])
     off = [solved.state.lens + s * np.eye(len(solved.state.lens))[k] for k, s in zip(free, sigma, strict=True)]
-    covariance = move @ solved.joint[np.ix_(rows, rows)] @ move.T
+    once = _moved(solved.joint[np.ix_(rows, rows)], move, sigma)
+    covariance = _moved(np.ascontiguousarray(once.T), move, sigma)
     order = np.argsort([m.t_ns for m in motions], kind="stable")
     rows = np.concatenate([(6 * order[:, None] + np.arange(6)).ravel(), np.arange(6 * len(order), len(covariance))])
-    lenses = tuple(lens_camera(priors.camera, lens) for lens in off)
+    lenses = tuple(priors.lenses.moved(lens).cameras for lens in off)
     return KeyframePosterior(tuple(motions[i] for i in order), covariance[np.ix_(rows, rows)], lenses)
+
+
+def _moved(rows: F64, move: F64, sigma: F64) -> F64:
+    """Rows of a joint covariance, those of each pose moved by a (6, 6), those of the lens in units of their sigma."""
+    n = 6 * len(move)
+    poses = np.matmul(move, rows[:n].reshape(len(move), 6, -1)).reshape(n, -1)
+    return np.concatenate([poses, rows[n:] / sigma[:, None]])
 
 
 def _about_body(motion: Motion) -> F64:

@@ -1,12 +1,11 @@
 """Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Features and two-view geometry are those of pycolmap. All data stay in memory; random seeds are fixed.
+Features and two-view geometry are those of pycolmap. Random seeds are fixed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -18,7 +17,9 @@ from scipy.sparse.csgraph import connected_components
 
 from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera
-from alight.records import MissingExtraError
+from alight.jobs import Jobs, Sent, Task
+from alight.motion.bundle.lenses import PhotoLenses
+from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
 _DESCRIPTOR = 128  # numbers in a SIFT descriptor
@@ -33,7 +34,13 @@ class PhotoFeatures:
     """The features of one photo."""
 
     pixels: F64  # (K, 2) in the photo's own pixels
-    descriptors: F32  # (K, 128) unit length
+    descriptors: U8  # (K, 128) as found
+
+    @property
+    def unit(self) -> F32:
+        """The descriptors, (K, 128), of unit length."""
+        table = self.descriptors.astype(np.float32)
+        return np.asarray(table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +112,8 @@ def colmap_camera(camera: Camera) -> object:
     return out
 
 
-def _shrunk(image: U8, longest: int) -> tuple[U8, float]:
+def _shrunk(pixels: Pixels, longest: int) -> tuple[U8, float]:
+    image = np.asarray(pixels)
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
     factor = min(1.0, longest / max(grey.shape))
     if factor < 1.0:
@@ -114,7 +122,7 @@ def _shrunk(image: U8, longest: int) -> tuple[U8, float]:
     return np.ascontiguousarray(grey, dtype=np.uint8), factor
 
 
-def extract(image: U8, settings: BundleSettings) -> PhotoFeatures:
+def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest."""
     pc = colmap()
     options = pc.FeatureExtractionOptions()
@@ -126,15 +134,27 @@ def extract(image: U8, settings: BundleSettings) -> PhotoFeatures:
     place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
     corner = place[largest, :2]
-    table = np.asarray(descriptors.data, dtype=np.float32).reshape(-1, _DESCRIPTOR)[largest]
-    return PhotoFeatures(corner / factor - 0.5, table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-9))
+    table = np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, _DESCRIPTOR)[largest]
+    return PhotoFeatures(corner / factor - 0.5, table)
 
 
-def extract_all(images: Sequence[U8 | None], settings: BundleSettings) -> Iterator[PhotoFeatures | None]:
-    """Find the features of every photo, in order; None where there is no photo."""
+def taken_by(frame: Frame) -> int:
+    """The first camera of the rig that has a picture of an exposure; 0 where none has."""
+    return next((k for k, image in enumerate(frame.images) if image is not None), 0)
+
+
+def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -> Iterator[PhotoFeatures | None]:
+    """Find the features of every photo, in order; None where there is no picture."""
     colmap()
-    with ThreadPoolExecutor(_THREADS) as pool:
-        yield from pool.map(lambda image: None if image is None else extract(image, settings), images)
+    images = [frame.images[taken_by(frame)] if frame.images else None for frame in frames]
+    tasks = (
+        Task(f"features-{frame.t_ns}", extract, (Sent(f"photo-{frame.t_ns}-{taken_by(frame)}", image), settings))
+        for frame, image in zip(frames, images, strict=True)
+        if image is not None
+    )
+    found = jobs.run(tasks, _THREADS)
+    for image in images:
+        yield None if image is None else next(found)
 
 
 def neighbours(positions: F64, count: int) -> list[tuple[int, int]]:
@@ -182,17 +202,19 @@ def match_descriptors(a: F32, b: F32) -> I64:
     return np.stack([i, best[i]], axis=1)
 
 
-def verify(camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int) -> tuple[I64, F64, F64] | None:
+def verify(
+    cameras: tuple[Camera, Camera], a: PhotoFeatures, b: PhotoFeatures, matches: I64, least: int
+) -> tuple[I64, F64, F64] | None:
     """Keep the matches of one rigid two-view geometry, with rotation and direction as in `Pair`; None: too few."""
     if len(matches) < least:
         return None
-    pc, lens = colmap(), colmap_camera(camera)
+    pc, one, other = colmap(), *(colmap_camera(c) for c in cameras)
     options = pc.TwoViewGeometryOptions()
     options.compute_relative_pose = True
     options.min_num_inliers = least
     options.ransac.random_seed = 1
-    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, camera.width / 1600)
-    g = pc.estimate_two_view_geometry(lens, a.pixels + 0.5, lens, b.pixels + 0.5, matches.astype(np.uint32), options)
+    options.ransac.max_error = _TWO_VIEW_PX * max(1.0, cameras[0].width / 1600)
+    g = pc.estimate_two_view_geometry(one, a.pixels + 0.5, other, b.pixels + 0.5, matches.astype(np.uint32), options)
     if g.cam2_from_cam1 is None or len(g.inlier_matches) < least:
         return None
     R = np.asarray(g.cam2_from_cam1.rotation.matrix())
@@ -202,27 +224,48 @@ def verify(camera: Camera, a: PhotoFeatures, b: PhotoFeatures, matches: I64, lea
     return np.asarray(g.inlier_matches, dtype=np.int64), R, direction
 
 
+def match_photo(
+    cameras: Sequence[Camera], settings: BundleSettings, first: PhotoFeatures, others: Sequence[PhotoFeatures], ij: I64
+) -> list[Pair | None]:
+    """Match and verify one photo with others; `ij` (N, 2) are their numbers. None where they do not match.
+
+    `cameras` are that of the first photo and those of the others.
+    """
+    out = list[Pair | None]()
+    for (i, j), other, camera in zip(ij.tolist(), others, cameras[1:], strict=True):
+        matches = match_descriptors(first.unit, other.unit)
+        found = verify((cameras[0], camera), first, other, matches, settings.matches)
+        out.append(None if found is None else Pair(i, j, *found))
+    return out
+
+
 def match_pairs(
-    camera: Camera,
+    lenses: PhotoLenses,
+    frames: Sequence[Frame],
     features: Sequence[PhotoFeatures | None],
     wanted: Sequence[tuple[int, int]],
     settings: BundleSettings,
-    tick: Callable[[], None],
-) -> list[Pair]:
-    """Match and verify the wanted pairs; `tick` is called after each."""
+    jobs: Jobs,
+) -> Iterator[list[Pair]]:
+    """Match and verify the wanted pairs, those of one photo after the other."""
 
-    def one(ij: tuple[int, int]) -> Pair | None:
-        a, b = features[ij[0]], features[ij[1]]
-        if a is None or b is None:
-            return None
-        found = verify(camera, a, b, match_descriptors(a.descriptors, b.descriptors), settings.matches)
-        return None if found is None else Pair(ij[0], ij[1], *found)
+    def sent(k: int) -> Sent:
+        return Sent(f"features-{frames[k].t_ns}", features[k])
 
-    pairs = []
-    for pair in map(one, wanted):  # one after the other: the matrix product in `match` takes all cores by itself
-        pairs += [pair] if pair is not None else []
-        tick()
-    return pairs
+    def task(i: int, others: Sequence[int]) -> Task:
+        about = " ".join(f"{k} {frames[k].t_ns}" for k in (i, *others))
+        ij = np.array([(i, j) for j in others])
+        cameras = tuple(lenses.of_photo(k) for k in (i, *others))
+        arguments = cameras, settings, sent(i), tuple(sent(j) for j in others), ij
+        return Task(f"pairs-{frames[i].t_ns}", match_photo, arguments, about)
+
+    of: dict[int, list[int]] = {}
+    for i, j in wanted:
+        if features[i] is not None and features[j] is not None:
+            of.setdefault(i, []).append(j)
+    # one after the other: the matrix product in `match_descriptors` takes all cores by itself
+    for found in jobs.run(task(i, others) for i, others in of.items()):
+        yield [p for p in found if p is not None]
 
 
 def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> BundleObservations:

@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.orientation import HALF_TURN
 from alight.motion.bundle.solver import Priors
 from alight.records import NavSample, Rig
@@ -23,8 +24,13 @@ _SIGMA_FOCAL = 0.02  # relative, where it is free
 _LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
 
 
-def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings) -> Priors:
-    """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none."""
+def make_priors(
+    nav: Sequence[NavSample | None], rig: Rig, settings: BundleSettings, cameras: I64 | None = None
+) -> Priors:
+    """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none.
+
+    `cameras` (n,) says which camera of the rig took each photo; None: the first one. All sit alike in the body.
+    """
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
     rotation, sigma_rotation = np.full((n, 3, 3), np.nan), np.full((n, 3), settings.attitude_sigma)
@@ -45,9 +51,11 @@ def make_priors(nav: Sequence[NavSample | None], rig: Rig, settings: BundleSetti
             )
             if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
                 sigma[i] = np.maximum(sample.sigma_position, 0.01)
-    camera, sigma_lens = _lens(rig.cameras[0].camera, settings)
+    of = np.zeros(n, np.int64) if cameras is None else cameras
+    found = [_lens(c.camera, settings) for c in rig.cameras]
+    lenses, sigma_lens = PhotoLenses(tuple(c for c, _ in found), of), np.concatenate([s for _, s in found])
     return Priors(
-        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, camera, sigma_lens
+        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, lenses, sigma_lens
     )
 
 
@@ -78,13 +86,14 @@ def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
     return replace(priors, world_from_body=attitude)
 
 
-def observable_lens(priors: Priors, photos: int) -> Priors:
+def observable_lens(priors: Priors, photos: I64) -> Priors:
     """Hold the radial distortion where photos are few: it correlates with the height (docs/method/bundle.md)."""
-    if photos >= _LENS_PHOTOS:
-        return priors
     sigma = priors.sigma_lens.copy()
-    decentring = sigma[6:8].copy()
-    sigma[4:] = 0.0
-    if priors.camera.model == "radial-tangential":
-        sigma[6:8] = decentring
+    for k, (camera, part) in enumerate(zip(priors.lenses.cameras, priors.lenses.parts, strict=True)):
+        if (priors.lenses.of[photos] == k).sum() < _LENS_PHOTOS:
+            its = sigma[part]  # a view
+            decentring = its[6:8].copy()
+            its[4:] = 0.0
+            if camera.model == "radial-tangential":
+                its[6:8] = decentring
     return replace(priors, sigma_lens=sigma)

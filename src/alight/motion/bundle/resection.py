@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.motion.bundle.matching import BundleObservations, colmap, colmap_camera
-from alight.motion.bundle.solver import BundleState, Priors, lens_camera, triangulate_bundle
+from alight.motion.bundle.solver import BundleState, Priors, triangulate_bundle
 
 _MIN_SHARE = 0.5  # of the median share of remaining observations; below it a photo is misplaced
 _MIN_INLIERS = 12  # points of a resection
@@ -37,13 +37,13 @@ def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Pri
     Returns the new state and priors, and the photos that could be placed. `obs` are those of all photos.
     """
     others, old = without_photos(obs, photos)
-    camera = lens_camera(priors.camera, state.lens)
+    lenses = priors.lenses.moved(state.lens)
     points = np.full((obs.points, 3), np.nan)
-    points[old] = triangulate_bundle(state.centres, state.rotations, camera, others)
+    points[old] = triangulate_bundle(state.centres, state.rotations, lenses, others)
     centres, rotations, placed = state.centres.copy(), state.rotations.copy(), []
     for i in photos:
         rows = (obs.photo == i) & np.isfinite(points[obs.point]).all(axis=1)
-        pose = _absolute_pose(camera, obs.pixels[rows], points[obs.point[rows]])
+        pose = _absolute_pose(lenses.of_photo(int(i)), obs.pixels[rows], points[obs.point[rows]])
         if pose is not None:
             rotations[i], centres[i] = pose
             placed.append(i)

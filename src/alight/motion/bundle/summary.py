@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from alight.arrays import F64, I64
 from alight.motion.bundle.matching import BundleObservations, PhotoFeatures
-from alight.motion.bundle.solver import BundleState, Priors, lens_camera, residuals
-from alight.records import Frame, Motion
+from alight.motion.bundle.solver import BundleState, Priors, residuals
+from alight.records import Frame, Motion, PhotoOutcome
 from alight.settings import BundleSettings
 
 LEAST_SEEN = 20  # observations that a registered photo keeps
@@ -97,6 +97,32 @@ def bundle_warnings(
     return out
 
 
+def outcomes_of(
+    frames: Sequence[Frame],
+    features: Sequence[PhotoFeatures | None],
+    motions: Sequence[Motion | None],
+    priors: Priors,
+    solved: Solved,
+) -> tuple[PhotoOutcome, ...]:
+    """Return what became of the tags of each photo."""
+    out = []
+    for k, (frame, f, motion) in enumerate(zip(frames, features, motions, strict=True)):
+        if motion is None:
+            out.append(PhotoOutcome(frame.t_ns, left_out=_why_out(f)))
+            continue
+        tagged, located = (bool(np.isfinite(v[k]).all()) for v in (priors.world_from_body, priors.centres))
+        attitude = "believed" if tagged else ""
+        attitude = "turned back" if k in solved.first.turned else attitude
+        attitude = "contradicts the pictures, ignored" if k in solved.first.contradicted else attitude
+        position = "believed" if located else ""
+        if located and k in solved.placed:
+            position = "contradicts the pictures, ignored"
+        elif located and solved.first.climbs:
+            position = "believed but for its altitude"
+        out.append(PhotoOutcome(frame.t_ns, attitude, position))
+    return tuple(out)
+
+
 def _why_out(features: PhotoFeatures | None) -> str:
     if features is None:
         return "no image"
@@ -112,7 +138,8 @@ def notes_of(
     state: BundleState, obs: BundleObservations, priors: Priors, solved: Solved, settings: BundleSettings
 ) -> dict[str, object]:
     """Return the numbers of the report; lengths in metres, angles in rad, `_px` in pixels."""
-    camera = lens_camera(priors.camera, state.lens)
+    cameras = priors.lenses.moved(state.lens).cameras
+    camera = cameras[0]
     r = residuals(state, obs, priors)
     gps = (state.centres - priors.centres)[solved.registered]
     gps = gps[np.isfinite(gps).all(axis=1)]
@@ -125,8 +152,9 @@ def notes_of(
         "reprojection_median_px": float(np.median(np.linalg.norm(r, axis=1))),
         "focal": settings.focal,
         "focal_px": [float(camera.fu), float(camera.fv)],
+        "focal_px_of_each": [float(c.fv) for c in cameras],
         "lens": settings.lens,
-        "lens_free": _free_names(solved.free),
+        "lens_free": _free_names(solved.free, priors),
         "principal_point_px": [float(camera.cu), float(camera.cv)],
         "distortion": [float(d) for d in camera.distortion],
         "mounting": [float(m) for m in state.mounting],
@@ -139,6 +167,10 @@ def notes_of(
     }
 
 
-def _free_names(free: NDArray[np.bool_]) -> list[str]:
-    names = ("focal", "aspect", "cu", "cv", *(f"distortion {k + 1}" for k in range(len(free) - 4)))
-    return [name for name, is_free in zip(names, free, strict=True) if is_free]
+def _free_names(free: NDArray[np.bool_], priors: Priors) -> list[str]:
+    out = []
+    for c, part in enumerate(priors.lenses.parts):
+        of = f"camera {c + 1}: " if len(priors.lenses.cameras) > 1 else ""
+        names = ("focal", "aspect", "cu", "cv", *(f"distortion {k + 1}" for k in range(part.stop - part.start - 4)))
+        out += [of + name for name, is_free in zip(names, free[part], strict=True) if is_free]
+    return out

@@ -6,11 +6,12 @@ There are two ways behind one interface: recursive (flight), and in one batch at
 from __future__ import annotations
 
 from alight.elevation import TileStore
+from alight.jobs import Jobs
 from alight.pipeline.mapping.batch import BatchMapper, PhotoMapper
 from alight.pipeline.mapping.lane import FinishedMap, MappingLane, MapSnapshot, MapUpdate, VehiclePosition
 from alight.pipeline.mapping.recursive import RecursiveMapper
 from alight.pipeline.timing import Timings
-from alight.records import Rig
+from alight.records import PriorHeights, Rig
 from alight.settings import StageSettings
 
 __all__ = [
@@ -20,7 +21,14 @@ __all__ = [
 
 
 def mapping_lane(
-    rig: Rig, settings: StageSettings, at_end: bool, far: TileStore | None, timings: Timings, history: bool
+    rig: Rig,
+    settings: StageSettings,
+    at_end: bool,
+    far: TileStore | None,
+    timings: Timings,
+    history: bool,
+    jobs: Jobs,
+    prior: PriorHeights | None = None,
 ) -> MappingLane:
     """Choose the way to map.
 
@@ -28,9 +36,11 @@ def mapping_lane(
         at_end: all motions come at the end of the recording.
         far: where tiles go that the vehicle has left behind; None: memory.
         history: keep what the end of a recording needs; without it there is no end to wait for.
+        jobs: matches tiles at the end.
+        prior: heights from elsewhere, that the search at the end begins with.
     """
     if at_end:
-        return PhotoMapper(rig, settings, far, timings)
+        return PhotoMapper(rig, settings, far, timings, jobs, prior)
     if settings.parallax.method == "ring" or not history:  # without an end there is no batch
         return RecursiveMapper(rig, settings, far, timings, history)
-    return BatchMapper(rig, settings, far, timings)
+    return BatchMapper(rig, settings, far, timings, jobs, prior)

@@ -7,6 +7,7 @@ import logging
 from alight.arrays import F64
 from alight.elevation import TileStore
 from alight.geometry import Grid
+from alight.jobs import Jobs
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.frame_store import FrameStore, in_world, views_of, with_motions
@@ -15,7 +16,7 @@ from alight.pipeline.mapping.policy import NO_HEIGHT, keyframe_step
 from alight.pipeline.mapping.view_geometry import bounds, looking_down
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.pipeline.timing import Timings
-from alight.records import MotionState, Rig
+from alight.records import MotionState, PriorHeights, Rig
 from alight.settings import StageSettings
 
 log = logging.getLogger(__name__)
@@ -24,9 +25,17 @@ log = logging.getLogger(__name__)
 class BatchMapper:
     """Keeps keyframes by their baseline, and maps at the end; where the store is full, a part of it before."""
 
-    def __init__(self, rig: Rig, settings: StageSettings, far: TileStore | None, timings: Timings) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        settings: StageSettings,
+        far: TileStore | None,
+        timings: Timings,
+        jobs: Jobs,
+        prior: PriorHeights | None = None,
+    ) -> None:
         self._rig, self._settings, self._tuning, self._timings = rig, settings.parallax, settings.mapping, timings
-        self._map = BatchMap(settings, far)
+        self._map = BatchMap(settings, far, jobs=jobs, prior=prior)
         self.store = FrameStore(settings.mapping.turn)
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
@@ -86,7 +95,9 @@ class BatchMapper:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place
         vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
-        return FinishedMap(MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame))
+        seen = MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame)
+        compared = self._map.against_prior()
+        return FinishedMap(seen, notes={"prior_dem": compared.line} if compared else {})
 
 
 class PhotoMapper(BatchMapper):

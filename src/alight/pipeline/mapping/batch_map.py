@@ -4,25 +4,82 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from hashlib import blake2b
 
 import numpy as np
 
+from alight.arrays import F64, I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
-from alight.parallax import Images, Matched, ground_sampling, match_tile, with_datum
+from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
+from alight.parallax import (
+    Images,
+    Matched,
+    choose_views,
+    ground_sampling,
+    height_range,
+    match_tile,
+    may_see,
+    with_datum,
+)
 from alight.pipeline.mapping.ground_map import GroundMap
 from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
-from alight.records import ElevationMap, Heights, KeyframePosterior, View
+from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
+from alight.settings import ParallaxSettings
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 BLOCK = 2  # tiles across that are matched together: a smaller share of what is matched is margin
 SHARE = 0.5  # of the shorter side of the pictures, that such a block covers at most
 # cells over those of 1.8 pixels, and their least size over the cell that the lander is judged on
 QUALITY = {"fast": (2.0, 1.0), "normal": (1.0, 0.5), "fine": (1.0, 0.0)}
+PRIOR_EVERY, PRIOR_SIGMAS = 8, 3.0  # cells; of the prior's errors, that the search allows for
+ENOUGH = 40  # points or cells that may speak for a place
+BLANK = np.empty((0, 0), np.uint8)  # a picture that is sent apart
 NEAR_TILES = 3  # tiles about the one being matched that stay unpacked
 
 Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class TileBlock:
+    """What is matched at once."""
+
+    grid: Grid
+    searched: tuple[float, float]  # lowest and highest ground, metres
+    views: list[View]
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedBlock:
+    """The heights of a block, and the numbers of the views that they were matched with."""
+
+    heights: Heights
+    chosen: I64
+
+
+def match_block(
+    images: Images,
+    views: Sequence[View],
+    pixels: Sequence[Pixels],
+    grid: Grid,
+    searched: tuple[float, float],
+    settings: ParallaxSettings,
+) -> MatchedBlock | None:
+    """Match one grid with views whose pictures came apart; None where fewer than two see it."""
+    whole = [replace(v, image=p) for v, p in zip(views, pixels, strict=True)]
+    found = match_tile(images.of(whole), grid, *searched, settings)
+    if found is None:
+        return None
+    number = {id(v): k for k, v in enumerate(whole)}
+    return MatchedBlock(found.heights, np.array([number[id(v)] for v in found.views], dtype=np.int64))
+
+
+def spread_of(values: F64) -> tuple[float, float]:
+    """Median, and the median deviation from it as 1-sigma of a Gaussian."""
+    middle = float(np.median(values))
+    return middle, 1.4826 * float(np.median(np.abs(values - middle)))
 
 
 def core(heights: Heights, margin: int) -> Heights:
@@ -41,7 +98,10 @@ def _near_before_far(tile: tuple[int, int]) -> list[tuple[int, int]]:
 class BatchMap(GroundMap):
     """Batch parallax, tile by tile, coarse cells before fine ones."""
 
+    jobs: Jobs = field(default_factory=InTurn)
+    prior: PriorHeights | None = None  # heights from elsewhere, that the search begins with
     _matched: list[Matched] = field(default_factory=list)  # each tile with its views
+    _step: int = 0  # times that tiles were matched
 
     def match_tiles(
         self, views: Sequence[View], progress: Progress, only: Callable[[Grid], bool] = lambda _: True
@@ -81,21 +141,86 @@ class BatchMap(GroundMap):
         assert self.ground is not None
         (west, south), (east, north) = bounds(asking, self.ground)
         refuse_too_large((west, south), (east, north), self.elevation.cell_at(level), BYTES_A_CELL)
-        images = Images(views, self.elevation.cell_at(level), self.ground)
         camera = float(np.median([v.centre[2] for v in asking]))
-        grids = self._grids(asking, (west, east), (south, north), level)
+        grids = [g for g in self._grids(asking, (west, east), (south, north), level) if only(g)]
+        self._step += 1
+        images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
+        seen = [self._seen(grid, self._range(grid, camera), views) for grid in grids]
         done = 0
-        for n, grid in enumerate(grids):
-            if only(grid):
-                found = match_tile(images, grid, *self._range(grid, camera), self.settings.parallax)
-                if found is not None:
-                    heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
-                    self.elevation.add(heights)
-                    self._matched.append(Matched.of(heights.grid, found.views))
-                    self.elevation.roll((grid.east, grid.north), NEAR_TILES * grid.cell * grid.cols)
-                    done += 1
-            progress((n + 1) / len(grids))
+        for n, (block, found) in enumerate(zip(seen, self.jobs.run(self._task(images, b) for b in seen), strict=True)):
+            if found is not None:
+                heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)
+                self.elevation.add(heights)
+                self._matched.append(Matched.of(heights.grid, [block.views[k] for k in found.chosen.tolist()]))
+                self.elevation.roll(
+                    (block.grid.east, block.grid.north), NEAR_TILES * heights.grid.cell * block.grid.cols
+                )
+                done += 1
+            progress((n + 1) / len(seen))
         return done
+
+    def _range(
+        self, grid: Grid, camera: float, known: ElevationMap | None = None, part: bool = False
+    ) -> tuple[float, float]:
+        """Also the heights of the prior there; by themselves where points are few."""
+        low, high = super()._range(grid, camera, known, part)
+        if self.prior is None or self.settings.parallax.height_range:
+            return low, high
+        heights = self.prior.over(grid.coarser(PRIOR_EVERY))
+        heights = heights[np.isfinite(heights)]
+        offset, spread = self._above_prior()
+        if not len(heights) or not np.isfinite(offset):
+            return low, high
+        heights += offset
+        below, above = height_range(np.column_stack([heights, heights, heights]), camera)
+        below, above = below - PRIOR_SIGMAS * spread, above + PRIOR_SIGMAS * spread
+        if not self._enough_points(grid):
+            return below, above
+        return min(low, below), max(high, above)
+
+    def _enough_points(self, grid: Grid) -> bool:
+        """Whether the points near a grid say by themselves how high its ground is."""
+        wide, tall = grid.cell * grid.cols, grid.cell * grid.rows
+        away = np.hypot(
+            self._points[:, 0] - grid.east - 0.5 * wide, self._points[:, 1] - grid.north + 0.5 * tall
+        )  # fmt: skip
+        return int((away < 0.5 * max(wide, tall)).sum()) >= ENOUGH
+
+    def _above_prior(self) -> tuple[float, float]:
+        """By how much the points lie above the prior (median, metres), and their NMAD; NaN where too few can say."""
+        assert self.prior is not None
+        off = self._points[:, 2] - self.prior.at(self._points[:, 0], self._points[:, 1])
+        off = off[np.isfinite(off)]
+        return spread_of(off) if len(off) >= ENOUGH else (np.nan, np.nan)
+
+    def against_prior(self) -> PriorComparison | None:
+        """The map, where its heights are given out, against the prior; None where they do not meet."""
+        found = GroundMap.snapshot(self)
+        if self.prior is None or found is None:
+            return None
+        off = (found.height - self.prior.over(found.grid))[found.trusted]
+        off = off[np.isfinite(off)]
+        if len(off) < ENOUGH:
+            return None
+        return PriorComparison(self.prior.name, *spread_of(off), len(off) * found.grid.cell**2)
+
+    def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> TileBlock:
+        """A grid with the views that it will be matched with, and those of the same moments."""
+        s, middle = self.settings.parallax, 0.5 * (searched[0] + searched[1])
+        near = [views[k] for k in may_see(views, grid, middle, middle)]
+        at = {near[k].t_ns for k in choose_views(near, grid, middle, s.views, s.sweep.max_tangent)}
+        return TileBlock(grid, searched, [v for v in views if v.t_ns in at])
+
+    def _task(self, images: KeptHere, block: TileBlock) -> Task:
+        """Matching a block; the pixels are sent apart, so that neighbours share them."""
+        place = f"{round(block.grid.north / block.grid.cell)}_{round(block.grid.east / block.grid.cell)}"
+        pixels = tuple(Sent(f"photo-{v.t_ns}-{v.cam}", v.image) for v in block.views)
+        views = tuple(replace(v, image=BLANK) for v in block.views)
+        about = blake2b(repr((block.grid, block.searched)).encode())
+        for v in views:
+            about.update(repr(v.key).encode())
+        arguments = images, views, pixels, block.grid, block.searched, self.settings.parallax
+        return Task(f"tile-{self._step}-{place}", match_block, arguments, about.hexdigest())
 
     def _grids(
         self, asking: list[View], east: tuple[float, float], north: tuple[float, float], level: int

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -50,6 +50,7 @@ class FinishedMap:
     snapshot: MapSnapshot | None = None
     reason: str = ""
     warnings: tuple[str, ...] = ()
+    notes: Mapping[str, object] = field(default_factory=dict)
 
 
 class MappingLane(Protocol):

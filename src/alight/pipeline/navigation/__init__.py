@@ -5,6 +5,7 @@ There are three ways to find it behind one interface: the filter, given poses, b
 
 from __future__ import annotations
 
+from alight.jobs import Jobs
 from alight.pipeline.navigation.bundle import BundleLane
 from alight.pipeline.navigation.filter_lane import FilterLane, FrameBatch, Handover, TrackedFrame
 from alight.pipeline.navigation.given import GivenLane
@@ -25,7 +26,7 @@ def all_at_end(kind: str, settings: StageSettings, poses: TimedPoses | None) -> 
 
 
 def navigation_lane(
-    rig: Rig, kind: str, settings: StageSettings, poses: TimedPoses | None, history: bool
+    rig: Rig, kind: str, settings: StageSettings, poses: TimedPoses | None, history: bool, jobs: Jobs
 ) -> NavigationLane:
     """Choose the way to find the motion.
 
@@ -33,9 +34,10 @@ def navigation_lane(
         kind: `flight` (continuous) or `photos` (far apart).
         poses: body poses that replace the estimated ones.
         history: keep what the end of a recording needs.
+        jobs: finds features and matches pairs of photos.
     """
     if poses is not None:
         return GivenLane(rig, poses, settings.motion, history)
     if all_at_end(kind, settings, poses):
-        return BundleLane(rig, settings.motion.bundle)
+        return BundleLane(rig, settings.motion.bundle, jobs)
     return FilterLane(rig, settings, history)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import cast
+
+from alight.jobs import Jobs, Task
 from alight.motion.bundle.adjust import adjust
 from alight.motion.bundle.matching import colmap
 from alight.pipeline.navigation.lane import Navigation, Progress, Trajectory
@@ -10,11 +13,15 @@ from alight.settings import BundleSettings
 
 
 class BundleLane:
-    """Keeps the photos; their motions come all at once."""
+    """Keeps the photos; their motions come all at once.
 
-    def __init__(self, rig: Rig, settings: BundleSettings) -> None:
+    Args:
+        jobs: finds features and matches pairs.
+    """
+
+    def __init__(self, rig: Rig, settings: BundleSettings, jobs: Jobs) -> None:
         colmap()  # missing? say so before the photos are read
-        self._rig, self._settings = rig, settings
+        self._rig, self._settings, self._jobs = rig, settings, jobs
         self._frames: list[Frame] = []
         self._nav: list[NavSample | None] = []
         self._last: NavSample | None = None
@@ -31,6 +38,13 @@ class BundleLane:
 
     def finish(self, progress: Progress) -> Trajectory:
         """Adjust; the photos that could not be registered are in the warnings."""
-        found = adjust(self._frames, self._nav, self._rig, self._settings, progress)
+        of = " ".join(str(f.t_ns) for f in self._frames)
+        (found,) = self._jobs.run([Task("motion", self._adjusted, (progress,), of, here=True)])
+        return cast(Trajectory, found)
+
+    def _adjusted(self, progress: Progress) -> Trajectory:
+        found = adjust(self._frames, self._nav, self._rig, self._settings, progress, self._jobs)
         motions = tuple(m for m in found.motions if m is not None)
-        return Trajectory(motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.points_world)
+        return Trajectory(
+            motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.photos, found.points_world
+        )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from alight.arrays import F64
 from alight.geometry import Pose
 from alight.pipeline.map_frame import MapFrame
-from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState, Rig
+from alight.records import Event, Frame, KeyframePosterior, Motion, MotionState, PhotoOutcome, Rig
 
 Progress = Callable[[float], None]
 TimedPoses = tuple[NDArray[np.int64], list[Pose]]  # world_from_body
@@ -53,6 +53,7 @@ class Trajectory:
     warnings: tuple[str, ...] = ()
     notes: Mapping[str, object] = field(default_factory=dict)
     joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
+    photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each photo
     points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, what the poses were adjusted with
 
     @property

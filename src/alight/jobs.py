@@ -1,0 +1,102 @@
+"""Pieces of work that know nothing of each other: done in turn, taken from what was saved, or on other machines.
+
+A stage says what is to be done (`Task`); who does it is the caller's choice (`Jobs`), and the results are the same.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+
+@dataclass(frozen=True, eq=False)
+class Sent:
+    """A large argument that many tasks share: it goes to a process once, however many of them run there."""
+
+    name: str  # the same name is the same value
+    value: Any
+
+
+@dataclass(frozen=True, eq=False)
+class KeptHere:
+    """An argument that each thread makes for itself and keeps from task to task, such as a cache."""
+
+    name: str  # the same name is the same object
+    make: Callable[[], Any]  # can be pickled
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One piece of work. What it gives is made of records, arrays, numbers and text."""
+
+    name: str  # unique in a run
+    do: Callable[..., Any]  # a function of a module; of a task that stays here, any
+    arguments: tuple[Any, ...] = ()  # `Sent` and `KeptHere` are replaced by what they stand for, also within a tuple
+    about: str = ""  # what else its result rests on; a saved one of another text is not used
+    here: bool = False  # it is not worth sending, or has tasks of its own
+
+
+class Jobs(Protocol):
+    """Who does the work."""
+
+    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+        """Yield what each task gives, in the order of the tasks.
+
+        Args:
+            tasks: what is to be done; drawn as it is done.
+            threads: of them that this machine does at once.
+        """
+
+
+class InTurn:
+    """This process does all of it."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[str, Any] = "", None  # the last one: a step has one
+
+    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+        """As `Jobs`."""
+        if threads <= 1:
+            yield from map(self.do, tasks)
+            return
+        with ThreadPoolExecutor(threads) as pool:
+            under_way = deque[Future[Any]]()
+            for task in tasks:  # few at a time: their arguments are large
+                if len(under_way) > threads:
+                    yield under_way.popleft().result()
+                under_way.append(pool.submit(self.do, task))
+            while under_way:
+                yield under_way.popleft().result()
+
+    def do(self, task: Task) -> Any:
+        """Do one task."""
+        return task.do(*resolved(task.arguments, lambda sent: sent.value, self._keep))
+
+    def _keep(self, kept: KeptHere) -> Any:
+        if self._kept[0] != kept.name:
+            self._kept = kept.name, kept.make()
+        return self._kept[1]
+
+
+def resolved(
+    arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[KeptHere], Any]
+) -> tuple[Any, ...]:
+    """The arguments with what `Sent` and `KeptHere` stand for."""
+
+    def one(argument: Any) -> Any:
+        if isinstance(argument, tuple):
+            return (
+                tuple(one(a) for a in argument) if any(isinstance(a, Sent | KeptHere) for a in argument) else argument
+            )
+        return (
+            sent(argument)
+            if isinstance(argument, Sent)
+            else kept(argument)
+            if isinstance(argument, KeptHere)
+            else argument
+        )
+
+    return tuple(one(a) for a in arguments)

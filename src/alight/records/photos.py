@@ -1,0 +1,78 @@
+"""What was understood of each photo of a set, and what became of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class PhotoFacts:
+    """One photo, as its tags say."""
+
+    name: str
+    size: tuple[int, int]  # width, height, pixels
+    camera: str  # maker and model
+    focal_px: float | None = None
+    focal_from: str = ""  # which tags it came from
+    place: tuple[float, float] | None = None  # latitude, longitude, degrees
+    position_from: str = ""  # kind of fix
+    altitude: float | None = None  # metres, as the maker counts them
+    altitude_kind: str = ""
+    attitude_from: str = ""  # which tags say where the camera looked
+    taken: str = ""  # time of capture
+    group: str = ""  # flight and camera
+    t_ns: int | None = None  # of the exposure; None: it is not used
+    left_out: str = ""  # why
+
+
+@dataclass(frozen=True)
+class PhotoOutcome:
+    """What the pictures made of one photo's tags."""
+
+    t_ns: int
+    attitude: str = ""  # believed, turned back or ignored; empty where there was none
+    position: str = ""
+    left_out: str = ""  # why it could not be registered
+
+
+@dataclass(frozen=True)
+class PhotoRow:
+    """One row of the table of photos."""
+
+    facts: PhotoFacts
+    outcome: PhotoOutcome | None  # None: the poses were not estimated from it
+
+    @property
+    def left_out(self) -> str:
+        """Why the photo was left out; empty where it was used."""
+        return self.facts.left_out or ("" if self.outcome is None else self.outcome.left_out)
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, one cell for each of `PHOTO_COLUMNS`."""
+        f, o = self.facts, self.outcome
+        focal = "" if f.focal_px is None else f"{f.focal_px:.0f} px, {f.focal_from}"
+        place = "none" if f.place is None else f"{f.place[0]:.6f} {f.place[1]:.6f}, {f.position_from}"
+        altitude = "" if f.altitude is None else f"{f.altitude:.1f} m, {f.altitude_kind}"
+        said = "" if o is None or o.position == "believed" else o.position
+        attitude = f"{f.attitude_from or 'none'}" + (f" ({o.attitude})" if o is not None and o.attitude else "")
+        return (
+            f.name, f"{f.size[0]} x {f.size[1]}", f.camera, focal, place + (f" ({said})" if said else ""), altitude,
+            attitude, f.taken, f.group, f"left out: {self.left_out}" if self.left_out else "used",
+        )  # fmt: skip
+
+    @property
+    def line(self) -> str:
+        """The row as one line."""
+        return "  ".join(cell for cell in self.cells if cell)
+
+    def as_json(self) -> dict[str, Any]:
+        """Numbers and text, as in run.json."""
+        f, o = self.facts, self.outcome
+        tree = {k: v for k, v in asdict(f).items() if k not in ("t_ns", "left_out")}
+        tree |= {"attitude": "" if o is None else o.attitude, "position": "" if o is None else o.position}
+        return tree | {"used": not self.left_out, "left_out": self.left_out}
+
+
+PHOTO_COLUMNS = ("Photo", "Pixels", "Camera", "Focal length", "GPS", "Altitude", "Attitude", "Time", "Group", "Use")

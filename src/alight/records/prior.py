@@ -1,0 +1,50 @@
+"""Heights that are known before a run: a DEM from elsewhere, on the world's grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.arrays import F32, F64
+from alight.geometry import Grid
+
+
+@dataclass(frozen=True, eq=False)
+class PriorHeights:
+    """A DEM in the world. What its heights are counted from need not be known: the pictures give its offset."""
+
+    name: str
+    grid: Grid
+    height: F32  # (R, C) metres above the origin, as if counted from the ellipsoid; NaN = unknown
+
+    def at(self, east: F64, north: F64) -> F64:
+        """The height of the nearest cell to each place (metres), NaN where it is unknown."""
+        row, col = (np.rint(v).astype(np.int64) for v in self.grid.index(east, north))
+        inside = (row >= 0) & (row < self.grid.rows) & (col >= 0) & (col < self.grid.cols)
+        out = np.full(np.shape(row), np.nan)
+        out[inside] = self.height[row[inside], col[inside]]
+        return out
+
+    def over(self, grid: Grid) -> F64:
+        """(R, C) its heights on another grid."""
+        east, north = np.meshgrid(*grid.xy())
+        return self.at(east, north)
+
+
+@dataclass(frozen=True)
+class PriorComparison:
+    """A map against a DEM from elsewhere: map less DEM, over the heights that are given out."""
+
+    name: str
+    bias: float  # metres, median
+    nmad: float  # metres
+    area: float  # m^2 that both know
+
+    @property
+    def line(self) -> str:
+        """In words."""
+        return (
+            f"{self.name}: the map lies {self.bias:+.2f} m above it (median), NMAD {self.nmad:.2f} m "
+            f"over {self.area:,.0f} m²"
+        )

@@ -1,0 +1,6 @@
+"""Who does the work of a set of photos: this process or a cluster, and what was done before an interruption is kept."""
+
+from alight.runner.work.cluster import ClusterJobs, cluster_jobs
+from alight.runner.work.saved import SavedJobs, work_key
+
+__all__ = ["ClusterJobs", "SavedJobs", "cluster_jobs", "work_key"]

@@ -1,0 +1,146 @@
+"""A Dask cluster does the work: features, pairs and tiles go to its workers, and the results are the same."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from alight import __version__, compiled
+from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task, resolved
+from alight.records import InputError, MissingExtraError
+
+log = logging.getLogger(__name__)
+
+AHEAD = 2  # tasks a thread of the cluster that are sent before their turn
+TRIES = 4  # of a task whose worker or whose arguments were lost
+MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster is asked to hold
+WAIT = "20s"  # for the scheduler, and for its first worker
+_here = threading.local()  # of a worker's thread: what it keeps from task to task
+
+
+@contextmanager
+def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
+    """Who does the work: the cluster of a scheduler such as tcp://host:8786, or without one this process.
+
+    Raises:
+        MissingExtraError: Dask is not installed.
+        InputError: no scheduler answers there, it has no worker, or a worker has another version of Alight.
+    """
+    if scheduler is None:
+        yield InTurn()
+        return
+    try:
+        import distributed
+    except ImportError as e:
+        raise MissingExtraError("distributed (Dask)", "cluster") from e
+    try:
+        client = distributed.Client(scheduler, timeout=WAIT, set_as_default=False)
+    except (OSError, ValueError) as e:
+        raise InputError(
+            f"--scheduler {scheduler}: no Dask scheduler answers there; start one with 'dask scheduler'"
+        ) from e
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except TimeoutError as e:
+            raise InputError(f"--scheduler {scheduler}: has no worker; start one with 'dask worker {scheduler}'") from e
+        for worker, version in client.run(alight_version).items():
+            if version != __version__:
+                raise InputError(f"{worker}: has Alight {version}, this is {__version__}; install the same everywhere")
+        yield ClusterJobs(client)
+
+
+def alight_version() -> str:
+    """The version of Alight on a worker."""
+    return __version__
+
+
+class ClusterJobs:
+    """The workers of a Dask cluster do the tasks, few at a time, so that memory does not grow with their number.
+
+    Args:
+        client: of `distributed`.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._sent: OrderedDict[str, tuple[Any, int]] = OrderedDict()  # future and bytes of an argument
+
+    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+        """As `Jobs`.
+
+        Raises:
+            InputError: the workers that had a task were lost time and again.
+        """
+        under_way = deque[tuple[Task, Any]]()
+        try:
+            for task in tasks:
+                while under_way and (task.here or len(under_way) >= self._ahead()):
+                    yield self._finished(*under_way.popleft())
+                if task.here:
+                    yield InTurn().do(task)
+                else:
+                    under_way.append((task, self._submitted(task)))
+            while under_way:
+                yield self._finished(*under_way.popleft())
+        finally:
+            self._client.cancel([future for _, future in under_way])
+
+    def _ahead(self) -> int:
+        return AHEAD * max(sum(int(n) for n in self._client.nthreads().values()), 1)
+
+    def _submitted(self, task: Task) -> Any:
+        arguments = resolved(task.arguments, self._send, lambda kept: kept)
+        return self._client.submit(do_here, self._client.id, task.do, *arguments, pure=False, retries=TRIES)
+
+    def _finished(self, task: Task, future: Any) -> Any:
+        """What a task gave; one whose arguments were lost with a worker is sent again."""
+        from distributed import KilledWorker
+        from distributed.client import FutureCancelledError
+
+        for _ in range(TRIES):
+            try:
+                return future.result()
+            except (KilledWorker, FutureCancelledError) as e:
+                log.info("%s: sent again (%s)", task.name, type(e).__name__)
+                self._forget_lost()
+                future = self._submitted(task)
+        raise InputError(
+            f"{task.name}: the workers that had it were lost {TRIES} times; see their logs, and add memory"
+        )
+
+    def _send(self, sent: Sent) -> Any:
+        if sent.name not in self._sent:
+            value = np.asarray(sent.value) if hasattr(sent.value, "__array__") else sent.value
+            size = getattr(value, "nbytes", 0)
+            self._sent[sent.name] = self._client.scatter(value, hash=False), size
+            while sum(n for _, n in self._sent.values()) > MOST_SENT and len(self._sent) > 1:
+                self._sent.popitem(last=False)
+        self._sent.move_to_end(sent.name)
+        return self._sent[sent.name][0]
+
+    def _forget_lost(self) -> None:
+        for name in [name for name, (future, _) in self._sent.items() if future.status != "finished"]:
+            del self._sent[name]
+
+
+def do_here(run: str, do: Callable[..., Any], *arguments: Any) -> Any:
+    """Do a task on a worker: on one thread, as its sender would."""
+    compiled.use_threads(1)
+    with threadpool_limits(limits=1, user_api="blas"):
+        return do(*resolved(arguments, lambda sent: sent.value, partial(_kept, run)))
+
+
+def _kept(run: str, kept: KeptHere) -> Any:
+    """The last object that this thread made for itself, or a new one in its place."""
+    if getattr(_here, "name", None) != (run, kept.name):
+        _here.name, _here.value = (run, kept.name), kept.make()
+    return _here.value

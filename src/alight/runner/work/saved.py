@@ -1,0 +1,72 @@
+"""Work that is saved piece by piece, so that an interrupted run goes on where it was."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, MutableMapping
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+from alight import __version__
+from alight.jobs import Jobs, Task
+from alight.runner.work.packing import is_whole, pack_result, unpack_result
+from alight.settings import Settings
+from alight.sources import Source
+
+
+class SavedJobs:
+    """Takes what was saved, has the rest done, and saves that.
+
+    Args:
+        doing: who does the work.
+        saved: pieces of work by the names of their tasks.
+    """
+
+    def __init__(self, doing: Jobs, saved: MutableMapping[str, bytes]) -> None:
+        self._doing, self._saved = doing, saved
+        self.done: list[str] = []  # names of the tasks that were not there
+
+    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+        """As `Jobs`."""
+        drawn = deque[tuple[Task, bool]]()  # and whether it is saved
+
+        def open_tasks() -> Iterator[Task]:
+            for task in tasks:
+                known = is_whole(self._saved.get(task.name, b""), task.about)
+                drawn.append((task, known))
+                if not known:
+                    yield task
+
+        for value in self._doing.run(open_tasks(), threads):
+            yield from self._known(drawn)
+            task, _ = drawn.popleft()
+            self._saved[task.name] = pack_result(value, task.about)
+            self.done.append(task.name)
+            yield value
+        yield from self._known(drawn)
+
+    def _known(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
+        """Yield what is saved, up to the next task that is not."""
+        while drawn and drawn[0][1]:
+            yield unpack_result(self._saved[drawn.popleft()[0].name])
+
+
+def work_key(source: Source, digest: str, settings: Settings, *files: Path) -> dict[str, Any]:
+    """What the work of a run rests on.
+
+    Args:
+        source: the photos.
+        digest: of them.
+        settings: all of them.
+        files: what else is read, such as given poses.
+    """
+    rest = blake2b(repr((source.rig, source.local)).encode())
+    for file in files:
+        rest.update(file.read_bytes())
+    return {
+        "alight": __version__,
+        "photos": digest,
+        "settings": settings.model_dump(mode="json"),
+        "calibration, or poses": rest.hexdigest(),
+    }

@@ -1,0 +1,67 @@
+"""Pictures of photos: read when they are asked for, and the last ones kept, so that memory does not grow with a set."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from alight.arrays import U8
+from alight.records import InputError
+from alight.sources.images import read_image
+
+
+class PictureMemory:
+    """The pictures that were asked for last.
+
+    Args:
+        most_bytes: of memory that they take; the newest one is kept however large.
+    """
+
+    def __init__(self, most_bytes: float) -> None:
+        self._most, self._held = most_bytes, 0
+        self._pictures: OrderedDict[Path, U8] = OrderedDict()
+        self._lock = Lock()  # features are found by several threads
+
+    def get(self, path: Path, size: tuple[int, int]) -> U8:
+        """The pixels of a file, (H, W) grey or (H, W, 3) RGB, of a (width, height).
+
+        Raises:
+            ValueError: as `read_image`.
+        """
+        with self._lock:
+            if path in self._pictures:
+                self._pictures.move_to_end(path)
+                return self._pictures[path]
+        pixels = read_image(path, size)
+        with self._lock:
+            if path not in self._pictures:
+                self._pictures[path] = pixels
+                self._held += pixels.nbytes
+            while self._held > self._most and len(self._pictures) > 1:
+                self._held -= self._pictures.popitem(last=False)[1].nbytes
+        return pixels
+
+
+class PhotoPixels:
+    """The picture of one photo, which has been read whole once."""
+
+    nbytes = 0
+
+    def __init__(self, path: Path, size: tuple[int, int], memory: PictureMemory) -> None:
+        self._path, self._size, self._memory = path, size, memory
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> U8:
+        """The pixels.
+
+        Raises:
+            InputError: the file has changed since it was read first.
+        """
+        try:
+            pixels = self._memory.get(self._path, self._size)
+        except ValueError as e:
+            raise InputError(f"{self._path.name}: changed or vanished during the run ({e}); run again") from e
+        return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)

@@ -1,0 +1,63 @@
+"""A DEM from elsewhere, read about the world's origin and put on the world's grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rasterio.enums import Resampling
+from rasterio.errors import RasterioError
+from rasterio.transform import Affine
+from rasterio.vrt import WarpedVRT
+from rasterio.warp import transform_bounds
+
+from alight.geometry import Grid, LocalFrame
+from alight.records import InputError, PriorHeights
+from alight.sources.raster import open_raster
+from alight.sources.raster_heights import doubt_of_heights
+
+REACH = 2000.0  # metres about the origin that are read
+MOST_ACROSS = 2000  # cells: finer ones are averaged
+EARTH = 6.371e6  # metres, radius
+
+
+def read_prior(path: Path, local: LocalFrame) -> PriorHeights:
+    """Read the part of a DEM about the world's origin.
+
+    Args:
+        path: heights in metres, band 1, in any coordinate system.
+        local: the world.
+
+    Raises:
+        InputError: it is no raster, says nothing about where it lies, lies elsewhere, or holds no heights.
+    """
+    with open_raster(path) as dem:
+        if dem.crs is None:
+            raise InputError(
+                f"--prior-dem {path}: does not say where it lies; mend it with: gdal_edit.py -a_srs EPSG:..."
+            )
+        try:
+            west, south, east, north = transform_bounds(dem.crs, local.crs, *dem.bounds)
+        except RasterioError as e:
+            raise InputError(f"--prior-dem {path}: its coordinate system cannot be used ({e})") from e
+        cell = max((east - west) / dem.width, (north - south) / dem.height)
+        west, south, east, north = max(west, -REACH), max(south, -REACH), min(east, REACH), min(north, REACH)
+        if not (np.isfinite([west, south, east, north]).all() and west < east and south < north):
+            raise InputError(f"--prior-dem {path}: lies elsewhere than the photos; give a DEM of the same place")
+        cell = max(cell, (east - west) / MOST_ACROSS, (north - south) / MOST_ACROSS)
+        cols, rows = (max(int(np.ceil(length / cell)), 1) for length in (east - west, north - south))
+        try:
+            with WarpedVRT(
+                dem, crs=local.crs, transform=Affine(cell, 0, west, 0, -cell, north), width=cols, height=rows,
+                resampling=Resampling.bilinear, nodata=dem.nodata if dem.nodata is not None else np.nan,
+            ) as seen:  # fmt: skip
+                height = seen.read(1, masked=True).astype(np.float32).filled(np.nan)
+        except RasterioError as e:
+            raise InputError(f"--prior-dem {path}: cannot be read to its end ({e}); copy it again") from e
+        doubt_of_heights(path, height, dem)
+    grid = Grid(west + 0.5 * cell, north - 0.5 * cell, cell, rows, cols)
+    if not np.isfinite(height).any():
+        raise InputError(f"--prior-dem {path}: knows no height within {REACH:g} m of the photos; give another DEM")
+    x, y = grid.xy()
+    drop = (x[None, :] ** 2 + y[:, None] ** 2) / (2 * EARTH)  # of the ellipsoid below the world's plane
+    return PriorHeights(path.name, grid, (height - local.height - drop).astype(np.float32))

@@ -1,0 +1,110 @@
+"""A video with DJI's telemetry as photos: frames by distance, with their places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from drawn_photos import CAMERA, PLACE, UP, look, texture
+
+from alight.geometry import enu_from_flu
+from alight.records import Frame, InputError, NavSample
+from alight.sources import Source, open_source
+from alight.sources.photo_pose import BODY_FROM_CAM
+from alight.sources.video import read_srt
+
+RATE, SPEED, FRAMES = 10.0, 4.0, 60  # Hz, m/s
+FILM = CAMERA.fu * 0.8 / CAMERA.width * 43.2666  # mm of 35 mm film
+
+NEW = """1
+00:00:00,000 --> 00:00:00,033
+<font size="28">FrameCnt: 1, DiffTime: 33ms
+2024-05-01 10:20:30.250
+[iso: 100] [shutter: 1/1000.0] [fnum: 2.8] [ev: 0] [focal_len: 24.00] [latitude: 45.123456] [longitude: -7.654321] \
+[rel_alt: 30.100 abs_alt: 330.200] [ct: 5500] [gb_yaw: 12.5 gb_pitch: -89.9 gb_roll: 0.0] </font>
+"""
+OLD = """7
+00:01:02,500 --> 00:01:02,533
+<font size="36">SrtCnt : 7, DiffTime : 33ms
+2019-09-25 01:22:35,118,697
+[iso : 110] [shutter : 1/200.0] [fnum : 280] [latitude : 37.5] [longtitude : 126.75] [altitude: 55.0] </font>
+"""
+
+
+def test_subtitles_of_two_generations_are_read() -> None:
+    new, old = read_srt(NEW + "\n" + OLD.replace("\n", "\r\n"))
+    assert (new.seconds, new.place) == (0.0, (45.123456, -7.654321, 330.2))
+    assert {k: new.said[k] for k in ("rel_alt", "focal_len", "gb_yaw", "gb_pitch")} == {
+        "rel_alt": 30.1, "focal_len": 24.0, "gb_yaw": 12.5, "gb_pitch": -89.9,
+    }  # fmt: skip
+    assert new.taken is not None
+    assert f"{new.taken:%Y-%m-%d %H:%M:%S.%f}" == "2024-05-01 10:20:30.250000"
+    assert (old.seconds, old.place) == (62.5, (37.5, 126.75, 55.0))
+    assert read_srt("no subtitles") == []
+
+
+def write_video(folder: Path) -> Path:
+    """Six seconds to the east over the drawn relief, 24 m."""
+    folder.mkdir(exist_ok=True)
+    path = folder / "DJI_0001.mp4"
+    size = CAMERA.width, CAMERA.height
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), RATE, size)  # type: ignore[attr-defined]
+    if not film.isOpened():
+        pytest.skip("this OpenCV writes no mp4")
+    ground, rows = texture(3), []
+    rotation = enu_from_flu(np.radians(90), np.radians(-90), 0.0) @ BODY_FROM_CAM.rotation
+    for k in range(FRAMES):
+        centre = np.array([-12.0 + SPEED * k / RATE, 0.0, UP])
+        film.write(np.ascontiguousarray(look(ground, centre, rotation)[..., ::-1]))
+        latitude, longitude, height = (float(v) for v in PLACE.to_geodetic(centre))
+        start, end = (f"00:00:{t:06.3f}".replace(".", ",") for t in (k / RATE, (k + 1) / RATE))
+        rows.append(
+            f"{k + 1}\n{start} --> {end}\n2026-01-26 13:50:{k / RATE:06.3f}\n[focal_len: {FILM:.3f}] "
+            f"[latitude: {latitude:.8f}] [longitude: {longitude:.8f}] [rel_alt: {UP:.3f} abs_alt: {height:.3f}] "
+            "[gb_yaw: 90.0 gb_pitch: -90.0 gb_roll: 0.0]\n"
+        )
+    film.release()
+    path.with_suffix(".SRT").write_text("\n".join(rows))
+    return path
+
+
+def events(source: Source) -> tuple[list[NavSample], list[Frame]]:
+    found = list(source.events())
+    return [e for e in found if isinstance(e, NavSample)], [e for e in found if isinstance(e, Frame)]
+
+
+def test_frames_are_taken_by_distance_and_know_their_place(tmp_path: Path) -> None:
+    """80 % of overlap of a field of 30 m: a frame every 6 m."""
+    source = open_source(write_video(tmp_path))
+    assert (source.kind, source.name) == ("photos", "DJI_0001")
+    nav, frames = events(source)
+    step = 0.2 * UP * CAMERA.height / CAMERA.fv
+    assert len(frames) == 1 + int((FRAMES - 1) / RATE * SPEED // (np.ceil(step / SPEED * RATE) / RATE * SPEED))
+    places = np.array([n.position_world for n in nav])
+    apart = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert step <= apart.min() + 0.02
+    assert apart.max() < step + 2 * SPEED / RATE
+    assert source.rig.cameras[0].camera.fu == pytest.approx(CAMERA.fu, rel=1e-3)
+    assert nav[0].world_from_body is not None
+    axis = (nav[0].world_from_body @ BODY_FROM_CAM.rotation) @ [0, 0, 1]
+    np.testing.assert_allclose(axis, [0, 0, -1], atol=1e-9)
+    number = int(frames[1].name.partition("_")[2].partition(".")[0])
+    rotation = enu_from_flu(np.radians(90), np.radians(-90), 0.0) @ BODY_FROM_CAM.rotation
+    drawn = look(texture(3), np.array([-12.0 + SPEED * number / RATE, 0.0, UP]), rotation)
+    assert np.corrcoef(np.asarray(frames[1].images[0]).ravel(), drawn.ravel())[0, 1] > 0.95
+    assert source.digest() == open_source(tmp_path / "DJI_0001.mp4").digest()
+
+
+def test_a_video_that_cannot_be_used_is_refused_in_words(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    path.write_bytes(b"no film")
+    with pytest.raises(InputError, match=r"has no telemetry; put a\.srt beside it"):
+        open_source(path)
+    path.with_suffix(".srt").write_text("1\n00:00:00,000 --> 00:00:01,000\n[iso: 100]\n")
+    with pytest.raises(InputError, match="no place in it"):
+        open_source(path)
+    path.with_suffix(".srt").write_text(NEW)
+    with pytest.raises(InputError, match="not one frame could be decoded"):
+        open_source(path)
