@@ -28,7 +28,7 @@ bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 bench-heights: $(MADE)  ## heights: everything asked of them beside what they must show; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
 
-fuzz: $(MADE)  ## damaged flights, photos, rasters, settings and MAVLink for ten minutes; what fails is kept in out/fuzz
+fuzz: $(MADE)  ## damaged flights, photos, recordings, rasters, runs, scenes, models, settings and MAVLink for ten minutes; failures are kept in out/fuzz
 	$(BIN)/python bench/fuzz --minutes 10
 
 bench-live: $(MADE)  ## a live flight by the clock: rates, latencies, memory, start; an hour, most of it waiting
