@@ -18,6 +18,7 @@ import alight.cli
 import alight.runner.judge
 import alight.runner.replay  # imported once: every trial is a fork of this process
 
+PATIENCE = 30  # times the limit of processor time, by the clock: other processes want the processor, too
 MEMORY = 6 * 2**30  # bytes of address space, beyond which a trial may not ask for more
 
 
@@ -75,7 +76,7 @@ def run(kind: str, arguments: list[str], limit: float) -> Outcome:
         child = os.fork()
         if child == 0:
             _child(arguments, streams, limit)
-        status, used = _wait(child, start, 5 * limit)
+        status, used = _wait(child, start, PATIENCE * limit)
         out, err = (p.read_text(encoding="utf-8", errors="replace") if p.exists() else "" for p in streams)
     seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
     return Outcome(_fault(COMMANDS[kind], status, out, err), seconds, megabytes, (out + err)[-3000:])

@@ -11,11 +11,13 @@ from alight.records.result import RunResult
 from alight.records.schedule import Schedule
 from alight.records.surface import (
     LANDABLE,
+    NOTHING_MISSING,
     REFUSED,
     Datum,
     ElevationMap,
     Flag,
     Heights,
+    MissingVeto,
     PlaceSigma,
     Terrain,
     TerrainMap,
@@ -38,6 +40,7 @@ from alight.records.telemetry import (
 __all__ = [
     "FIX_3D",
     "LANDABLE",
+    "NOTHING_MISSING",
     "REFUSED",
     "AlightError",
     "Battery",
@@ -59,6 +62,7 @@ __all__ = [
     "Kind",
     "Landed",
     "MissingExtraError",
+    "MissingVeto",
     "Motion",
     "MotionState",
     "NavSample",

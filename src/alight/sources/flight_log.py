@@ -145,8 +145,8 @@ class FlightLog(CalibratedFolder):
         east, north, up = np.abs(np.median(self.local.to_enu(*place.T), axis=0)) / 1e3
         if max(east, north) > FARTHEST[0] or up > FARTHEST[1]:
             raise InputError(
-                f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the rows of "
-                f"nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
+                f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the rows "
+                f"of nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
             )
 
     def _read_exposures(self) -> list[Exposure]:

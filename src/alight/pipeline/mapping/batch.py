@@ -86,7 +86,7 @@ class BatchMapper:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place
         vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
-        return FinishedMap(MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame))
+        return FinishedMap(MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude))
 
 
 class PhotoMapper(BatchMapper):

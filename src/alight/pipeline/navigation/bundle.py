@@ -32,5 +32,8 @@ class BundleLane:
     def finish(self, progress: Progress) -> Trajectory:
         """Adjust; the photos that could not be registered are in the warnings."""
         found = adjust(self._frames, self._nav, self._rig, self._settings, progress)
+        attitude = any(n is not None and n.world_from_body is not None for n in self._nav)
         motions = tuple(m for m in found.motions if m is not None)
-        return Trajectory(motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.points_world)
+        return Trajectory(
+            motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, attitude, found.points_world
+        )

@@ -34,6 +34,7 @@ class Navigation:
     frame: Frame
     motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
     keyframes: Keyframes | None = None  # None: poses are exact
+    attitude: bool = True  # one was measured by now, or the poses are given
 
     @cached_property
     def posterior(self) -> KeyframePosterior | None:
@@ -53,6 +54,7 @@ class Trajectory:
     warnings: tuple[str, ...] = ()
     notes: Mapping[str, object] = field(default_factory=dict)
     joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
+    attitude: bool = True  # one was measured, or the poses are given
     points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, what the poses were adjusted with
 
     @property
