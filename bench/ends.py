@@ -2,9 +2,12 @@
 
     python bench/ends.py [--times 20] [--seed 0]
 
-After SIGTERM: exit code 143 (or 0, when all was done), every file that is there is whole, nothing unfinished beside them,
-and nothing in the folder for temporary files. After the second run: the files of a run that nobody ended, with the same
-bytes where they hold no times, and nothing else. Exit code 1 when one of these does not hold.
+Every second pair of moments lies between the first file of the results and the last one.
+
+After SIGTERM: exit code 143 (or 0, when all was done; or the signal's own before Python has begun), every file that
+is there is whole, nothing unfinished beside them, and nothing in the folder for temporary files. After the second run:
+the files of a run that nobody ended, with the same bytes where they hold no times, and nothing else. Exit code 1 when
+one of these does not hold.
 """
 
 from __future__ import annotations
@@ -49,9 +52,24 @@ class Folders:
         env = os.environ | {"TMPDIR": str(self.spare)}
         return subprocess.Popen(words, env=env, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
-    def ended(self, how: signal.Signals, moment: float, whole: dict[str, bytes]) -> tuple[str, list[str]]:
-        """End a run after so many seconds and run it again; how far it was, and what is wrong with what is left."""
+    def has_begun_to_write(self, process: subprocess.Popen[bytes]) -> float:
+        """Wait for the first file of the results, or for the end of the run; when that was."""
+        while process.poll() is None and not any(p.name != LOCK for p in self.out.glob("*")):
+            time.sleep(0.002)
+        return time.monotonic()
+
+    def ended(
+        self, how: signal.Signals, moment: float, writing: bool, whole: dict[str, bytes]
+    ) -> tuple[str, list[str]]:
+        """End a run after so many seconds and run it again; how far it was, and what is wrong with what is left.
+
+        Args:
+            writing: the seconds count from the first file of the results.
+            whole: what a run that nobody ends leaves.
+        """
         process = self.start()
+        if writing:
+            self.has_begun_to_write(process)
         try:
             _, err = process.communicate(timeout=moment)
         except subprocess.TimeoutExpired:
@@ -60,7 +78,8 @@ class Folders:
         found, wrong = files(self.out) if self.out.exists() else {}, []
         stage = f"{len(found.keys() & whole.keys())} of {len(whole)} files"
         if how is signal.SIGTERM:
-            if process.returncode not in (143, 0) or b"Traceback" in err:
+            allowed = (143, 0) if found else (143, 0, -how)
+            if process.returncode not in allowed or b"Traceback" in err:
                 wrong.append(f"exit code {process.returncode}: {err[-300:].decode(errors='replace')}")
             wrong += [f"{name}: not whole" for name in differing(found, whole) if name != LOCK]
             wrong += [f"{name}: left in the folder for temporary files" for name in files(self.spare)]
@@ -86,15 +105,18 @@ def main() -> int:
         alight_sim.write(alight_sim.fly("demo", 0, 1.5), root / "flight", lambda done, total: None)
         for name in ("warm", "whole"):  # the first one may compile loops
             first, start = Folders(root / name, root / "flight"), time.monotonic()
-            if first.start().wait():
+            process = first.start()
+            begun = first.has_begun_to_write(process)
+            if process.wait():
                 raise SystemExit("a run that nobody ends fails")
-        seconds, whole = time.monotonic() - start, files(first.out)
+            end = time.monotonic()
+        whole = files(first.out)
         for k in range(given.times):
-            how, moment = (signal.SIGTERM, signal.SIGKILL)[k % 2], draw.uniform(0.0, seconds)
-            stage, wrong = Folders(root / str(k), root / "flight").ended(how, moment, whole)
-            sys.stdout.write(
-                f"{how.name} after {moment:5.2f} s of {seconds:.2f} ({stage}): {'; '.join(wrong) or 'good'}\n"
-            )
+            how, writing = (signal.SIGTERM, signal.SIGKILL)[k % 2], k % 4 > 1
+            moment = draw.uniform(0.0, end - (begun if writing else start))
+            stage, wrong = Folders(root / str(k), root / "flight").ended(how, moment, writing, whole)
+            when = "of writing" if writing else f"of {end - start:.1f}"
+            sys.stdout.write(f"{how.name} after {moment:5.2f} s {when} ({stage}): {'; '.join(wrong) or 'good'}\n")
             sys.stdout.flush()
             bad += bool(wrong)
     sys.stdout.write(f"{given.times} runs ended, {bad} left something wrong\n")

@@ -32,8 +32,8 @@ MISSING = {
         "is lower; a second camera would tell"
     ),
     MissingVeto.ATTITUDE: (
-        "attitude was measured neither by a gimbal nor by GPS/INS: how level the map is rests on positions and gravity, "
-        "so P(safe) is lower; give attitudes"
+        "attitude was measured neither by a gimbal nor by GPS/INS: how level the map is rests on positions and "
+        "gravity, so P(safe) is lower; give attitudes"
     ),
 }
 NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing refuses water, plants or buildings"

@@ -20,7 +20,7 @@ from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
 from alight.sources.source import Findings, RecordedSource, Trajectory
-from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory
+from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory, without_height
 from alight.sources.tables import read_names
 
 NOISE = (1e-9, 1e3)  # of an IMU, in the units of imu0/sensor.yaml
@@ -115,6 +115,11 @@ class FlightLog(CalibratedFolder):
         self._nav = read_nav(self._root, self._findings)
         if self._nav is not None:
             self._check_origin(self._nav)
+        if self._nav is not None and (low := without_height(self._nav)):
+            self._findings.say(
+                f"nav0: {low} rows have latitude and longitude, but no height, so they are no position; write metres "
+                "above the WGS84 ellipsoid"
+            )
         if self.georeferenced and self._nav is None:
             self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
         self._imu = read_imu(self._root, self._body_from_imu, self._findings)

@@ -131,6 +131,8 @@ class TrackingHalf:
         self._exposure += 1
         p = self._prediction
         expected = p.cameras(batch.frame.t_ns, self._tracker.last_ns, self._imu) if p else None
+        if expected is not None and not expected.is_finite:
+            expected = None
         return TrackedFrame(batch.frame, self._tracker.feed(batch.frame, expected))
 
 

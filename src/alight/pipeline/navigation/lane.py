@@ -71,7 +71,7 @@ class Trajectory:
     @property
     def reason(self) -> str:
         """Why there is no motion at all."""
-        otherwise = "there is no GPS/INS to start from (nav0), or no picture could be placed"
+        otherwise = "there is no GPS/INS position with height to start from (nav0), or no picture could be placed"
         return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
 
 
