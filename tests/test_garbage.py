@@ -1,4 +1,4 @@
-"""Garbage in nine of ten images: a site is listed only where the good tenth supports it by itself (bench/garbage.py)."""
+"""Garbage in nine of ten images: a site is listed only where the good tenth supports it (bench/garbage.py)."""
 
 from __future__ import annotations
 
