@@ -97,11 +97,11 @@ class Loop:
             pilot.tick(now)
 
     def _feed(self, event: Event, now: int) -> None:
-        pilot, motion = self.pilot, self.pipeline.feed(event)
-        if pilot is None or not isinstance(event, Frame):
+        pilot = self.pilot
+        if pilot is not None and isinstance(event, Frame) and pilot.saw(event, now) is None:
             return
-        pilot.saw(event, now)
-        if motion is None:
+        motion = self.pipeline.feed(event)
+        if pilot is None or motion is None or not isinstance(event, Frame):
             return
         self.later.append((now + MOTION, lambda: pilot.moved(motion)))
         if self.asked and (verdict := self.pipeline.judge_now(self.about)) is not None:

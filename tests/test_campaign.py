@@ -68,7 +68,8 @@ def lands(vehicle: SteeredFlight, settings: Settings, appearance: object, happen
         happening(t, state)
     touch(vehicle, sink=0.4 + 1e-3 * (vehicle.seed % 7))
     found = (S.SEARCH, E.FOUND, S.APPROACH), (S.LOOK, E.CONFIRMED, S.COMMIT), (S.COMMIT, E.TOUCHED_DOWN, S.LANDED)
-    return Landing(S.LANDED, diary(*found), 30.0, 0.97)
+    parts = {"simulator": 3.0, "navigation": 0.5, "mapping": 2.0, "judging": 1.0}
+    return Landing(S.LANDED, diary(*found), 30.0, 0.97, cpu_of=parts)
 
 
 def gives_up(event: E, after: S = S.RETURN) -> Callable[..., Landing]:
@@ -328,9 +329,18 @@ def test_a_real_flight_is_the_same_again() -> None:
 
 
 def test_a_real_landing_on_concrete() -> None:
-    """All of it: search, looks, commit, touchdown. Half a minute."""
-    record = fly_conditions(conditions_of(("concrete",), 1, 0), Settings()).record
+    """All of it: search, looks, commit, touchdown, and cameras that freeze for 20 s: it says so and waits."""
+    fault = FaultRecord(what="cameras frozen", after=5.0, numbers={"seconds": 20.0})
+    given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
+    record = fly_conditions(given, Settings()).record
     assert record.outcome == "landed safely", record
+    lost = next(x for x in record.transitions if x.event == "no pictures come")
+    assert "the cameras have frozen" in lost.reason
+    back = next(x for x in record.transitions if x.before == "hold" and x.t > lost.t)
+    assert back.after == "search"
+    assert 18.0 < back.t - lost.t < 22.0
+    assert set(record.cpu_of) == {"simulator", "navigation", "mapping", "judging"}
+    assert 0.5 * record.cpu_s < sum(record.cpu_of.values()) < record.cpu_s
     assert record.p_at_commit is not None
     assert record.p_at_commit > 0.95
     assert record.last_looks[-1].verdict == "site"
@@ -422,7 +432,8 @@ def test_the_page_tells_outcomes_pictures_looks_and_another_campaign(tmp_path: P
     assert "Four landings, two unsafe touchdowns" in page
     assert page.count("data:image/webp;base64,") == 2
     assert len(list((tmp_path / "second").glob("landing-*.webp"))) == 2
-    for title in ("Outcomes by world", "What the looks changed", "P(safe) at commit", "Beside another campaign"):
+    for title in ("Outcomes by world", "What the looks changed", "P(safe) at commit", "Beside another campaign",
+                  "of it simulator, s"):  # fmt: skip
         assert title in page
     assert "http" not in page.replace("http://www.w3.org", "")
     told = json.loads((tmp_path / "second" / "campaign.json").read_text())

@@ -14,6 +14,7 @@ from point_flight import PointFlight, fed, run
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion import MotionFilter
 from alight.motion.dynamics import Step, constant_step, constant_transition, inertial_step, inertial_transition
+from alight.motion.ekf.health import GateCounts, Health
 from alight.motion.ekf.initial_attitude import attitude_from_course
 from alight.motion.ekf.state import GYRO, FilterState
 from alight.motion.imu_buffer import ImuBuffer
@@ -270,6 +271,34 @@ def test_repeated_and_backward_times_are_left_out() -> None:
     assert out[-1] is None
     assert out[-2] is None
     assert len(f.smoothed()) == len(out) - 2
+
+
+@pytest.mark.parametrize(
+    ("counts", "state"),
+    [
+        (GateCounts(20, 5, 1.0), MotionState.GOOD),
+        (GateCounts(5, 0, 1.0), MotionState.GOOD),
+        (GateCounts(5, 1, 1.0), MotionState.GOOD),
+        (GateCounts(5, 2, 1.0), MotionState.DEGRADED),
+        (GateCounts(3, 0, 1.0), MotionState.DEGRADED),
+        (GateCounts(8, 9, 1.0), MotionState.DEGRADED),
+    ],
+)
+def test_few_features_that_agree_hold_the_motion_of_a_landing(counts: GateCounts, state: MotionState) -> None:
+    """Three metres above the ground, five exposures a second: few features are seen three times."""
+    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
+    for k in range(20):
+        health.on_gps(k * 200 * MS, True, True)
+        health.on_exposure(k * 200 * MS, GateCounts(30, 0, 1.0) if k < 5 else counts)
+    assert health.judge(known)[0] is state
+
+
+def test_few_features_end_no_start() -> None:
+    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
+    for k in range(9):
+        health.on_gps(k * 200 * MS, True, True)
+        health.on_exposure(k * 200 * MS, GateCounts(5, 0, 1.0))
+    assert health.judge(known)[0] is MotionState.INITIALISING
 
 
 def test_scrambled_matches_are_gated_out() -> None:

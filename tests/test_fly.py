@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from pilot_rig import PilotRig
+from pilot_rig import VERDICT, PilotRig
 from test_executive import Ground, clearer_from_below
 
 from alight.records import NoticeKind
@@ -54,7 +54,9 @@ def test_it_searches_looks_and_lands_where_it_looked(dialect: str) -> None:
     assert not r.of(NoticeKind.TAKEOVER)
     assert len(r.entries) == len(r.pilot.diary.transitions) + len(r.pilot.diary.looks)  # type: ignore[union-attr]
     assert len(r.pilot.diary.pictures) == len(r.pilot.diary.looks)  # type: ignore[union-attr]
-    assert r.pilot.way_point_times  # type: ignore[union-attr]
+    late = list(r.pilot.way_point_times)  # type: ignore[union-attr]
+    assert late
+    assert max(late) <= VERDICT + r.dt + 1e-6  # every verdict is decided by in the tick after it came
     t = r.t
     r.run(5.0)
     assert not r.moving_since(t + 0.1)

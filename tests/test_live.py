@@ -271,6 +271,25 @@ def test_what_was_used_flies_again_bit_for_bit(nursery: Nursery) -> None:
     assert_flies_again(heard, decision, schedule)
 
 
+def test_verdicts_about_a_place_fly_again_bit_for_bit(nursery: Nursery) -> None:
+    """A landing asks for verdicts about the place that it looks at: the replay shows each map the same place."""
+    heard = Heard()
+    run = live(nursery, heard)
+    places = {8: np.array([-3.7, 2.1]), 16: np.array([4.3, 1.9]), 24: None}
+    for e in flight()[1]:
+        if isinstance(e, Frame) and (k := stamps().index(e.t_ns)) in places:
+            while len(heard.motions) < k:
+                time.sleep(0.01)
+            run.judge_now(places[k])
+        run.feed(e)
+    decision, schedule = run.finish(), run.schedule
+    assert len(schedule.about) == len(schedule.judged)
+    assert {(-3.7, 2.1), (4.3, 1.9), None} == set(schedule.about)
+    assert_flies_again(heard, decision, schedule)
+    without, _ = replayed(replace(schedule, about=()))
+    assert [verdict_bits(v) for v in heard.verdicts] != [verdict_bits(v) for v in without.verdicts[:-1]]
+
+
 # -- lanes that fail
 
 

@@ -19,7 +19,18 @@ import alight_sim
 from alight import compiled
 from alight.geometry import Camera
 from alight.outputs.recorder import Recorder
-from alight.records import Event, Frame, ImuSample, InputError, Motion, NavSample, OutputError, Rig, RigCamera
+from alight.records import (
+    Event,
+    Frame,
+    ImuSample,
+    InputError,
+    Motion,
+    NavSample,
+    OutputError,
+    Rig,
+    RigCamera,
+    Schedule,
+)
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
 from alight.runner.demo import compile_kernels
 from alight.runner.live import Capacity, Listener, Live
@@ -94,6 +105,19 @@ def test_the_head_comes_back() -> None:
         FlightHead.from_json('{"name": 3}')
     with pytest.raises(ValueError, match="damaged"):
         unpack(CAMERAS, b"\x00\x01")
+
+
+def test_the_schedule_comes_back(tmp_path: Path) -> None:
+    """With the place that a judged map showed too, to the last bit; older recordings do not say."""
+    recorder, place = Recorder(tmp_path / "recording.mcap", head()), (-3.7000000000000006, 1e-7)
+    recorder.event(Frame(5, (np.zeros((2, 2), np.uint8),), "a picture"))
+    recorder.entry("mapped", 5, 2)
+    recorder.entry("judged", 5, about=place)
+    recorder.entry("judged", 6)
+    recorder.close()
+    found = open_source(tmp_path / "recording.mcap").schedule
+    assert found == Schedule(mapped=(5,), effort=(2,), judged=(5, 6), about=(place, None))
+    assert Schedule.from_json(found.to_json()) == found
 
 
 def test_a_file_that_is_no_recording_says_so(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from alight.landing import route
 from alight.records import ElevationMap, Route, Site
-from alight.settings import RouteSettings
+from alight.settings import RouteSettings, load_settings
 
 SETTINGS = RouteSettings(approach_height=10.0, clearance=3.0)
 
@@ -102,3 +102,36 @@ def test_a_vehicle_over_the_site_only_descends() -> None:
     assert heights == sorted(heights, reverse=True)
     assert all(w.speed == 1.0 for w in got.waypoints[1:])
     assert_allclose(got.waypoints[-1].t, 20.0)
+
+
+# -- wind
+
+
+@pytest.mark.parametrize(("wind", "speed"), [((-8.0, 0.0), 2.0), ((8.0, 0.0), 5.0), ((0.0, 6.0), 5.0), (None, 5.0)])
+def test_against_the_wind_it_flies_slower_over_the_ground(wind: tuple[float, float] | None, speed: float) -> None:
+    """Ten metres a second through the air are left two against eight."""
+    settings = SETTINGS.model_copy(update={"wind": wind, "air_speed": 10.0})
+    e = ground(np.zeros((101, 141)), cell=0.5)
+    got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 10.0]), settings)
+    assert got.waypoints[1].speed == pytest.approx(speed)
+    assert got.waypoints[1].t == pytest.approx(55.0 / speed)
+    assert any("against the wind" in w for w in got.warnings) is (speed < 5.0)
+
+
+def test_a_recording_is_given_its_wind_by_a_setting() -> None:
+    assert load_settings("", ["route.wind=[3,-1.5]"]).stages().route.wind == (3.0, -1.5)
+
+
+def test_no_line_leads_down_with_the_wind_from_behind() -> None:
+    """Level to above the site, and straight down there; against the wind, or in a light one, down a line."""
+    e, start = ground(np.zeros((101, 141)), cell=0.5), np.array([5.0, 25.0, 30.0])
+    for wind, names in {
+        (4.0, 0.0): ["start", "transit", "approach", "inspect", "touchdown"],
+        (-4.0, 0.0): ["start", "approach", "inspect", "touchdown"],
+        (1.5, 0.0): ["start", "approach", "inspect", "touchdown"],
+    }.items():
+        got = route.plan_route(site(60.0, 25.0), e, start, SETTINGS.model_copy(update={"wind": wind}))
+        assert [w.name for w in got.waypoints] == names
+        for a, b in pairwise(got.waypoints):
+            way = b.position_world - a.position_world
+            assert way[2] > -0.1 or np.hypot(*way[:2]) < 0.1 or wind[0] < 2.0

@@ -67,7 +67,7 @@ def fly(
     separation: Annotated[
         float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
     ] = None,
-    imu: Annotated[float, typer.Option(min=0.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")] = 50.0,
+    imu: Annotated[float, typer.Option(min=0.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")] = 100.0,
     record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
@@ -110,7 +110,7 @@ def rehearse(
     ],
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = 14550,
     seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
-    height: Annotated[float, typer.Option(min=0.0, help="Metres above the ground at the start; 0: it stands.")] = 0.0,
+    height: Annotated[float, typer.Option(min=0.0, help="Metres above the ground at the start; 0: it stands.")] = 30.0,
     width: Annotated[int, typer.Option(min=80, help="Of the pictures, pixels; the height follows.")] = 320,
     rate: Annotated[float, typer.Option(min=1.0, help="Exposures a second.")] = 5.0,
     wind: Annotated[float, typer.Option(min=0.0, help="From the west, m/s.")] = 0.0,

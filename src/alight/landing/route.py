@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from alight.arrays import F64, Mask
+from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import ElevationMap, Route, Site, Waypoint
 from alight.settings import RouteSettings
 
@@ -45,10 +47,11 @@ def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask)
     return not bool(inside.all() and known[r[inside], c[inside]].all())
 
 
-def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings) -> tuple[float, float]:
+def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wind: F64 | None) -> tuple[float, float]:
     """Heights (metres, world up) at which the transit begins and ends (G17).
 
-    A straight line down to the approach point if it is clear all the way; else level flight, high enough.
+    A straight line down to the approach point if it is clear all the way; else level flight, high enough. Level too
+    with the wind from behind: a rotor that sinks along with the air meets its own wash.
     """
     end = site.up + settings.approach_height
     begin = max(float(start[2]), end)
@@ -56,6 +59,9 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings) ->
         level = max(way.ceiling + settings.clearance, begin)
         return level, level
     line = begin + way.share * (end - begin)
+    if begin > end and is_from_behind(np.array([site.east, site.north]) - start[:2], wind, settings.calm):
+        line = np.full_like(line, begin)
+        end = begin
     if (line - way.top >= settings.clearance).all():
         return begin, end
     level = max(float(way.top.max()) + settings.clearance, begin)
@@ -109,13 +115,16 @@ def _stops(
     return out
 
 
-def _timed(start: F64, site: Site, stops: list[tuple[str, F64, bool]], settings: RouteSettings) -> tuple[Waypoint, ...]:
+def _timed(
+    start: F64, site: Site, stops: list[tuple[str, F64, bool]], settings: RouteSettings, wind: F64 | None
+) -> tuple[Waypoint, ...]:
     t, at, heading = 0.0, start, site.heading
     out = [Waypoint("start", start, _bearing(start, stops[0][1], heading) if stops else heading, 0.0, 0.0)]
     for name, position, look in stops:
         d = position - at
         vertical = math.hypot(d[0], d[1]) < 0.5
-        speed = settings.descent_speed if vertical and d[2] < 0 else settings.cruise_speed
+        over_ground = ground_speed(d, wind, settings.cruise_speed, settings.air_speed)
+        speed = settings.descent_speed if vertical and d[2] < 0 else over_ground
         t += float(np.linalg.norm(d)) / speed
         heading = _bearing(at, position, site.heading)
         out.append(Waypoint(name, position, heading, speed, t, look))
@@ -130,7 +139,8 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
         site: where to land.
         elevation: heights; two sigma are added to each.
         vehicle_position: (3,) metres in the world.
-        settings: heights, speeds, clearance above and beside the way.
+        settings: heights, speeds, clearance above and beside the way, and the wind where it is known: the speed
+            through the air stays within `air_speed`, and no line leads down with the wind from behind.
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
@@ -138,10 +148,15 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
     way = _corridor(start, site, elevation, settings.clearance)
-    heights = _heights(start, site, way, settings)
+    wind = None if settings.wind is None else np.array(settings.wind, np.float64)
+    heights = _heights(start, site, way, settings, wind)
     warnings = []
     if way.unknown:
         warnings.append("the way to the site crosses ground that is not mapped: flown above the highest thing known")
     if heights[0] > start[2] + 0.05:
         warnings.append(f"the vehicle climbs {heights[0] - start[2]:.1f} m before it leaves")
-    return Route(_timed(start, site, _stops(start, site, heights, settings), settings), tuple(warnings))
+    points = _timed(start, site, _stops(start, site, heights, settings), settings, wind)
+    over = [b.speed for a, b in pairwise(points) if math.hypot(*(b.position_world - a.position_world)[:2]) >= 0.5]
+    if (slowest := min(over, default=math.inf)) < settings.cruise_speed - 0.05:
+        warnings.append(f"against the wind it makes {slowest:.1f} m/s over the ground")
+    return Route(points, tuple(warnings))

@@ -38,6 +38,7 @@ from alight.records.codec import (
     pack,
 )
 from alight.records.executive import LookRecord, Transition
+from alight.records.schedule import Spot
 
 log = logging.getLogger(__name__)
 
@@ -92,9 +93,10 @@ class Recorder:
         topic, parts = pack(event)
         self._put(topic, event.t_ns, parts)
 
-    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
-        """Record that a lane used an exposure."""
-        self._put(SCHEDULE, t_ns, [json.dumps({"kind": kind, "t_ns": t_ns, "value": value}).encode()])
+    def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
+        """Record that a lane used an exposure; of a judged map the place that it showed too."""
+        tree = {"kind": kind, "t_ns": t_ns, "value": value, "about": about}
+        self._put(SCHEDULE, t_ns, [json.dumps(tree).encode()])
 
     def note(self, lane: str, words: str) -> None:
         """Record what happened to a lane."""

@@ -75,7 +75,7 @@ class Pipeline:
         if not (turn := self._turns).maps(navigation):
             return None
         update = self._mapping.feed(navigation, turn.effort(navigation))  # docs/method/parallax.md
-        return self._mapping.snapshot() if turn.judges(navigation, update) else None
+        return self._mapping.snapshot(turn.about(navigation)) if turn.judges(navigation, update) else None
 
     def judge(self, seen: MapSnapshot) -> Verdict:
         """Judge a map: land cover, hazards, sites, and the next view where there is no site."""

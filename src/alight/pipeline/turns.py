@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import numpy as np
+
+from alight.arrays import F64
 from alight.pipeline.mapping import MapUpdate
 from alight.pipeline.navigation import Navigation
 from alight.records import Event, Frame, Schedule
@@ -23,6 +26,9 @@ class Turns(Protocol):
 
     def judges(self, navigation: Navigation, update: MapUpdate | None) -> bool:
         """Whether the map is judged as an exposure left it; `update` is None where it left it as it was."""
+
+    def about(self, navigation: Navigation) -> F64 | None:
+        """(2,) metres in the map's frame, a place that the judged map shows too; None: none."""
 
 
 class EveryTurn:
@@ -55,13 +61,18 @@ class EveryTurn:
         self._since = 0
         return True
 
+    def about(self, navigation: Navigation) -> F64 | None:
+        """None: the ground below is judged."""
+        return None
+
 
 class ScheduledTurns:
     """What the schedule says, and nothing else; GPS/INS and IMU rows are never dropped."""
 
     def __init__(self, schedule: Schedule) -> None:
         self._tracked, self._mapped = frozenset(schedule.tracked), frozenset(schedule.mapped)
-        self._judged = frozenset(schedule.judged)
+        places = schedule.about or (None,) * len(schedule.judged)  # recordings of before it was kept have none
+        self._judged = dict(zip(schedule.judged, places, strict=False))
         self._effort = dict(zip(schedule.mapped, schedule.effort, strict=False))
 
     def takes(self, event: Event) -> bool:
@@ -79,6 +90,11 @@ class ScheduledTurns:
     def judges(self, navigation: Navigation, update: MapUpdate | None) -> bool:
         """The exposures whose map was judged."""
         return navigation.frame.t_ns in self._judged
+
+    def about(self, navigation: Navigation) -> F64 | None:
+        """As in flight."""
+        place = self._judged[navigation.frame.t_ns]
+        return None if place is None else np.array(place)
 
 
 def turns(schedule: Schedule | None, every: int) -> Turns:

@@ -110,7 +110,10 @@ class LandingRecord(_Line):
     verdicts: int = 0
     picture: str | None = None  # file beside landings.jsonl
     error: str | None = None
-    cpu_s: float = 0.0  # CPU time: the one number that another run does not repeat
+    cpu_s: float = 0.0  # CPU time: another run does not repeat it
+    cpu_of: dict[
+        str, float
+    ] = {}  # s of it: simulator, navigation, mapping, judging; the rest makes the world and judges
 
     @property
     def number(self) -> int:
@@ -125,7 +128,7 @@ class LandingRecord(_Line):
 
     def repeatable(self) -> dict[str, Any]:
         """All that the same landing gives again."""
-        return self.model_dump(mode="json", exclude={"cpu_s"})
+        return self.model_dump(mode="json", exclude={"cpu_s", "cpu_of"})
 
 
 class CampaignHead(_Line):

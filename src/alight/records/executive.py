@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -71,14 +72,21 @@ class Situation:
     state: MotionState
     frame_id: int = 0  # of the position
     seen: Seen | None = None  # the newest verdict
-    picture_age: float = 0.0  # s
+    picture_age: float = 0.0  # s, of the newest one that is no repetition
+    frozen: bool = False  # pictures come, and repeat the one before bit for bit
     height: float | None = None  # metres above the ground below; None: not known
     link: bool = True  # the autopilot is heard
     pilot: bool = False  # somebody else flies
     standing: bool = False  # on the ground, motors off
     battery: float = 1.0  # share that is left
-    wind: float = 0.0  # m/s
+    wind: F64 | None = None  # (2,) or (3,) m/s, where the air goes; None: not known
+    holds: bool = True  # the autopilot has a position of its own, and can hold it
     offset: F64 | None = None  # (3,) metres from the map's frame to the world
+
+    @property
+    def wind_speed(self) -> float:
+        """m/s over the ground; 0 where it is not known."""
+        return 0.0 if self.wind is None else math.hypot(float(self.wind[0]), float(self.wind[1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields
+from typing import Any
 
 from alight.documents import parse_json
+
+Spot = tuple[float, float]  # east, north, metres in the map's frame
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,7 @@ class Schedule:
     mapped: tuple[int, ...] = ()  # that the mapping lane took
     effort: tuple[int, ...] = ()  # of the mapping lane for each of them: 0 all of it, higher numbers less
     judged: tuple[int, ...] = ()  # whose map was judged
+    about: tuple[Spot | None, ...] = ()  # the place that each of these maps showed too; None: none was asked for
     navigation_anew: tuple[int, ...] = ()  # before which the navigation lane began anew
     mapping_anew: tuple[int, ...] = ()  # before which the mapping lane began anew
 
@@ -30,4 +34,11 @@ class Schedule:
     def from_json(cls, text: str) -> Schedule:
         """The way back."""
         tree = parse_json(text)
-        return cls(**{f.name: tuple(int(v) for v in tree[f.name]) for f in fields(cls)})
+        return cls(**{f.name: tuple(_entry(v) for v in tree[f.name]) for f in fields(cls)})
+
+
+def _entry(value: Any) -> Any:
+    if isinstance(value, list):
+        east, north = value
+        return float(east), float(north)
+    return None if value is None else int(value)

@@ -16,19 +16,25 @@ from alight.geometry import Grid
 from alight.landing.executive import ENDS, Executive
 from alight.pipeline import Decision, Pipeline, Verdict
 from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.navigation import Navigation
+from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
 from alight.records.surface import nearest_on
+from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
 
 TICK = 0.1  # s between two orders
 JUDGE_EVERY = {  # s between two judgements
     FlightState.SEARCH: 2.0, FlightState.APPROACH: 2.0, FlightState.LOOK: 0.6, FlightState.DESCEND: 1.5,
-    FlightState.COMMIT: 0.8,
+    FlightState.COMMIT: 0.5,
 }  # fmt: skip
+CROSSING = 2.0  # s, the same while a look leg is flown
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
+SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
 
@@ -43,6 +49,7 @@ class Landing:
     verdicts: int = 0
     decision: Decision | None = None  # of the whole flight, where it was asked for
     timings: Mapping[str, Sequence[float]] = field(default_factory=dict)  # seconds of every step, by stage
+    cpu_of: Mapping[str, float] = field(default_factory=dict)  # s of CPU: simulator, navigation, mapping, judging
 
 
 def fly_landing(
@@ -70,6 +77,22 @@ def fly_landing(
     return loop.result(map_all)
 
 
+def judged_every(executive: Executive) -> float | None:
+    """Seconds between two judgements that the executive can use; None: it needs none."""
+    return CROSSING if executive.crosses else JUDGE_EVERY.get(executive.state)
+
+
+class _MeasuredPipeline(Pipeline):
+    """A pipeline that tells what mapping costs by itself."""
+
+    costs: Timings
+
+    def map(self, navigation: Navigation) -> MapSnapshot | None:
+        """Improve the map with an exposure, measured."""
+        with self.costs.of("mapping"):
+            return super().map(navigation)
+
+
 class _Loop:
     def __init__(
         self,
@@ -85,7 +108,8 @@ class _Loop:
                 "parallax": settings.parallax.model_copy(update={"method": "ring"}),
             }
         )
-        self._pipeline = Pipeline(
+        self._costs = Timings(time.process_time)
+        self._pipeline = _MeasuredPipeline(
             vehicle.rig,
             "flight",
             self._settings,
@@ -94,10 +118,11 @@ class _Loop:
             appearance=appearance,
             imu=vehicle.imu_noise,
         )
+        self._pipeline.costs = self._costs
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
-        self._newest_ns = vehicle.time_ns
+        self._pictures = PictureWatch()
         self._seen: Seen | None = None
         self._pending: tuple[float, Seen] | None = None  # and when it is known
         self._judged_at = -math.inf
@@ -120,12 +145,14 @@ class _Loop:
 
     def step(self) -> None:
         """One order, and what comes of it."""
-        for event in self._vehicle.step(TICK, self._wanted):
+        with self._costs.of("simulator"):
+            events = self._vehicle.step(TICK, self._wanted)
+        for event in events:
             if isinstance(event, NavSample) and event.position_world is not None:
                 self._rows.append((event.t_ns, event.position_world))
-            elif isinstance(event, Frame):
-                self._newest_ns = max(self._newest_ns, event.t_ns)
-            motion = self._pipeline.feed(event)
+            fresh = self._pictures.fresh(event, self._vehicle.time_ns) if isinstance(event, Frame) else event
+            with self._costs.of("pipeline"):
+                motion = None if fresh is None else self._pipeline.feed(fresh)
             if motion is not None:
                 self._motion = motion
                 self._tie_to_autopilot(motion)
@@ -145,8 +172,9 @@ class _Loop:
         lost = m.state in (MotionState.LOST, MotionState.INITIALISING)
         return Situation(
             self.t, None if lost else m.world_from_body.translation, m.state, m.frame_id, self._seen,
-            (self._vehicle.time_ns - self._newest_ns) * 1e-9, standing=self._vehicle.landed,
-            battery=self._vehicle.battery, wind=self._vehicle.wind_speed,
+            self._pictures.age(self._vehicle.time_ns), self._pictures.frozen > 0,
+            standing=self._vehicle.landed, battery=self._vehicle.battery, wind=self._vehicle.learned_wind,
+            holds=bool(self._rows) and self._vehicle.time_ns - self._rows[-1][0] < SILENT_NS,
         )  # fmt: skip
 
     def _judge(self) -> None:
@@ -154,11 +182,12 @@ class _Loop:
         if self._pending is not None and self.t >= self._pending[0]:
             _, self._seen = self._pending
             self._pending = None
-        every = JUDGE_EVERY.get(self.executive.state)
+        every = judged_every(self.executive)
         if every is None or self._pending is not None or self.t - self._judged_at < every:
             return
         self._judged_at = self.t
-        verdict = self._pipeline.judge_now(self.executive.about)
+        with self._costs.of("judging"):
+            verdict = self._pipeline.judge_now(self.executive.about)
         if verdict is not None:
             self._number += 1
             self._landing.verdicts += 1
@@ -193,8 +222,16 @@ class _Loop:
         decision = self._pipeline.finish() if map_all else None
         return replace(
             self._landing, state=self.executive.state, diary=d, seconds=self.t, p_at_commit=p, decision=decision,
-            timings=self._pipeline.timings,
+            timings=self._pipeline.timings, cpu_of=self._cpu_of(),
         )  # fmt: skip
+
+    def _cpu_of(self) -> dict[str, float]:
+        spent = {name: sum(steps) for name, steps in self._costs.stages.items()}
+        mapping, pipeline = spent.get("mapping", 0.0), spent.get("pipeline", 0.0)
+        return {
+            "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
+            "judging": spent.get("judging", 0.0),
+        }  # fmt: skip
 
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:

@@ -6,6 +6,7 @@ from alight.settings.page import settings_page
 from alight.settings.stages import (
     BundleSettings,
     ElevationSettings,
+    ExecutiveSettings,
     FilterSettings,
     HazardsSettings,
     MotionSettings,
@@ -21,7 +22,8 @@ from alight.settings.user import Lander
 from alight.settings.whole import Settings
 
 __all__ = [
-    "BundleSettings", "ElevationSettings", "FilterSettings", "HazardsSettings", "ImuNoise", "Lander", "MotionSettings",
+    "BundleSettings", "ElevationSettings", "ExecutiveSettings", "FilterSettings", "HazardsSettings", "ImuNoise",
+    "Lander", "MotionSettings",
     "ParallaxSettings", "RouteSettings", "Settings", "SitesSettings", "StageSettings", "TerrainSettings",
     "TracksSettings", "Tuning", "load_settings", "settings_of_run", "settings_page",
 ]  # fmt: skip

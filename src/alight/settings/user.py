@@ -241,6 +241,11 @@ class RouteKeys(FrozenModel):
     clearance: Positive = Field(3.0, description="Least distance to everything above and beside the way, m")
     cruise_speed: Positive = Field(5.0, description="Speed on the way to the site, m/s")
     descent_speed: Positive = Field(1.0, description="Speed of the descent, m/s")
+    wind: tuple[Offset, Offset] | None = Field(
+        None,
+        description="Wind of a recording's flight: m/s to the east and north, where the air goes; null: not known. "
+        "In flight the autopilot reports it",
+    )
 
 
 class ExecutiveKeys(FrozenModel):

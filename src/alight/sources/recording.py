@@ -72,6 +72,20 @@ def _check_head(head: FlightHead, path: Path) -> None:
         raise InputError(f"{path}: its head is damaged ({(wrong or ['no camera'])[0]}); record again")
 
 
+def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
+    """Take over an entry of the schedule, whole or not at all.
+
+    Raises:
+        ValueError, KeyError, TypeError, IndexError, OverflowError: it is damaged.
+    """
+    t_ns, value = int(entry["t_ns"]), int(entry["value"])
+    place = entry.get("about")  # recordings of before 2026-11-23 do not say
+    about = None if place is None else (float(place[0]), float(place[1]))
+    entries[kind].append(t_ns)
+    entries["effort"] += [value] * (kind == "mapped")
+    entries["about"] += [about] * (kind == "judged")
+
+
 def _is_mounted(pose: Pose) -> bool:
     R = pose.rotation
     return bool((np.abs(pose.translation) <= FARTHEST).all() and np.abs(R @ R.T - np.eye(3)).max() < 1e-3)
@@ -121,9 +135,9 @@ class Recording(RecordedSource):
                     continue
             yield event
 
-    def _scan(self) -> tuple[FlightHead, dict[str, list[int]], int, list[str]]:
+    def _scan(self) -> tuple[FlightHead, dict[str, list[Any]], int, list[str]]:
         head, frames, notes = None, 0, list[str]()
-        entries: dict[str, list[int]] = {k: [] for k in Schedule.__dataclass_fields__}
+        entries: dict[str, list[Any]] = {k: [] for k in Schedule.__dataclass_fields__}
         for topic, data in self._messages():
             if topic == HEAD:
                 head = FlightHead.from_json(data.decode())
@@ -136,10 +150,8 @@ class Recording(RecordedSource):
                     if topic == NOTES:
                         notes.append(f"{entry['lane']}: {entry['note']}")
                     elif (kind := str(entry["kind"])) in entries:
-                        t_ns, value = int(entry["t_ns"]), int(entry["value"])
-                        entries[kind].append(t_ns)
-                        entries["effort"] += [value] * (kind == "mapped")
-                except (ValueError, KeyError, TypeError, OverflowError) as e:
+                        _schedule(entries, kind, entry)
+                except (ValueError, KeyError, TypeError, OverflowError, IndexError) as e:
                     self._findings.lose(f"{topic[1:]} messages", f"in {self._path.name}", f"damaged ({e})")
         if head is None:
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")

@@ -214,8 +214,13 @@ class SteeredFlight:
         return float(up - self._floor(float(east), float(north)))
 
     @property
+    def learned_wind(self) -> F64:
+        """(3,) m/s, where the air goes, as far as the autopilot has learned it."""
+        return self._trimmed.copy()
+
+    @property
     def wind_speed(self) -> float:
-        """m/s over the ground, as far as the autopilot has learned it."""
+        """m/s over the ground, of `learned_wind`."""
         return math.hypot(self._trimmed[0], self._trimmed[1])
 
     @property

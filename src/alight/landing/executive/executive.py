@@ -8,15 +8,16 @@ looked at again from half the height, until the lowest look confirms it. Only th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.opinion import Opinion, Standing, opinion
-from alight.landing.executive.search import square_spiral
+from alight.landing.executive.search import SearchLanes
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
 from alight.landing.route import lowest_clear
+from alight.landing.wind import downwind, ground_speed, is_from_behind
 from alight.records import MotionState, Site
 from alight.records.executive import (
     FlightDiary,
@@ -42,7 +43,6 @@ class Executive:
 
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
-        self._aspect = 0.75  # of what a picture sees: its height over its width
         self.state, self.diary = S.SEARCH, FlightDiary()
         self.target: Site | None = None
         self._begun: float | None = None  # s
@@ -50,12 +50,12 @@ class Executive:
         self._home: F64 | None = None
         self._frame = 0
         self._ground: float | None = None
-        self._lanes: Iterator[tuple[float, float]] | None = None
+        self._lanes: SearchLanes | None = None
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
         self._sound_at = -math.inf  # s, when the motion was not degraded
-        self._leg: list[F64] = []  # what is left of a look leg
+        self._across: F64 | None = None  # where the look leg leads
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
         self._banned: list[tuple[float, float]] = []
@@ -66,6 +66,11 @@ class Executive:
     def about(self) -> F64 | None:
         """(2,) metres, the place that a verdict is wanted on; None: the ground below."""
         return None if self.target is None else np.array([self.target.east, self.target.north])
+
+    @property
+    def crosses(self) -> bool:
+        """Whether a look leg is still being flown: the look is judged at its end."""
+        return self.state is S.LOOK and self._across is not None
 
     # -- the step
 
@@ -110,23 +115,36 @@ class Executive:
         return self._progress(now)
 
     def _trouble(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        k, waited = self._keys, now.t - self._since
+        k = self._keys
+        if self.state is S.HOLD and (over := self._held_enough(now)) is not None:
+            return over
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
         weak = self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD) and now.t - self._sound_at >= k.degraded
-        if self.state is S.HOLD and waited > k.wait:
-            return E.WAITED, f"for {waited:.0f} s"
         if self.state is not S.ABORT:
             if astray or weak:
                 lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)
                 return E.NAVIGATION_LOST, "no position" if lost else f"the motion is {now.state.name.lower()}"
             if blind:
-                return E.CAMERA_LOST, f"the newest picture is {now.picture_age:.1f} s old"
+                frozen = "the cameras have frozen: one picture comes again and again, " if now.frozen else ""
+                return E.CAMERA_LOST, f"{frozen}the newest picture is {now.picture_age:.1f} s old"
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        if now.wind > k.most_wind:
-            return E.WIND, f"{now.wind:.1f} m/s, limit {k.most_wind:.1f}"
+        return self._limits(now)
+
+    def _held_enough(self, now: Situation) -> tuple[FlightEvent, str] | None:
+        """A vehicle that keeps its place may wait for its cameras; one that drifts is handed over soon."""
+        waited, patience = now.t - self._since, self._keys.hold if now.holds else self._keys.wait
+        if waited > patience:
+            return E.WAITED, f"for {waited:.0f} s"
+        return self._limits(now) if now.holds else None
+
+    def _limits(self, now: Situation) -> tuple[FlightEvent, str] | None:
+        """What ends the attempt."""
+        k = self._keys
+        if now.wind_speed > k.most_wind:
+            return E.WIND, f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
         if now.battery < k.least_battery:
             return E.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
         if self._begun is not None and now.t - self._begun > k.time_budget:
@@ -147,15 +165,23 @@ class Executive:
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
         found = self._best()
-        if found is not None and (found.kind == "site" or found.p_safe >= self._keys.at_once):
+        if found is not None and (found.kind == "site" or (found.p_safe >= self._keys.at_once and not self._banned)):
             return self._found(found)
-        if self._way is not None and self._reached(now, self._way):
-            self._way = None
-        if self._way is None and not self._next_lane():
+        assert self._home is not None
+        lanes = self._lanes = self._lanes or SearchLanes(self._home, self._keys)
+        if self._reached(now, lanes.end(self._ground)):
+            lanes.reached()
+        if lanes.over:
             if found is not None:
                 return self._found(found)
-            return E.SEARCHED, f"within {self._keys.search_side:.0f} m"
+            return E.SEARCHED, self._searched_words()
+        self._way = lanes.end(self._ground)
         return None, ""
+
+    def _searched_words(self) -> str:
+        refused = f"; {len(self._banned)} places were refused from near by" if self._banned else ""
+        unseen = "" if self._ground is not None else "; no height could be measured"
+        return f"within {self._keys.search_side:.0f} m{refused}{unseen}"
 
     def _found(self, place: Site) -> tuple[FlightEvent, str]:
         self.target = place
@@ -170,6 +196,8 @@ class Executive:
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
         said = self._opinion(now)
+        if said is not None and self._is_fallen(said):
+            return E.REFUSED, f"P(safe) has fallen to {said.p_safe:.2f}: {said.why}"
         if said is not None and said.standing is Standing.REFUSED:
             if self._refusals >= self._keys.sure:
                 return E.REFUSED, said.why
@@ -181,14 +209,18 @@ class Executive:
             return self._looking(now, said)
         return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
 
+    def _is_fallen(self, said: Opinion) -> bool:
+        """Whether one verdict is enough to break a landing off: something has come."""
+        seen = said.standing is not Standing.NOT_SEEN
+        return self.state is S.COMMIT and seen and said.p_safe < self._keys.fallen
+
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """A look is over when a verdict holds what the whole leg saw."""
         if not self._keys.look_again and self.target is not None:
             return E.CONFIRMED, f"P(safe) {self.target.p_safe:.3f}, not looked at again"
-        if self._leg:
-            if self._reached(now, self._leg[0]):
-                self._leg.pop(0)
-                self._leg_done = None if self._leg else now.t
+        if self._across is not None:
+            if self._reached(now, self._across):
+                self._across, self._leg_done = None, now.t
             return None, ""
         assert self.target is not None
         assert now.seen is not None or said is None
@@ -203,7 +235,7 @@ class Executive:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         self._doubts += 1
         if said.standing is Standing.CANDIDATE and self._doubts < self._keys.patience:
-            self._leg, self._leg_done = self._look_leg(now), None  # once more, from the other side
+            self._across, self._leg_done = self._leg(now).end, None  # once more, from the other side
             return None, ""
         if said.standing is Standing.REFUSED and self._refusals < self._keys.sure:
             return None, ""
@@ -216,8 +248,9 @@ class Executive:
             return None
         self._judged = seen.number
         low = self.state is S.COMMIT
-        same = self._keys.same_place if low else max(self._keys.same_place, self._keys.beside * self._height)
-        said = opinion(self.target, seen, self._limit, same)
+        same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
+        least = self._limit if low else self._keys.hopeless
+        said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._is_banned(s))
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said
 
@@ -234,8 +267,13 @@ class Executive:
         return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
 
     def _best(self) -> Site | None:
-        """The best place known that was not refused before: sites first, then candidates by their P(safe)."""
-        free = [p for p in self._noted if not self._is_banned(p)]
+        """The best place known that was not refused before: sites first, then candidates by their P(safe).
+
+        After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
+        succession). When that is small they are worth neither the time nor the battery.
+        """
+        hopeless = len(self._banned) >= self._keys.visits
+        free = [p for p in self._noted if not self._is_banned(p) and (p.kind == "site" or not hopeless)]
         return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
 
     def _is_banned(self, place: Site) -> bool:
@@ -252,14 +290,14 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._ban()
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._leg, self._leg_done = None, [], None
+        self._way, self._across, self._leg_done = None, None, None
         if after is S.APPROACH:
             self._begin_place(now)
         elif after is S.DESCEND:
             self._height = max(self._keys.commit_height, self._height * self._keys.lower)
-            self._way = self._beside(now, 1.0)
+            self._way = self._leg(now).start
         elif after is S.LOOK:
-            self._leg = self._look_leg(now)
+            self._across = self._leg(now).end
         elif after is S.ABORT:
             self._climb(now)
         elif after in (S.SEARCH, S.HOLD, *ENDS) and before is not S.COMMIT:
@@ -273,7 +311,7 @@ class Executive:
         wanted = look.height if look is not None else up * self._keys.lower
         self._height = float(np.clip(wanted, self._keys.commit_height, max(up, self._keys.commit_height)))
         if self._keys.look_again:
-            self._way = self._beside(now, 1.0)
+            self._way = self._leg(now).start
             return
         self._height = self._keys.commit_height
         self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
@@ -312,11 +350,14 @@ class Executive:
             return Order("land", place, r.cruise_speed, k.landing_speed)
         if self.state is S.HOLD or now.position is None:
             return Order("hold")
-        to = self._leg[0] if self.state is S.LOOK and self._leg else self._way
+        to = self._across if self.state is S.LOOK and self._across is not None else self._way
         if to is None:
             return Order("hold")
-        slow = self.state is S.LOOK
-        return Order("fly", self._clear(now, to), r.cruise_speed * (0.4 if slow else 1.0), 2.0 * r.descent_speed)
+        to = self._clear(now, to)
+        way = to - now.position
+        speed = ground_speed(way, now.wind, r.cruise_speed * (0.4 if self.state is S.LOOK else 1.0), r.air_speed)
+        sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
+        return Order("fly", to, speed, sink)
 
     def _clear(self, now: Situation, to: F64) -> F64:
         """Where to fly next on the way to a point: first up, where something on the map stands in the way."""
@@ -332,35 +373,12 @@ class Executive:
             return np.array([*now.position[:2], level])
         return np.array([to[0], to[1], level])
 
-    def _next_lane(self) -> bool:
-        if self._home is None:
-            return True
-        ground = self._ground if self._ground is not None else float(self._home[2]) - self._keys.search_height
-        if self._lanes is None:
-            lane = self._keys.lane * self._keys.search_height * self._aspect
-            self._lanes = square_spiral(self._home, self._keys.search_side, lane)
-        corner = next(self._lanes, None)
-        if corner is None:
-            return False
-        self._way = np.array([*corner, ground + self._keys.search_height])
-        return True
-
-    def _base(self) -> float:
-        return max(self._keys.look_base * self._height, self._keys.least_base)
-
-    def _beside(self, now: Situation, sign: float) -> F64:
-        """The end of a look leg, on the vehicle's side of the place or on the other one."""
+    def _leg(self, now: Situation) -> LookLeg:
         assert self.target is not None
         assert now.position is not None
-        place = np.array([self.target.east, self.target.north])
-        away = now.position[:2] - place
-        distance = float(np.hypot(*away))
-        towards = away / distance if distance > 0.3 else np.array([0.0, 1.0])
-        return np.array([*(place + sign * self._base() * towards), self.target.up + self._height])
-
-    def _look_leg(self, now: Situation) -> list[F64]:
-        """Across the place, to the other side."""
-        return [self._beside(now, -1.0)]
+        half = max(self._keys.look_base * self._height, self._keys.least_base)
+        place = np.array([self.target.east, self.target.north, self.target.up + self._height])
+        return LookLeg(place, half, now.position, downwind(now.wind, self._route.calm))
 
     def _reached(self, now: Situation, point: F64) -> bool:
         return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -32,16 +33,27 @@ class Opinion:
     why: str = ""  # it is no site
 
 
-def opinion(place: Site, seen: Seen, limit: float, same: float) -> Opinion:
+def opinion(
+    place: Site,
+    seen: Seen,
+    limit: float,
+    same: float,
+    least: float = 0.0,
+    free: Callable[[Site], bool] = lambda listed: True,
+) -> Opinion:
     """What a verdict says of a place.
 
-    A listed place near by is taken for it. Of a place that is not listed, the cell tells.
+    A listed place near by is taken for it. Of a place that is not listed, the cell tells: it may be good ground that a
+    better place a few metres away keeps off the list.
 
     Args:
         limit: least P(safe) of a site.
         same: metres within which a listed place is the same.
+        least: P(safe) below which a place that is only in doubt counts as refused.
+        free: whether a listed place may be taken for it.
     """
-    near = [s for s in seen.sites.listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
+    listed = [s for s in seen.sites.listed if free(s)]
+    near = [s for s in listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
     if near:
         best = max(near, key=lambda s: s.p_safe)
         standing = Standing.SITE if best.kind == "site" else Standing.CANDIDATE
@@ -59,6 +71,7 @@ def opinion(place: Site, seen: Seen, limit: float, same: float) -> Opinion:
     if math.isnan(p):
         return Opinion(Standing.NOT_SEEN, place, 0.0, "not judged")
     found = replace(place, p_safe=p)
-    if reasons & Hazard.DOUBT:
+    if p < least:
         return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
-    return Opinion(Standing.SITE if p >= limit else Standing.CANDIDATE, found, p, "" if p >= limit else "doubt")
+    doubt = bool(reasons & Hazard.DOUBT) or p < limit
+    return Opinion(Standing.CANDIDATE if doubt else Standing.SITE, found, p, "doubt" if doubt else "")

@@ -2,27 +2,57 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from alight.arrays import F64
+from alight.settings import ExecutiveSettings
+
+ASPECT = 0.75  # of the ground that a picture shows: its shorter side over the height
+
+
+class SearchLanes:
+    """The lanes of a search, one after the other.
+
+    The outermost lies so far inside that its pictures reach the rim of the searched square.
+
+    Args:
+        home: (3,) metres, the middle of the square; the search height above the ground, as far as is known.
+    """
+
+    def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
+        shown = keys.search_height * ASPECT
+        self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
+        self._corner = next(self._corners)
+        self.over = False  # all was searched
+
+    def end(self, ground: float | None) -> F64:
+        """(3,) metres, the end of this lane, above the ground as it is known by now."""
+        return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
+
+    def reached(self) -> None:
+        """The end of this lane: the next one begins, or the search is over."""
+        corner = next(self._corners, None)
+        self._corner, self.over = corner or self._corner, corner is None
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:
-    """Corners of a square spiral outwards, until it has covered a square: what is near the start comes first.
+    """Corners of a square spiral outwards, to the rim of a square: what is near the start comes first.
 
     Args:
-        centre: (2,) or (3,) metres.
+        centre: (2,) or (3,) metres, of the square.
         side: metres, of the square.
-        lane: metres between neighbouring turns.
+        lane: metres between neighbouring turns, at most: they are spread evenly.
     """
-    east, north = float(centre[0]), float(centre[1])
+    turns = max(1, math.ceil(side / lane - 1e-9))
+    lane = side / turns
+    begin = -0.5 * lane if turns % 2 else 0.0  # an odd number of turns ends half a lane off its beginning
+    east, north = float(centre[0]) + begin, float(centre[1]) + begin
     yield east, north
-    length, steps = lane, [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]
-    k = 0
-    while length <= side + lane / 2:
-        for _ in range(2):
-            east, north = east + steps[k % 4][0] * length, north + steps[k % 4][1] * length
-            yield east, north
-            k += 1
-        length += lane
-    yield east + steps[k % 4][0] * (length - lane), north + steps[k % 4][1] * (length - lane)
+    steps = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)]
+    for k, length in enumerate([lane * n for n in range(1, turns + 1) for _ in range(2)] + [side]):
+        east, north = east + steps[k % 4][0] * length, north + steps[k % 4][1] * length
+        yield east, north

@@ -10,7 +10,11 @@ from alight.motion.ekf.state import ATT, VEL, FilterState
 from alight.records import MotionState
 
 NEVER_NS = -(1 << 62)  # ns, a time before all events
-_MIN_SUPPORT = 8  # features that pass their gates; with fewer the cameras do not hold the motion
+_MIN_SUPPORT = 8  # features that pass their gates, and no more than fail: the cameras hold the motion
+_FEW, _AGREEING = (
+    4,
+    4,
+)  # fewer do so too where this many pass, and this many for one that fails: poses have six freedoms
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
 _PHOTO_INTERVALS = 2.5  # the same in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures until the start is over
@@ -78,6 +82,9 @@ class Health:
         self._exposure_ns = t_ns
         if counts.passed >= _MIN_SUPPORT and counts.passed >= counts.failed:
             self._supported_ns, self._settled = t_ns, self._settled + 1
+        elif counts.passed >= _FEW and counts.passed >= _AGREEING * counts.failed:
+            self._supported_ns = t_ns  # near the ground: a few metres of it are in view, and pass in some exposures
+        if self._supported_ns == t_ns:
             self._innovation += _INNOVATION_GAIN * (counts.innovation - self._innovation)
         contradicts = counts.failed >= _MIN_SUPPORT and counts.failed > 2 * counts.passed
         self._contradictions = self._contradictions + 1 if contradicts else 0

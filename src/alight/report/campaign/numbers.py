@@ -76,6 +76,7 @@ class CampaignNumbers:
     seconds: Spread  # of landings that touched down
     distance: Spread  # metres, of the same
     cpu_s: Spread  # of all that did not fail
+    cpu_of: dict[str, Spread]  # of its parts
 
     def as_json(self) -> dict[str, Any]:
         """For campaign.json."""
@@ -103,8 +104,13 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
         by_wind=_counts(records, _wind_range), p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
         looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
         seconds=Spread.of(r.seconds for r in down), distance=Spread.of(r.distance for r in down),
-        cpu_s=Spread.of(r.cpu_s for r in records if r.outcome != "failed"),
+        cpu_s=Spread.of(r.cpu_s for r in records if r.outcome != "failed"), cpu_of=_parts(records),
     )  # fmt: skip
+
+
+def _parts(records: Sequence[LandingRecord]) -> dict[str, Spread]:
+    names = dict.fromkeys(name for r in records for name in r.cpu_of)
+    return {name: Spread.of(r.cpu_of[name] for r in records if name in r.cpu_of) for name in names}
 
 
 def _counts(records: Sequence[LandingRecord], key: Callable[[LandingRecord], str]) -> Counts:

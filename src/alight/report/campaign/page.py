@@ -143,6 +143,7 @@ def _tables(
             ("time of a landing, s", *_spread(n.seconds)),
             ("distance flown, m", *_spread(n.distance)),
             ("CPU time of a landing, s", *_spread(n.cpu_s)),
+            *((f"of it {name}, s", *_spread(s)) for name, s in n.cpu_of.items()),
         ],
         "Time and distance are of the landings that touched down; CPU time is of all, with the simulator.",
     )

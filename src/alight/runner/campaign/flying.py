@@ -96,6 +96,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
             for x in landing.diary.transitions
         ),
         seconds=landing.seconds, distance=happenings.distance, verdicts=landing.verdicts,
+        cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
     )  # fmt: skip
     return Flown(record, picture)

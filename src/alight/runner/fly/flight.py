@@ -55,7 +55,7 @@ class FlightRequest:
     home: Home | None = None  # for route.plan; None: the autopilot's
     separation: float | None = None  # metres, ellipsoid minus sea level; None: as the receiver reports it
     take_off: float | None = None  # metres above home; None: it flies already
-    imu_rate: float = 50.0  # Hz that the autopilot is asked for; 0: no IMU
+    imu_rate: float = 100.0  # Hz that the autopilot is asked for; 0: no IMU
     record: bool = True
     overwrite: bool = False
 
@@ -240,11 +240,13 @@ class _Cabin:
             for event in events:
                 if self._over.is_set():
                     return
+                fresh: Event | None = event
                 if isinstance(event, Frame):
                     now_ns = time.monotonic_ns()
                     self._arrivals.saw(event, now_ns)
-                    self._pilot.saw(event, now_ns)
-                self._run.live.feed(event)
+                    fresh = self._pilot.saw(event, now_ns)
+                if fresh is not None:
+                    self._run.live.feed(fresh)
         except BaseException as e:  # the executive notices that pictures or motions do not come, and gives up
             self._failed.append(e)
 

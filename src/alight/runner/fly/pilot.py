@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from alight.arrays import F64, U8
+from alight.arrays import F64
 from alight.autopilot import RemoteVehicle
 from alight.geometry import LocalFrame
 from alight.landing.executive import Executive
@@ -18,13 +18,13 @@ from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Order, Seen, Situation, Transition
 from alight.runner.fly.orders import OrderSender, OrderTaker
-from alight.runner.landing import JUDGE_EVERY, as_seen, look_picture
+from alight.runner.landing import as_seen, judged_every, look_picture
+from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 
 TICK_NS = 100_000_000  # between two decisions of the executive
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
 KEPT = 20_000  # times that are kept for the summary
-SPARSE = 4  # pixels, step in which two pictures are compared
 
 
 class LandingLog(Protocol):
@@ -38,30 +38,6 @@ class LandingLog(Protocol):
 
     def note(self, lane: str, words: str) -> None:
         """Something happened."""
-
-
-class PictureWatch:
-    """Tells when a picture came last. One that repeats the one before, bit for bit, is none: the camera has frozen."""
-
-    def __init__(self) -> None:
-        self._last: U8 | None = None
-        self.newest_ns: int | None = None  # arrival
-        self.frozen = 0  # pictures in a row that repeat the one before
-
-    def saw(self, frame: Frame, now_ns: int) -> None:
-        """An exposure has come."""
-        image = next((i for i in frame.images if i is not None), None)
-        if image is None:
-            return
-        small = image[::SPARSE, ::SPARSE].copy()
-        if self._last is not None and np.array_equal(small, self._last):
-            self.frozen += 1
-            return
-        self._last, self.newest_ns, self.frozen = small, now_ns, 0
-
-    def age(self, now_ns: int) -> float:
-        """Seconds since the last picture that was new."""
-        return math.inf if self.newest_ns is None else (now_ns - self.newest_ns) * 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +81,7 @@ class LandingPilot:
         self._seen_ns = self._acted_ns = 0  # newest exposure of the newest verdict, and of the one acted upon
         self._guided_ns = 0  # newest motion that a set-point was made of
         self._number, self._asked = 0, -math.inf
+        self._waiting = False  # a verdict, for a decision
         self._tick_ns: int | None = None
         self._starts = vehicle.starts
         self._flying, self._had_position, self._written = False, True, (0, 0)
@@ -129,9 +106,14 @@ class LandingPilot:
 
     # -- what becomes known, from any thread
 
-    def saw(self, frame: Frame, now_ns: int) -> None:
-        """An exposure has come."""
-        self.pictures.saw(frame, now_ns)
+    def saw(self, frame: Frame, now_ns: int) -> Frame | None:
+        """Take an exposure that has come; what of it is new, for the lanes."""
+        before = self.pictures.stuck
+        fresh = self.pictures.fresh(frame, now_ns)
+        if (stuck := self.pictures.stuck) != before:
+            which = ", ".join(str(cam) for cam in stuck)
+            self._log.note("cameras", f"frozen: {which}; its pictures are left out" if stuck else "none is frozen")
+        return fresh
 
     def moved(self, motion: Motion) -> None:
         """The motion of an exposure is known."""
@@ -145,8 +127,8 @@ class LandingPilot:
         self.take_seen(as_seen(verdict, self._number, (t_ns - self._begin_ns) * 1e-9), t_ns)
 
     def take_seen(self, seen: Seen, t_ns: int) -> None:
-        """Take a verdict in the frame of its map; numbers rise."""
-        self._seen, self._seen_ns = seen, t_ns
+        """Take a verdict in the frame of its map; numbers rise. The next tick decides by it, whenever it comes."""
+        self._seen, self._seen_ns, self._waiting = seen, t_ns, True
 
     def noticed(self, notice: Notice) -> None:
         """Something has happened to the vehicle."""
@@ -161,8 +143,10 @@ class LandingPilot:
 
     def tick(self, now_ns: int) -> PilotView:
         """Decide ten times a second, report the target of a landing at every call."""
+        fresh, self._waiting = self._waiting, False  # before the situation: a verdict may come any time
         now = self._situation(now_ns)
-        if self._tick_ns is None or now_ns - self._tick_ns >= TICK_NS or self.state is FlightState.COMMIT:
+        due = self._tick_ns is None or now_ns - self._tick_ns >= TICK_NS or self.state is FlightState.COMMIT
+        if due or fresh:
             self._tick_ns = now_ns
             self._decide(now, now_ns)
         return self._view(now)
@@ -180,7 +164,7 @@ class LandingPilot:
             state = MotionState.LOST
         self._note_position(heard.has_position)
         known = state in (MotionState.GOOD, MotionState.DEGRADED)
-        share, wind = heard.battery.share, float(np.hypot(*heard.wind_world[:2]))
+        share, wind = heard.battery.share, heard.wind_world
         self._flying |= self._sender.hand.in_control
         rebooted = self._vehicle.starts != self._starts
         return Situation(
@@ -190,11 +174,13 @@ class LandingPilot:
             0 if m is None else m.frame_id,
             self._seen,
             self.pictures.age(now_ns),
+            self.pictures.frozen > 0,
             link=self._vehicle.alive and not rebooted,
             pilot=self._flying and not self._sender.hand.in_control and not rebooted,
             standing=heard.is_down,
             battery=1.0 if math.isnan(share) else share,
-            wind=0.0 if math.isnan(wind) else wind,
+            wind=wind if np.isfinite(wind[:2]).all() else None,
+            holds=heard.has_position,
         )
 
     def _lags(self, motion: Motion) -> bool:
@@ -216,7 +202,7 @@ class LandingPilot:
         self._had_position = known
 
     def _decide(self, now: Situation, now_ns: int) -> None:
-        every = JUDGE_EVERY.get(self.state)
+        every = judged_every(self.executive)
         if every is not None and now.t - self._asked >= every:
             self._asked = now.t
             self._judge(self.executive.about)
@@ -225,14 +211,14 @@ class LandingPilot:
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
-        if order.what in ("fly", "land"):
-            self._time(now_ns)
+        self._time(now_ns, order.what in ("fly", "land"))
 
-    def _time(self, now_ns: int) -> None:
+    def _time(self, now_ns: int, moves: bool) -> None:
+        """Note how late the order is; one to hold follows from a verdict as well."""
         if self._seen_ns > self._acted_ns:
             self._acted_ns = self._seen_ns
             self.way_point_times.append((now_ns - self._seen_ns) * 1e-9)
-        if self.motion is not None and self.motion.t_ns > self._guided_ns:
+        if moves and self.motion is not None and self.motion.t_ns > self._guided_ns:
             self._guided_ns = self.motion.t_ns
             self.set_point_times.append((now_ns - self.motion.t_ns) * 1e-9)
 

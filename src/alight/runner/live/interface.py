@@ -8,6 +8,7 @@ from typing import Protocol
 
 from alight.pipeline import Verdict
 from alight.records import Event, Motion
+from alight.records.schedule import Spot
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,8 @@ class Diary(Protocol):
     def event(self, event: Event) -> None:
         """Something came in."""
 
-    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
-        """A lane used an exposure: `kind` is a field of `Schedule`."""
+    def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
+        """A lane used an exposure: `kind` is a field of `Schedule`, `about` a place that a judged map showed too."""
 
     def note(self, lane: str, words: str) -> None:
         """Something happened to a lane."""
@@ -57,7 +58,7 @@ class NoDiary:
     def event(self, event: Event) -> None:
         """Something came in."""
 
-    def entry(self, kind: str, t_ns: int, value: int = 0) -> None:
+    def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
         """A lane used an exposure."""
 
     def note(self, lane: str, words: str) -> None:

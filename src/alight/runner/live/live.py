@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 from alight import terrain
 from alight.arrays import F64
@@ -26,6 +26,7 @@ from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
+from alight.records.schedule import Spot
 from alight.runner.live import lanes as processes
 from alight.runner.live.effort import EffortControl
 from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
@@ -53,11 +54,19 @@ class _Entries:
     most: int | None
 
     def __post_init__(self) -> None:
-        self.kinds = {k: deque[int](maxlen=self.most) for k in Schedule.__dataclass_fields__}
+        self.kinds = {k: deque[Any](maxlen=self.most) for k in Schedule.__dataclass_fields__}
 
     @property
     def schedule(self) -> Schedule:
         return Schedule(**{k: tuple(v) for k, v in self.kinds.items()})
+
+
+class _Shown(NamedTuple):
+    """A map on its way to the judging lane."""
+
+    t_ns: int  # of the newest exposure that it holds
+    seen: MapSnapshot
+    about: F64 | None  # (2,) metres in the map's frame, the place that it was to show too
 
 
 class Live:
@@ -103,7 +112,7 @@ class Live:
         drop = capacity.drop
         self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
-        self._maps = Mailbox[tuple[Navigation, MapSnapshot]](1, (lambda old, new: new) if drop else None)
+        self._maps = Mailbox[_Shown](1, (lambda old, new: new) if drop else None)
         self._judge_waits, self._every = threading.Event(), settings.sites.every
         self._asked = threading.Event()  # a verdict is wanted now
         self._about: F64 | None = None  # and about which place
@@ -273,9 +282,9 @@ class Live:
         self._diary.note(lane, why)
         self._listener.lost(lane, why)
 
-    def _entry(self, kind: str, t_ns: int, value: int = 0) -> None:
+    def _entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
         self._entries.kinds[kind].append(t_ns)
-        self._diary.entry(kind, t_ns, value)
+        self._diary.entry(kind, t_ns, value, about)
 
     def _stepped(self, seconds: float) -> None:
         """A step of the map is done: more or less effort for the next one."""
@@ -368,25 +377,28 @@ class Live:
                 since = 0
 
     def _hand_to_judge(self, navigation: Navigation) -> None:
+        about = self._about
         try:
-            seen = self._mapping.snapshot(self._about)
+            seen = self._mapping.snapshot(about)
         except LaneLost:
             return
         if seen is not None:
             self._judge_waits.clear()
-            self._maps.put((navigation, seen))
+            self._maps.put(_Shown(navigation.frame.t_ns, seen, about))
 
     def _judge(self) -> None:
         while True:
             self._judge_waits.set()
-            navigation, seen = self._maps.get()
+            shown = self._maps.get()
             try:
                 with self.watch.work(JUDGING, "verdict"):
-                    verdict = self.pipeline.judge(seen)
+                    verdict = self.pipeline.judge(shown.seen)
             except LaneLost:
                 if self.posts[JUDGING].given_up:
                     raise Closed from None
                 continue
-            self._entry("judged", navigation.frame.t_ns)
-            self.watch.known(VERDICT, navigation.frame.t_ns)
-            self._listener.verdict(verdict, navigation.frame.t_ns)
+            place = None if shown.about is None else (float(shown.about[0]), float(shown.about[1]))
+            self._entry("judged", shown.t_ns, about=place)
+            self._entries.kinds["about"].append(place)
+            self.watch.known(VERDICT, shown.t_ns)
+            self._listener.verdict(verdict, shown.t_ns)

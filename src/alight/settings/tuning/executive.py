@@ -14,13 +14,28 @@ class ExecutiveTuning(FrozenModel):
     look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
     least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
     lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
-    at_once: Fraction = Field(0.9, description="P(safe) of a place for which the search is broken off")
+    at_once: Fraction = Field(
+        0.9, description="P(safe) of a candidate for which the search is broken off, until a first one was refused"
+    )
+    hopeless: Fraction = Field(0.3, description="P(safe) below which a place in doubt is dropped without a lower look")
     beside: Positive = Field(0.4, description="Better places so near are taken instead at a look, over its height")
     same_place: Positive = Field(2.0, description="Distance within which a listed place is the one looked at, m")
+    same_spot: Positive = Field(
+        0.5, description="The same once the landing has begun: it comes down without a swerve, m"
+    )
+    fallen: Fraction = Field(0.9, description="P(safe) below which one verdict breaks a landing off")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
-    sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before it is dropped")
+    sure: int = Field(
+        2, ge=1, description="Verdicts in a row that refuse a place before it is dropped, or a landing is broken off"
+    )
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
-    wait: Positive = Field(12.0, description="Time without a verdict, navigation or pictures before giving up, s")
+    visits: int = Field(
+        8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"
+    )
+    wait: Positive = Field(12.0, description="Time without a verdict, or without any position, before giving up, s")
+    hold: Positive = Field(
+        60.0, description="Time without navigation or pictures that the autopilot is let hold its place, s"
+    )
     degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")

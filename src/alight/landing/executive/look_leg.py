@@ -1,0 +1,43 @@
+"""The way of a look: past the place, because one camera straight above sees no parallax."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from alight.arrays import F64
+
+ABOVE = 0.3  # m, within which the vehicle is straight above the place
+
+
+@dataclass(frozen=True, eq=False)
+class LookLeg:
+    """A leg across a place."""
+
+    place: F64  # (3,) metres, at the height of the look
+    half: float  # metres, half its length
+    position: F64  # (3,) metres, of the vehicle
+    downwind: F64 | None  # (2,) unit vector, where the air goes; None: calm, or not known
+
+    @property
+    def start(self) -> F64:
+        """(3,) metres: down the wind of the place, so that the leg leads against it; else on the vehicle's side."""
+        return self._beside(self._side if self.downwind is None else self.downwind)
+
+    @property
+    def end(self) -> F64:
+        """(3,) metres: on the other side of the place than the vehicle is on."""
+        return self._beside(-self._side)
+
+    def _beside(self, towards: F64) -> F64:
+        return np.array([*(self.place[:2] + self.half * towards), self.place[2]])
+
+    @property
+    def _side(self) -> F64:
+        """(2,) unit vector from the place to the vehicle's side, along the wind where there is one."""
+        away = self.position[:2] - self.place[:2]
+        if self.downwind is not None:
+            return self.downwind if float(self.downwind @ away) >= 0.0 else -self.downwind
+        distance = float(np.hypot(*away))
+        return np.asarray(away / distance) if distance > ABOVE else np.array([0.0, 1.0])
