@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -128,9 +127,9 @@ def test_a_damaged_head_is_refused(
 def test_a_damaged_schedule_is_said(record: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
     path = record(entries=(("mapped", 5),))
     data = path.read_bytes()
-    entry = json.dumps({"kind": "mapped", "t_ns": 5, "value": 0}).encode()
+    entry = b'"kind": "mapped", "t_ns"'
     assert entry in data
-    path.write_bytes(data.replace(entry, entry.replace(b'"t_ns"', b'"t_no"')))
+    path.write_bytes(data.replace(entry, entry.replace(b"t_ns", b"t_no")))
     code, _, err = ran(path, capsys)
     assert code == 0
     assert "schedule messages: 1 left out" in err
