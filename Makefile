@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench fuzz bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
+.PHONY: help demo test check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -28,8 +28,11 @@ bench: $(MADE)  ## speed, as ratios to a yardstick on the same machine
 bench-heights: $(MADE)  ## heights: everything asked of them beside what they must show; an hour of CPU, kept between runs
 	$(BIN)/python bench/bench_heights.py
 
-fuzz: $(MADE)  ## damaged flights, photos, rasters, settings and MAVLink for ten minutes; what fails is kept in out/fuzz
+fuzz: $(MADE)  ## damaged flights, photos, recordings, rasters, runs, scenes, models, settings and MAVLink for ten minutes; failures are kept in out/fuzz
 	$(BIN)/python bench/fuzz --minutes 10
+
+bench-ends: $(MADE)  ## runs ended at 20 random moments by SIGTERM and SIGKILL, and started again into the same folder
+	$(BIN)/python bench/ends.py
 
 bench-live: $(MADE)  ## a live flight by the clock: rates, latencies, memory, start; an hour, most of it waiting
 	$(BIN)/python bench/bench_live.py

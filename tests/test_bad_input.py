@@ -212,7 +212,7 @@ def test_what_is_somebody_elses_stays(run: Run, flight: Path, tmp_path: Path) ->
 def test_euroc_is_read_without_a_complaint(run: Run, shared_data: Path) -> None:
     code, out, err = run(shared_data / "euroc-excerpt")
     assert code == 0
-    assert out.startswith("NO SITE  no motion: there is no GPS/INS to start from (nav0)")
+    assert out.startswith("NO SITE  no motion: there is no GPS/INS position with height to start from (nav0)")
     assert err.splitlines() == [
         "warning: nav0 is missing: there is no GPS/INS, "
         "so heights and places are relative and nothing can be put on a map"

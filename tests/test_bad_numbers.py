@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 import yaml
-from damage import change_field, write_photo, write_yaml
+from damage import change_field, dji_tags, write_photo, write_yaml, xmp_packet
+from PIL import ExifTags, Image
 
 from alight.cli import app as cli_app
 from alight.cli import call
@@ -90,6 +91,7 @@ def test_the_noise_of_an_imu_out_of_range(
         "parallax.height_range=[3,1]", "sites.count=100000000000000000000000000", "lander.max_slope=3",
         "lander.feet=[[1e300,0],[0,1],[0,0]]", "sites.margin=1e30", "motion.filter.time_offset=1e300",
         "parallax.store_mb=1e26", "parallax.cell=1e-300", "sources.every=1e26", "hazards.alpha=1e300",
+        "motion.filter.time_offset_sigma=1e5", "lander.foot_radius=1e5",
     ],
 )  # fmt: skip
 def test_settings_out_of_range(setting: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -167,3 +169,41 @@ def test_the_advice_where_memory_ends_fits_the_command(
     monkeypatch.setattr(cli_app, "_exit_code", full)
     assert call([command, "x"]) == 2
     assert advice in capsys.readouterr().err
+    assert call([command, "x", "--set", "tuning.terrain.cell=1e-4"]) == 2
+    assert "take back what makes it large among tuning.terrain.cell=1e-4, or" in capsys.readouterr().err
+
+
+def test_an_origin_that_is_not_that_of_the_flight(
+    flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Found by the fuzzer: a latitude of 1e-300 ended in `negative dimensions are not allowed`."""
+    origin = {"latitude": 1e-300, "longitude": 15.4, "height": 300.0}
+    write_yaml(flight / "mav0" / "nav0" / "sensor.yaml", {"origin": origin})
+    code, _, err = ran(flight, tmp_path, capsys)
+    assert code == 2
+    assert "km away from the rows of nav0/data.csv" in err
+    assert err.count("\n") == 1
+
+
+def test_only_the_height_is_missing(flight: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = flight / "mav0" / "nav0" / "data.csv"
+    for line in range(2, 2 + len(path.read_text().splitlines()) - 1):
+        change_field(path, line, 3, "")
+    code, out, err = ran(flight, tmp_path, capsys)
+    assert code == 0
+    assert "no GPS/INS position with height" in out
+    assert "12 rows have latitude and longitude, but no height" in err
+
+
+def test_photos_that_lack_the_altitude_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k in range(4):
+        path = tmp_path / "survey" / f"{k}.jpg"
+        tags = xmp_packet(dji_tags(AbsoluteAltitude=""))
+        write_photo(path, k, second=f"{10 + 3 * k}", xmp=tags, place=(45.0 + 3e-5 * k, 7.6, 350.0))
+        with Image.open(path) as image:
+            exif, again = image.getexif(), image.copy()
+            if k:
+                del exif.get_ifd(ExifTags.IFD.GPSInfo)[ExifTags.GPS.GPSAltitude]
+        again.save(path, "JPEG", exif=exif, xmp=tags)
+    _, _, err = ran(tmp_path / "survey", tmp_path, capsys)
+    assert "3 of them lack the altitude alone" in err

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -369,3 +373,83 @@ def test_lines_are_named_numbers() -> None:
     found.put("short", 0.123456)
     found.put("a longer name", "yes")
     assert found.lines() == ["title", "  short          0.1235", "  a longer name  yes"]
+
+
+# -- damaged runs and truths
+
+
+def damaged(run: Path, key: str, value: object) -> None:
+    """Put another value into run.json."""
+    tree = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    *way, last = key.split(".")
+    inner = tree
+    for part in way:
+        inner = inner[part]
+    inner[last] = value
+    (run / "run.json").write_text(json.dumps(tree), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("answer", None), ("answer.sites", [{"east_m": "x", "north_m": 0}]), ("answer.sites", [{}]),
+        ("height_above_ground_m", "high"), ("common_error", {"centre_m": [0, 0], "covariance": [[1]]}),
+        ("settings", 3), ("origin", {"latitude": "north"}),
+    ],
+)  # fmt: skip
+def test_a_damaged_run_json_is_told_with_its_key(truth: Path, tmp_path: Path, key: str, value: object) -> None:
+    write_run(a_run(), tmp_path / "run")
+    damaged(tmp_path / "run", key, value)
+    with pytest.raises(InputError, match=rf"{key.split('.')[0]}.* is damaged"):
+        evaluate(tmp_path / "run", truth)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("dem", lambda b: b[:1]), ("dem", lambda b: b[:, :1]), ("flags", lambda b: b.astype(np.float32)),
+        ("safe", lambda b: b[:, ::2]), ("ortho", lambda b: b[:1]), ("reasons", lambda b: b.astype(np.float32)),
+    ],
+)  # fmt: skip
+def test_a_raster_of_a_run_that_does_not_fit_is_told(
+    truth: Path, tmp_path: Path, name: str, change: Callable[[NDArray[Any]], NDArray[Any]]
+) -> None:
+    """Found by the fuzzer: a `dem.tif` of one row ended in `boolean index did not match`."""
+    write_run(a_run(), tmp_path / "run")
+    path = tmp_path / "run" / f"{name}.tif"
+    with rasterio.open(path) as d:
+        bands, place = change(d.read()), d.transform
+    path.unlink()
+    size = {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], "dtype": bands.dtype.name}
+    with rasterio.open(path, "w", driver="GTiff", transform=place, **size) as d:
+        d.write(bands)
+    with pytest.raises(InputError, match=rf"({name}|flags)\.tif: .*run again"):
+        evaluate(tmp_path / "run", truth)
+
+
+@pytest.mark.parametrize("case", ["another grid", "not square", "classes that are no numbers of classes"])
+def test_a_truth_that_does_not_fit_is_told(truth: Path, tmp_path: Path, case: str) -> None:
+    write_run(a_run(), tmp_path / "run")
+    other = shutil.copytree(truth, tmp_path / "truth")
+    height, label = world(*np.meshgrid(*GRID.xy()))
+    if case == "another grid":
+        write_raster(other / "truth" / "class.tif", label[:200], GRID.window(0, 0, 200, GRID.cols))
+    elif case == "not square":
+        with rasterio.open(other / "truth" / "dem.tif", "r+") as d:
+            d.transform = rasterio.Affine(0.1, 0, -20, 0, -0.3, 20)
+    else:
+        write_raster(other / "truth" / "class.tif", height.astype(np.float32))
+    with pytest.raises(InputError, match="truth"):
+        evaluate(tmp_path / "run", other)
+
+
+@pytest.mark.parametrize("name", sorted(photos.REFERENCE))
+def test_a_reference_of_another_shape_is_told(tmp_path: Path, name: str) -> None:
+    arrays = {"origin_llh": np.zeros(3), "points_enu": np.zeros((5, 3)), "points_track": np.zeros(5),
+              "points_err": np.zeros(5), "centers_enu": np.zeros((2, 3))}  # fmt: skip
+    path = tmp_path / "sfm_reference.npz"
+    np.savez(path, **arrays)
+    assert photos.read_arrays(path, photos.REFERENCE).keys() == arrays.keys()
+    np.savez(path, **(arrays | {name: arrays[name].reshape(-1)[:-1][:, None]}))
+    with pytest.raises(InputError, match="not a reference"):
+        photos.read_arrays(path, photos.REFERENCE)

@@ -15,7 +15,7 @@ from alight.pipeline.judging import Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
 from alight.raster import block_mean, cells_as_blocks
-from alight.records import ElevationMap, NextView, Sites, View
+from alight.records import ElevationMap, MissingVeto, NextView, Sites, View
 from alight.settings import Settings, TerrainSettings
 
 
@@ -88,6 +88,35 @@ def test_land_cover_is_found_on_cells_that_fit_its_evidence_and_given_on_those_o
     assert (blocks == blocks[:, :1, :, :1]).all()
     coarse = cells((20, 20), 0.2, 4)
     assert land_cover(coarse, TerrainSettings(), None).grid == coarse.grid
+
+
+@pytest.mark.parametrize(
+    ("missing", "key", "words"),
+    [
+        (MissingVeto.SECOND_CAMERA, "one_camera_hazard", "one camera sees the ground"),
+        (MissingVeto.ATTITUDE, "no_attitude_hazard", "attitude was measured neither"),
+    ],
+)
+def test_a_missing_second_camera_or_attitude_is_warned_of_and_p_pays_for_it(
+    missing: MissingVeto, key: str, words: str
+) -> None:
+    seen, stages = cells((60, 60), 0.1, 1), Settings().stages()
+    whole, less = (assess(seen, None, stages.lander, stages.hazards, m).p_ground for m in (MissingVeto(0), missing))
+    judged = np.isfinite(less)
+    assert judged.any()
+    np.testing.assert_allclose(less[judged] / whole[judged], np.exp(-getattr(stages.hazards, key)), rtol=1e-4)
+    verdict = Verdict(seen, None, hazards(), Sites((), "fog"), MapFrame(0, np.zeros(3), np.eye(3)), missing)
+    assert words in verdict.warnings[1]
+    assert words not in "".join(replace(verdict, missing=MissingVeto(0)).warnings)
+
+
+def test_a_snapshot_knows_which_veto_is_missing() -> None:
+    one, two = (look_down(0, cam, 300.0) for cam in (0, 1))
+    place = VehiclePosition(np.zeros(3), 10.0)
+    seen = MapSnapshot(0, elevation(), (one, two), place, MapFrame(0, np.zeros(3), np.eye(3)))
+    assert seen.missing == MissingVeto(0)
+    assert replace(seen, views=(one,)).missing == MissingVeto.SECOND_CAMERA
+    assert replace(seen, attitude=False).missing == MissingVeto.ATTITUDE
 
 
 def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:

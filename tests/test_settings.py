@@ -199,6 +199,13 @@ def test_every_key_has_a_description() -> None:
     assert not bare
 
 
+def test_no_bound_is_overruled_by_another() -> None:
+    """Of two bounds of one kind the last wins in silence: `Field(0.0, le=100)` of a type that has its own."""
+    for key, info in all_keys().items():
+        kinds = [type(bound) for bound in info.metadata]
+        assert len(kinds) == len(set(kinds)), key
+
+
 def test_every_tuned_constant_is_used() -> None:
     """A constant that no stage reads can be set and does nothing."""
     folder = Path(alight.__file__).parent

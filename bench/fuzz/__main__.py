@@ -55,7 +55,7 @@ class Fuzzer:
                 shutil.copytree(self._folder / kind, copy)
             for d in damages:
                 d.apply(copy)
-            return trial.run(trial.command(kind, copy, out, damages), limit)
+            return trial.run(kind, trial.command(kind, copy, out, damages), limit)
 
     def judged(self, kind: str, damages: list[Damage]) -> tuple[str | None, str]:
         """What is wrong with the answer to a damaged input, or None; and what was said."""
@@ -82,8 +82,9 @@ class Fuzzer:
                 self._note(kind, fault.strip().splitlines()[-1], {"kind": kind, "seed": seed, "said": fault})
             return fault
         draw = random.Random(seed)
-        damages = drawn(draw, self._folder / kind)
-        if kind == "photos" and draw.random() < 0.7:
+        asked = trial.COMMANDS[kind]
+        damages = drawn(draw, self._folder / kind, asked.keys, asked.only)
+        if kind == "photos" and draw.random() < 0.5:
             damages = [Damage("tag", draw.choice(TAGS), draw.random(), draw.choice(seeds.TAG_VALUES)) for _ in range(3)]
             damages += [Damage("place", "", 0, draw.choice(("pole", "one", "high")))] * (draw.random() < 0.2)
             damages += [Damage("same", "", 0, "")] * (draw.random() < 0.1)

@@ -1,17 +1,30 @@
-"""The grammar of damage: what happens to flight logs, photos, rasters, settings, and how each is drawn from a seed.
+"""The grammar of damage: what happens to logs, photos, recordings, rasters, documents, settings, drawn from a seed.
 
 A damage is plain data, so that a failure can be kept, shrunk and done again.
 """
 
 from __future__ import annotations
 
+import io
+import json
 import random
+import re
+import struct
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
+import yaml
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+from PIL import ExifTags, Image
+
+from alight.settings.keys import all_keys
 
 NUMBERS = (
     "", "nan", "inf", "-inf", "0", "-0.0", "-1", "1", "1e-300", "1e300", "-1e300", "1e200", "1e9", "-1e9", "1e5", "0.5",
@@ -30,6 +43,14 @@ KEYS = (
     "motion.given_position_sigma", "motion.given_attitude_sigma", "route.approach_height", "route.clearance",
     "route.cruise_speed", "route.descent_speed", "terrain.enabled", "terrain.model",
     "tuning.hazards.noise_length", "tuning.terrain.cell", "tuning.hazards.tilt_sigma",
+)  # fmt: skip
+TUNING = tuple(k for k in all_keys() if k.startswith("tuning."))
+SCENE = (
+    "ground.size", "ground.cell", "ground.slope_deg", "ground.relief.1.height", "ground.relief.1.shortest",
+    "ground.layers.1.radius", "ground.layers.6.per_hectare", "ground.layers.9.exponent", "light.haze", "light.clouds",
+    "flight.height", "flight.duration", "flight.speed", "flight.gusts", "rig", "imaging", "sensors.imu.rate",
+    "sensors.gps.rate", "lander.radius", "faults", "traffic", "origin.latitude", "origin.height", "rig.rate_hz",
+    "rig.cameras.1.resolution", "rig.cameras.1.field_deg", "rig.cameras.1.tilt_deg", "flight.kind",
 )  # fmt: skip
 VALUES = (*NUMBERS, "[-1e9, 1e9]", "[nan, nan]", "[0, 0]", "[[0,0],[1,0],[0,1]]", "100000000", "1e26", "1e-4", "ring")
 
@@ -54,23 +75,30 @@ def _rows(path: Path) -> list[str]:
     return path.read_text(encoding="utf-8", errors="replace").splitlines()
 
 
+def _mark(text: str) -> str:
+    """What separates the fields of a table."""
+    return "," if "," in text else " "
+
+
 def _field(path: Path, where: float, what: str) -> None:
     rows = _rows(path)
     if len(rows) > 1:
         at = 1 + int(where * (len(rows) - 1)) % (len(rows) - 1)
-        fields = rows[at].split(",")
+        mark = _mark(rows[at])
+        fields = rows[at].split(mark)
         fields[int(where * 7919) % len(fields)] = what
-        rows[at] = ",".join(fields)
+        rows[at] = mark.join(fields)
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 def _column(path: Path, where: float, what: str) -> None:
     out = []
     for row in _rows(path):
-        fields = row.split(",")
+        mark = _mark(row)
+        fields = row.split(mark)
         if not row.startswith("#") and len(fields) > 2:
             fields[1 + int(where * 7919) % (len(fields) - 1)] = what
-        out.append(",".join(fields))
+        out.append(mark.join(fields))
     path.write_text("\n".join(out) + "\n", encoding="utf-8")
 
 
@@ -119,19 +147,127 @@ def _remove(path: Path, where: float, what: str) -> None:
     path.unlink()
 
 
+_NUMBER = re.compile(r"[-+]?[0-9.]+(?:e[-+]?[0-9]+)?")
+
+
+def _renumbered(text: str, where: float, what: str) -> str:
+    """The text with another value where one of its numbers was."""
+    spans = [m.span() for m in _NUMBER.finditer(text)]
+    if not spans:
+        return text
+    a, b = spans[int(where * len(spans)) % len(spans)]
+    return text[:a] + what + text[b:]
+
+
 def _number(path: Path, where: float, what: str) -> None:
-    """Another number in a YAML file."""
+    """Another number in a YAML or JSON file."""
     text = path.read_text(encoding="utf-8", errors="replace")
-    spans, start = [], None
-    for k, c in enumerate(text + " "):
-        if c in "0123456789.-+e" and (start is not None or c in "0123456789.-"):
-            start = k if start is None else start
-        elif start is not None:
-            spans.append((start, k))
-            start = None
-    if spans:
-        a, b = spans[int(where * len(spans)) % len(spans)]
-        path.write_text(text[:a] + what + text[b:], encoding="utf-8")
+    path.write_text(_renumbered(text, where, what), encoding="utf-8")
+
+
+def _paths(tree: Any, before: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where every value of a document stands."""
+    items = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    return [p for k, v in items for p in ((*before, k), *_paths(v, (*before, k)))]
+
+
+def _tree(path: Path, where: float, what: str) -> None:
+    """Another value, or none, at a place of a JSON or YAML document; of one line of many."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    lines = text.split("\n") if path.suffix == ".jsonl" else [text]
+    at = int(where * 7919) % max(1, len([x for x in lines if x]))
+    with suppress(ValueError, yaml.YAMLError, KeyError, IndexError, TypeError):
+        tree = json.loads(lines[at]) if path.suffix != ".yaml" else yaml.safe_load(lines[at].removeprefix("%YAML:1.0"))
+        places = _paths(tree)
+        *way, last = places[int(where * len(places))]
+        inner = tree
+        for part in way:
+            inner = inner[part]
+        if what == "gone":
+            del inner[last]
+        else:
+            inner[last] = yaml.safe_load(what)
+        lines[at] = json.dumps(tree, default=str)
+        path.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _damaged(data: bytes, where: float, what: str) -> bytes:
+    """Another number in a JSON text, or in the head of a picture; or bytes of any kind."""
+    if what == "garble" or not data:
+        return bytes(b ^ (37 * (k % 11 == int(11 * where))) for k, b in enumerate(data))
+    start, size = (0, len(data)) if data[:1] == b"{" else (4, struct.unpack("<I", data[:4].ljust(4, b"\0"))[0])
+    text = data[start : start + size].decode("utf-8", errors="replace")
+    changed = _renumbered(text, where, what).encode()
+    return changed if start == 0 else struct.pack("<I", len(changed)) + changed + data[start + size :]
+
+
+def _message(path: Path, where: float, what: str) -> None:
+    """Something about one message of a recording, or about its head."""
+    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+        records = list(StreamReader(path.open("rb")).records)
+        about = [k for k, r in enumerate(records) if isinstance(r, Message | Metadata)]
+        at = about[int(where * len(about))] if where > 0.2 else about[0]
+        out = io.BytesIO()
+        writer = Writer(out, use_chunking=False)
+        writer.start("alight", "fuzz")
+        for k, r in enumerate(records):
+            hit = k == at
+            if isinstance(r, Schema):
+                writer.register_schema(r.name, r.encoding, r.data)
+            elif isinstance(r, Channel):
+                writer.register_channel(r.topic, r.message_encoding, r.schema_id)
+            elif isinstance(r, Metadata):
+                head = r.metadata["head"]
+                writer.add_metadata(
+                    r.name,
+                    {"head": _damaged(head.encode(), 5 * where, what).decode("utf-8", "replace") if hit else head},
+                )
+            elif isinstance(r, Message) and not (hit and what == "gone"):
+                data = _damaged(r.data, 7919 * where % 1, what) if hit else r.data
+                writer.add_message(r.channel_id, r.log_time, data, r.publish_time, r.sequence)
+        writer.finish()
+        path.write_bytes(out.getvalue())
+
+
+_TAGS = (
+    *((None, t) for t in (0x010F, 0x0110, 0x0112, 0x0132)),
+    *((ExifTags.IFD.Exif, t) for t in (0x829A, 0x9003, 0x9291, 0x920A, 0xA002, 0xA003, 0xA20E, 0xA210, 0xA405, 0xA432)),
+    *((ExifTags.IFD.GPSInfo, t) for t in (1, 2, 3, 4, 5, 6, 7, 29)),
+)  # fmt: skip
+
+
+def _exif(path: Path, where: float, what: str) -> None:
+    """A tag of EXIF holds another value, of another kind; or bytes of EXIF are others."""
+    if what == "garble":
+        data = bytearray(path.read_bytes())
+        start = data.find(b"Exif\0\0") + 6
+        data[start + int(where * 300)] = int(where * 7919) % 256
+        path.write_bytes(bytes(data))
+        return
+    with suppress(Exception):  # pillow refuses to write some of it
+        image = Image.open(path)
+        exif, xmp = image.getexif(), image.info.get("xmp", b"")
+        directory, tag = _TAGS[int(where * len(_TAGS))]
+        value: Any = (what, what.encode(), (what,) * 3, b"\xff\xfe" * 40)[int(where * 7919) % 4]
+        with suppress(ValueError):
+            value = (float(what), (float(what),) * 3, int(float(what)), value)[int(where * 104729) % 4]
+        (exif if directory is None else exif.get_ifd(directory))[tag] = value
+        image.save(path, "JPEG", exif=exif, xmp=xmp)
+
+
+def _array(path: Path, where: float, what: str) -> None:
+    """One array of a table is of another shape or kind, or holds another number."""
+    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+        with np.load(path) as file:
+            arrays = dict(file)
+        name = sorted(arrays)[int(where * len(arrays))]
+        old = arrays[name]
+        number = float(what) if what.replace(".", "").lstrip("-").isdigit() else np.nan
+        arrays[name] = (
+            old[..., :-1] if old.ndim else old, old.astype(np.float16), np.full_like(old, number), old.T[None],
+            np.zeros(0), np.array([what]), np.where(np.arange(old.size).reshape(old.shape) == 0, number, old),
+        )[int(where * 7919) % 7]  # fmt: skip
+        np.savez(path, **arrays)
 
 
 def _cells(path: Path, where: float, what: str) -> None:
@@ -156,14 +292,34 @@ def _place(path: Path, where: float, what: str) -> None:
         pass
 
 
+def _bands(path: Path, where: float, what: str) -> None:
+    """One band more or less, other numbers, other rows."""
+    with suppress(Exception):  # whatever the damaged file leads to: it stays as it is
+        with rasterio.open(path) as d:
+            bands, profile = d.read(), d.profile
+        how = int(where * 5)
+        bands = (bands[:1], np.concatenate([bands, bands]), bands.astype(np.int16), bands[:, ::2], bands[:, :1])[how]
+        profile |= {"count": len(bands), "height": bands.shape[1], "width": bands.shape[2], "dtype": bands.dtype}
+        profile |= {"nodata": None, "driver": "GTiff", "tiled": False}
+        with rasterio.open(path, "w", **profile) as d:
+            d.write(bands)
+
+
 DO: dict[str, Callable[[Path, float, str], None]] = {
     "field": _field, "column": _column, "times": _times, "drop": _drop, "bytes": _bytes, "remove": _remove,
-    "number": _number, "cells": _cells, "place": _place,
+    "number": _number, "tree": _tree, "cells": _cells, "place": _place, "bands": _bands, "message": _message,
+    "exif": _exif, "array": _array,
 }  # fmt: skip
 _BY_SUFFIX: dict[str, tuple[str, ...]] = {
     ".csv": ("field", "field", "column", "column", "times", "times", "drop", "bytes", "remove"),
-    ".yaml": ("number", "number", "number", "number", "bytes", "remove"),
-    ".tif": ("cells", "cells", "place", "bytes"),
+    ".tum": ("field", "column", "drop", "bytes", "remove"),
+    ".yaml": ("number", "number", "number", "tree", "tree", "bytes", "remove"),
+    ".json": ("number", "tree", "tree", "tree", "bytes", "remove"),
+    ".jsonl": ("number", "tree", "tree", "tree", "drop", "bytes"),
+    ".tif": ("cells", "cells", "place", "bands", "bytes"),
+    ".mcap": ("message", "message", "message", "bytes"),
+    ".JPG": ("exif", "exif", "bytes"),
+    ".npz": ("array", "array", "bytes"),
 }
 
 
@@ -174,19 +330,24 @@ def _what(draw: random.Random, kind: str) -> str:
         return draw.choice(("tail", "head", "most"))
     if kind == "bytes":
         return draw.choice(("cut", "zeros", "empty", "garble"))
+    if kind in ("message", "exif", "tree") and draw.random() < 0.2:
+        return "gone" if kind != "exif" else "garble"
+    if kind == "message" and draw.random() < 0.2:
+        return "garble"
     return draw.choice(NUMBERS)
 
 
-def drawn(draw: random.Random, folder: Path) -> list[Damage]:
-    """One to four damages of an input, settings among them."""
-    files = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file())
-    tables = [f for f in files if f.endswith((".csv", ".yaml", ".tif"))] or files
+def drawn(draw: random.Random, folder: Path, keys: str, only: str) -> list[Damage]:
+    """One to four damages of an input, and where the command takes them, of `settings` or of a `scene`."""
+    files = sorted(p.relative_to(folder).as_posix() for p in (folder / only).rglob("*") if p.is_file())
+    read = [f for f in files if Path(f).suffix in _BY_SUFFIX] or files
     found = []
     for _ in range(draw.choice((1, 1, 2, 3, 4))):
-        if draw.random() < 0.25:
-            found.append(Damage("set", draw.choice(KEYS), 0.0, draw.choice(VALUES)))
+        if keys and draw.random() < 0.25:
+            known = {"settings": TUNING if draw.random() < 0.2 else KEYS, "scene": SCENE}[keys]
+            found.append(Damage("set", draw.choice(known), 0.0, draw.choice(VALUES)))
             continue
-        file = draw.choice(tables if draw.random() < 0.85 else files)
+        file = draw.choice(read if draw.random() < 0.85 else files)
         kind = draw.choice(_BY_SUFFIX.get(Path(file).suffix, ("bytes",)))
         found.append(Damage(kind, file, draw.random(), _what(draw, kind)))
     return found

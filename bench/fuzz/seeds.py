@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +17,11 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
 from damage import dji_tags, write_flight, write_photo, xmp_packet
 from grammar import NUMBERS, Damage
 
+import alight
 import alight_sim
+from alight.cli import call
+from alight.learned import table_path
+from alight.settings import Settings
 
 
 def noise(folder: Path) -> None:
@@ -52,5 +59,67 @@ def photos(folder: Path, damages: tuple[Damage, ...] = ()) -> None:
         )  # fmt: skip
 
 
+def recording(folder: Path) -> None:
+    """The recording of a live run over a second of simulated flight."""
+    with tempfile.TemporaryDirectory() as spare:
+        log, out = Path(spare) / "log", Path(spare) / "out"
+        flight(log)
+        _done(["live", str(log), "--speed", "0.5", "--out", str(out)])
+        folder.mkdir(parents=True)
+        shutil.copy(out / "recording.mcap", folder)
+
+
+def evaluated(folder: Path) -> None:
+    """A run and the truth of its flight, without the pictures of both."""
+    flight(folder / "flight")
+    _done(["run", str(folder / "flight"), "--out", str(folder / "run")])
+
+
+def scene(folder: Path) -> None:
+    """A scene file of a short flight."""
+    folder.mkdir(parents=True)
+    text = (Path(alight_sim.__file__).parent / "scenes" / "demo.yaml").read_text(encoding="utf-8")
+    more = "rig: {cameras: [{resolution: [160, 120]}]}\nimaging: {rate_hz: 10}\n"
+    (folder / "scene.yaml").write_text(text.replace("duration: 6", "duration: 0.3") + more, encoding="utf-8")
+
+
+def model(folder: Path) -> None:
+    """The package's own model of what ground looks like."""
+    folder.mkdir(parents=True)
+    shutil.copy(table_path("appearance"), folder / "model.npz")
+
+
+def campaign(folder: Path) -> None:
+    """Two campaigns of three landings that were given up, and are not flown."""
+    fixed = {"seed": 0, "scene": "lake", "world_seed": 1, "flight_seed": 2, "heading": 0.1, "wind": [1, 2],
+             "gusts": 0.1, "gps_sigma": [1, 1, 2], "gps_tau": 30}  # fmt: skip
+    look = {"t": 1.5, "place": [0, 0, 0], "height": 15, "verdict": "candidate", "p_safe": 0.6, "doubt": "relief"}
+    step = {"t": 2.0, "before": "search", "event": "found", "after": "approach", "reason": "found", "p_safe": 0.6}
+    lines = [
+        {"conditions": {"landing": k, **fixed}, "outcome": "rightly refused", "why": "no site", "state": "return",
+         "looks": [look], "transitions": [step], "p_found": 0.6, "seconds": 60.0, "safe_share": 0.1}
+        for k in range(3)
+    ]  # fmt: skip
+    head = {
+        "alight": alight.__version__,
+        "seed": 0,
+        "scenes": ["lake"],
+        "landings": 3,
+        "settings": Settings().model_dump(mode="json"),
+    }
+    for name in ("one", "two"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "campaign.json").write_text(json.dumps(head), encoding="utf-8")
+        (folder / name / "landings.jsonl").write_text("".join(json.dumps(x) + "\n" for x in lines), encoding="utf-8")
+
+
+def _done(words: list[str]) -> None:
+    if call(words):
+        raise SystemExit(f"alight {' '.join(words)} failed")
+
+
 TAG_VALUES = (*(n for n in NUMBERS if "\u00e9" not in n), "50;1,2,3", "+91.00", "1/0", "-9999999")
-INPUTS: dict[str, Callable[[Path], None]] = {"noise": noise, "flight": flight, "dem": dem, "photos": photos}
+INPUTS: dict[str, Callable[[Path], None]] = {
+    "noise": noise, "flight": flight, "dem": dem, "photos": photos, "recording": recording, "evaluated": evaluated,
+    "checked": flight, "scene": scene, "model": model, "campaign": campaign,
+}  # fmt: skip

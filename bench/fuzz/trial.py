@@ -18,6 +18,7 @@ import alight.cli
 import alight.runner.judge
 import alight.runner.replay  # imported once: every trial is a fork of this process
 
+PATIENCE = 30  # times the limit of processor time, by the clock: other processes want the processor, too
 MEMORY = 6 * 2**30  # bytes of address space, beyond which a trial may not ask for more
 
 
@@ -31,14 +32,43 @@ class Outcome:
     said: str
 
 
+@dataclass(frozen=True)
+class Command:
+    """What is tried on an input: the words, with {} for its folder, and which answers are allowed."""
+
+    words: tuple[str, ...]
+    out: bool = True  # takes --out
+    keys: str = "settings"  # what `--set` takes; none: ""
+    codes: tuple[int, ...] = (0,)  # beside 2 with one line
+    begins: tuple[str, ...] = ("SITE", "NO SITE")  # the answer on stdout
+    only: str = ""  # of the input's files, that are damaged
+
+
+COMMANDS = {
+    "noise": Command(("run", "{}")),
+    "flight": Command(("run", "{}")),
+    "photos": Command(("run", "{}")),
+    "recording": Command(("run", "{}/recording.mcap")),
+    "dem": Command(("hazards", "{}/dem.tif")),
+    "evaluated": Command(("evaluate", "{}/run", "--truth", "{}/flight"), out=False, keys="", begins=("",)),
+    "checked": Command(("check", "{}"), out=False, codes=(0, 3), begins=("",)),
+    "scene": Command(("simulate", "{}/scene.yaml"), keys="scene", begins=("flight:",)),
+    "model": Command(("terrain", "test", "--model", "{}/model.npz"), out=False, keys="", begins=("",)),
+    "campaign": Command(
+        ("campaign", "--out", "{}/one", "--compare", "{}/two"), out=False, keys="", begins=("",), only="two"
+    ),  # a damaged "one" is mended by flying: minutes
+}
+
+
 def command(kind: str, folder: Path, out: Path, damages: list[Damage]) -> list[str]:
     """The command for an input."""
-    name = ["hazards", str(folder / "dem.tif")] if kind == "dem" else ["run", str(folder)]
+    asked = COMMANDS[kind]
     sets = [part for d in damages if d.kind == "set" for part in ("--set", f"{d.file}={d.what}")]
-    return [*name, "--out", str(out), *sets]
+    where = ["--out", str(out)] if asked.out else []
+    return [*(w.replace("{}", str(folder)) for w in asked.words), *where, *sets]
 
 
-def run(arguments: list[str], limit: float) -> Outcome:
+def run(kind: str, arguments: list[str], limit: float) -> Outcome:
     """Run a command in a child with a limit of processor time in seconds."""
     with tempfile.TemporaryDirectory() as spare:
         streams = [Path(spare) / name for name in ("out", "err")]
@@ -46,10 +76,10 @@ def run(arguments: list[str], limit: float) -> Outcome:
         child = os.fork()
         if child == 0:
             _child(arguments, streams, limit)
-        status, used = _wait(child, start, 5 * limit)
+        status, used = _wait(child, start, PATIENCE * limit)
         out, err = (p.read_text(encoding="utf-8", errors="replace") if p.exists() else "" for p in streams)
     seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
-    return Outcome(_fault(status, out, err), seconds, megabytes, (out + err)[-3000:])
+    return Outcome(_fault(COMMANDS[kind], status, out, err), seconds, megabytes, (out + err)[-3000:])
 
 
 def _child(arguments: list[str], streams: list[Path], limit: float) -> None:
@@ -80,8 +110,8 @@ def _wait(child: int, start: float, limit: float) -> tuple[int, resource.struct_
         time.sleep(0.02)
 
 
-def _fault(status: int, out: str, err: str) -> str | None:
-    """What is wrong with an answer; None: it is a site, none with a reason, or one line that says what to mend."""
+def _fault(asked: Command, status: int, out: str, err: str) -> str | None:
+    """What is wrong with an answer; None: it is one of those promised, or one line that says what to mend."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
         return "too slow" if number in (signal.SIGXCPU, signal.SIGKILL) else f"ended by signal {number}"
@@ -89,8 +119,8 @@ def _fault(status: int, out: str, err: str) -> str | None:
     if "Traceback" in err:
         last = [line for line in err.splitlines() if line and not line.startswith(" ")]
         return f"traceback: {last[-1][:200]}"
-    if code == 0:
-        if not out.startswith(("SITE", "NO SITE")):
+    if code in asked.codes:
+        if not out.startswith(asked.begins):
             return "no answer"
         return f"could not be made: {err[-200:]}" if "could not be made" in err else None
     if code != 2:

@@ -9,6 +9,7 @@ import os
 import shutil
 import stat
 import tempfile
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
@@ -105,7 +106,11 @@ def cache_folder(name: str) -> Path | None:
 
 
 def mend_threads() -> None:
-    """Take a number of threads out of the environment that the compiler would refuse or no machine has."""
+    """Take a number of threads out of the environment that the compiler would refuse or no machine has.
+
+    Where /dev/shm is missing or read-only, numba warns at length of a lock that only concurrent imports need: not here.
+    """
+    warnings.filterwarnings("ignore", message="Could not obtain multiprocessing lock")
     given = os.environ.get(THREADS)
     if given is None:
         return

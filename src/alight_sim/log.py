@@ -24,6 +24,7 @@ from alight_sim.flight import SimulatedFlight
 EARTH_RADIUS = 6371008.8  # metres, mean
 BAND = 512  # rows of a raster at a time: a multiple of its tiles
 JPEG_QUALITY = 90  # what small cameras write
+LEAST_BYTES = {"jpg": 0.1, "png": 0.5}  # of a pixel on the disk: plain ground in haze
 NAV_COLUMNS = (
     "timestamp,latitude,longitude,height,q_w,q_x,q_y,q_z,v_e,v_n,v_u,w_x,w_y,w_z,"
     "sigma_e,sigma_n,sigma_u,sigma_roll,sigma_pitch,sigma_yaw,sigma_ve,sigma_vn,sigma_vu"
@@ -55,10 +56,11 @@ def write(
     """Write the flight as a folder, whole or not at all: it gets its name when everything is in it.
 
     Raises:
-        OutputError: the folder exists and is not empty (and not `overwrite` of a simulated flight), or cannot be
-            written.
+        OutputError: the folder exists and is not empty (and not `overwrite` of a simulated flight), cannot be
+            written, or the images alone need more than is free on the disk.
     """
     _refuse(out, overwrite)
+    _refuse_too_large(flight, out, image)
     part = out.with_name(f".{out.name}.tmp")
     try:
         shutil.rmtree(part, ignore_errors=True)
@@ -81,6 +83,18 @@ def _refuse(out: Path, overwrite: bool) -> None:
     simulated = (out / "truth" / "scene.yaml").is_file()
     if not (overwrite and simulated):
         raise OutputError(f"{out}: exists already; choose another folder with --out")
+
+
+def _refuse_too_large(flight: SimulatedFlight, out: Path, image: str) -> None:
+    """Refuse a flight whose images cannot have room, before the first of them is drawn."""
+    pixels = sum(c.camera.width * c.camera.height for c in flight.rig.cameras)
+    needed = LEAST_BYTES[image] * flight.length * pixels
+    there = next((p for p in (out, *out.resolve().parents) if p.is_dir()), Path("/"))
+    if needed > (free := shutil.disk_usage(there).free):
+        raise OutputError(
+            f"{out}: {flight.length:,} exposures need {needed / 1e9:,.1f} GB or more, and {free / 1e9:,.1f} GB are "
+            "free; shorten flight.duration, lower imaging.rate_hz, choose smaller images or another folder with --out"
+        )
 
 
 # -- calibration

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,6 +17,7 @@ from alight_sim.section import Section
 Height = Callable[[float, float], float]
 COLOURS = ((0.75, 0.75, 0.74), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.40, 0.04, 0.03), (0.05, 0.09, 0.25))
 CABIN = (0.55, 0.86, 0.42)  # of the length, the width and the height: the glass house on the body
+Coordinate = Annotated[float, Field(ge=-20_000.0, le=20_000.0)]
 NODE = 1.0  # metres along the path between the heights of the ground that a car rides on
 
 
@@ -30,7 +31,9 @@ class Moving(Protocol):
 class Traffic(Section):
     """Cars that follow each other on one line."""
 
-    path: tuple[tuple[float, float], ...] = Field(min_length=2, description="east and north of its corners, metres")
+    path: tuple[tuple[Coordinate, Coordinate], ...] = Field(
+        min_length=2, description="east and north of its corners, metres"
+    )
     speed: float = Field(8.0, description="m/s; negative: from the end to the start")
     size: tuple[float, float, float] = Field((4.4, 1.8, 1.5), description="length, width, height, metres")
     colour: tuple[float, float, float] | None = Field(None, description="linear RGB; none: each car its own")

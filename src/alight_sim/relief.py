@@ -21,7 +21,7 @@ class FractalRelief(Section):
 
     height: float = Field(0.4, ge=0.0, le=200.0, description="metres, standard deviation")
     longest: float = Field(40.0, gt=0.0, le=5000.0, description="metres, longest wavelength")
-    shortest: float = Field(4.0, gt=0.0, description="metres, shortest wavelength")
+    shortest: float = Field(4.0, ge=0.01, description="metres, shortest wavelength")
     fall: float = Field(1.5, ge=0.0, le=4.0, description="amplitude goes with wavelength to this power: 0 is jagged")
     form: Literal["hills", "ridges", "dunes"] = Field("hills", description="hills | ridges (creased) | dunes (long)")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -39,13 +39,16 @@ class Transform(Section):
         return Pose(R, M[:3, 3]) if np.abs(R @ R.T - np.eye(3)).max() < 1e-12 else Pose.from_matrix(M)
 
 
+Pixels = Annotated[int, Field(ge=1, le=12_000)]
+
+
 class CameraModel(Section):
     """One camera: a sensor.yaml may be pasted here; or say where it sits, how it is tilted and its field of view."""
 
     sensor_type: Literal["camera"] = Field("camera", description="as in sensor.yaml")
     comment: str = Field("", description="for people")
     rate_hz: float | None = Field(None, description="as in sensor.yaml; imaging.rate_hz is what counts")
-    resolution: tuple[int, int] = Field((640, 480), description="[width, height] pixels")
+    resolution: tuple[Pixels, Pixels] = Field((640, 480), description="[width, height] pixels")
     camera_model: Literal["pinhole"] = Field("pinhole", description="as in sensor.yaml")
     intrinsics: tuple[float, float, float, float] | None = Field(None, description="[fu, fv, cu, cv] pixels")
     field_deg: float = Field(67.0, gt=1, lt=170, description="degrees across the image, where intrinsics are not given")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -46,10 +46,13 @@ class Origin(Section):
         return LocalFrame(self.latitude, self.longitude, self.height)
 
 
+Side = Annotated[float, Field(gt=0.0, le=20_000.0)]
+
+
 class SceneGround(Section):
     """What the world is made of: relief first, then the layers in their order; or a raster of your own."""
 
-    size: tuple[float, float] = Field((120.0, 120.0), description="[east, north] metres about the origin, with truth")
+    size: tuple[Side, Side] = Field((120.0, 120.0), description="[east, north] metres about the origin, with truth")
     cell: float = Field(0.1, ge=0.05, le=0.2, description="metres")
     cover: CoverName = Field("short_grass", description="class of the ground where no layer says otherwise")
     look: LookName = Field(Look.BY_CLASS, description="look of that ground; without it that of its class")

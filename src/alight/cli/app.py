@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -179,12 +180,21 @@ def _exit_code(arguments: Sequence[str] | None) -> int:
 
 
 def _smaller(arguments: Sequence[str] | None) -> str:
-    """What makes a command need less memory."""
+    """What makes a command need less memory: first what the user set himself."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    given = [w for option, w in pairwise(words) if option == "--set"]
+    given += [w.removeprefix("--set=") for w in words if w.startswith("--set=")]
+    if given:
+        return f"take back what makes it large among {', '.join(g[:60] for g in given)}, or {_usual(words)}"
+    return _usual(words)
+
+
+def _usual(words: Sequence[str]) -> str:
+    """What makes a command without settings need less memory."""
     command = next((w for w in words if not w.startswith("-")), "")
     advice = {
         "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
-        "simulate": "choose smaller images or a lower rate in the scene",
+        "simulate": "choose smaller images, a lower rate or a smaller ground in the scene",
         "terrain": "give fewer or smaller pictures",
         "evaluate": "give a smaller run",
         "check": "read less with --seconds",

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
-from rasterio.errors import RasterioError
 from scipy.ndimage import distance_transform_edt
 
 from alight.arrays import F64
 from alight.evaluation.report import Evaluation, nmad, rms
 from alight.geometry import Grid, so3_log
-from alight.outputs import Run
+from alight.outputs import Run, read_bands
 from alight.raster import clearance_of, gradient
 from alight.records import Flag, Hazard, InputError, Terrain
 from alight.settings import Lander, Settings
@@ -47,15 +45,11 @@ class FlightTruth:
         return safe_mask(self.dem, self.label, self.grid.cell, foot).astype(np.uint8)
 
 
-def _raster(path: Path) -> tuple[NDArray[Any], Grid]:
+def _raster(path: Path, kinds: str) -> tuple[NDArray[Any], Grid]:
     if not path.exists():
         raise InputError(f"{path}: missing; --truth takes a flight with truth/dem.tif and truth/class.tif")
-    try:
-        with rasterio.open(path) as d:
-            t = d.transform
-            return d.read(1), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
-    except RasterioError as e:
-        raise InputError(f"{path}: not a readable raster; copy it again") from e
+    bands, grid = read_bands(path, 1, kinds, "copy it again")
+    return bands[0], grid
 
 
 def read_flight_truth(folder: Path) -> FlightTruth:
@@ -64,7 +58,9 @@ def read_flight_truth(folder: Path) -> FlightTruth:
     Raises:
         InputError: one is missing, unreadable, or the two are not on one grid.
     """
-    (dem, grid), (label, same) = _raster(folder / "truth" / "dem.tif"), _raster(folder / "truth" / "class.tif")
+    (dem, grid), (label, same) = (
+        _raster(folder / "truth" / f"{name}.tif", kinds) for name, kinds in (("dem", "fiu"), ("class", "u"))
+    )
     if grid != same:
         raise InputError(f"{folder / 'truth'}: dem.tif and class.tif are not on one grid; make them anew")
     return FlightTruth(dem.astype(np.float32), label, grid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,15 @@ from alight.records import Flag, InputError
 from alight.sources import read_tum
 
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
-REFERENCE = ("origin_llh", "points_enu", "points_track", "points_err", "centers_enu")
-SLAB = ("points", "inlier")
+# names and shapes: -1 is the number of points, -2 that of the photos
+REFERENCE = {
+    "origin_llh": (3,),
+    "points_enu": (-1, 3),
+    "points_track": (-1,),
+    "points_err": (-1,),
+    "centers_enu": (-2, 3),
+}
+SLAB = {"points": (-1, 3), "inlier": (-1,)}
 FAR = 20_000.0  # metres between the origins of a run and of its reference, at most
 BAD_SHARE = 0.01  # of the height above ground
 
@@ -90,17 +98,25 @@ def against_photos(run: Run, folder: Path) -> Evaluation:
     return out
 
 
-def read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+def read_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray[Any]]:
     """Named arrays of an .npz file.
 
     Raises:
-        InputError: it cannot be read, or lacks one of them.
+        InputError: it cannot be read, lacks one of them, or one has another shape or holds what is no number.
     """
     try:
         arrays = arrays_of(read_bytes(path, LARGEST_REFERENCE), largest=LARGEST_REFERENCE)
-        return {name: arrays[name] for name in names}
+        found, sizes = {name: arrays[name] for name in shapes}, dict[int, int]()
+        for name, shape in shapes.items():
+            values = found[name]
+            lengths = tuple(
+                sizes.setdefault(n, own) if n < 0 else n for n, own in zip(shape, values.shape, strict=True)
+            )
+            if values.shape != lengths or values.dtype.kind not in "fiub":
+                raise ValueError(f"{name} is of another shape")
+        return found
     except (OSError, ValueError, KeyError) as e:
-        raise InputError(f"{path}: not a reference with the arrays {', '.join(names)}; copy it again") from e
+        raise InputError(f"{path}: not a reference with the arrays {', '.join(shapes)}; copy it again") from e
 
 
 def _heights(run: Run, points: F64, out: Evaluation) -> None:

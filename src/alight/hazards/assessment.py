@@ -19,7 +19,7 @@ from alight.hazards.factors import Evidence, evidence_of, factors_of
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma
 from alight.hazards.usable_heights import smoothed_height, usable_height
 from alight.raster import block_quantile, clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share, upsample
-from alight.records import ElevationMap, Flag, Hazard, HazardMap, TerrainMap
+from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 ROUNDING = 1e-4  # of a share
@@ -178,7 +178,13 @@ def evidence(
     return evidence_of(elevation, terrain, tilt, found.shape, lander), reasons
 
 
-def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings) -> HazardMap:
+def assess(
+    elevation: ElevationMap,
+    terrain: TerrainMap | None,
+    lander: Lander,
+    settings: HazardsSettings,
+    missing: MissingVeto = NOTHING_MISSING,
+) -> HazardMap:
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
     The footprint is every cell whose centre lies within the lander's radius. Unknown ground is never safe.
@@ -188,6 +194,7 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
         terrain: classes, which may refuse and never permit; None for none.
         lander: its shape and its limits.
         settings: how strict.
+        missing: what could have refused ground, and was not there.
 
     Raises:
         ValueError: the two maps do not share a grid.
@@ -195,7 +202,9 @@ def assess(elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, 
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
-    f = factors_of(elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings)
+    f = factors_of(
+        elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing
+    )
     judged = ~(found.edge | found.unknown)
     relief, obstacle, ground = (np.where(judged, v, np.float32(np.nan)) for v in (f.relief, f.obstacle, f.ground))
     p = np.where(judged & (reasons != 0), np.float32(0), relief * obstacle * ground)

@@ -13,7 +13,7 @@ from alight.hazards.detection import Detection, read_detection
 from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms, pictured, sampled
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.learned import read_rate
-from alight.records import ElevationMap, Terrain, TerrainMap
+from alight.records import ElevationMap, MissingVeto, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 FOUND = 0.95  # the chance with which `resolved` would have been found
@@ -100,6 +100,7 @@ def factors_of(
     shape: FootprintShape,
     lander: Lander,
     settings: HazardsSettings,
+    missing: MissingVeto,
 ) -> SafetyFactors:
     """From the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
     cell = elevation.grid.cell
@@ -114,13 +115,19 @@ def factors_of(
     rest = found.unseen * usual
     expected = found.blended(far[0] + np.maximum(found.hidden * far[1], rest), near[0] + rest)
     wet = found.blended(far[2], near[1]) + _unlike_dry_ground(terrain, found.discs, settings)
-    if terrain is not None and not terrain.coloured:
-        wet = wet + np.float32(settings.grey_hazard)
+    wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
     sampling, pixel = sampled(elevation), pictured(elevation)
     enough = pixel_that_settles(curves, lander, settings)
     settles_at = _settles_at((found.tilt, obstacle, ground), tilt, pixel, enough, lander, settings)
     return SafetyFactors(found.tilt, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
+
+
+def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:
+    """Hazards expected of every footprint because a veto is missing."""
+    grey = settings.grey_hazard if terrain is not None and not terrain.coloured else 0.0
+    alone = settings.one_camera_hazard if MissingVeto.SECOND_CAMERA in missing else 0.0
+    return grey + alone + (settings.no_attitude_hazard if MissingVeto.ATTITUDE in missing else 0.0)
 
 
 def _density(terrain: TerrainMap | None, shape: tuple[int, int], discs: Discs, settings: HazardsSettings) -> F32:

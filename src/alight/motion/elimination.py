@@ -65,9 +65,15 @@ class PoseConstraint:
         return out
 
     def mahalanobis(self, P: F64) -> F64:
-        """(N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses."""
+        """(N,) squared Mahalanobis distance of each feature, given the (6K, 6K) covariance `P` of the poses.
+
+        Infinite for all of them where `P` is so far out of range that no inverse can be computed: none passes a gate.
+        """
         out = np.empty(len(self.b))
-        pose_distances(self.A, self.V, self.b, self.misfit, np.ascontiguousarray(P), out)
+        try:
+            pose_distances(self.A, self.V, self.b, self.misfit, np.ascontiguousarray(P), out)
+        except np.linalg.LinAlgError:
+            out[:] = np.inf
         return out
 
 

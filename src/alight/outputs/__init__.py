@@ -3,7 +3,7 @@
 from alight.outputs.file_store import FileStore
 from alight.outputs.folder import FILES, is_finished, prepare_folder, timing_summary, write_run
 from alight.outputs.rasters import ellipsoidal_height, world_up
-from alight.outputs.reading import Run, read_run
+from alight.outputs.reading import Run, read_bands, read_run
 from alight.outputs.work_folder import WorkFolder
 from alight.records import RunResult
 
@@ -16,6 +16,7 @@ __all__ = [
     "ellipsoidal_height",
     "is_finished",
     "prepare_folder",
+    "read_bands",
     "read_run",
     "timing_summary",
     "world_up",

@@ -66,3 +66,6 @@ def release_all() -> None:
         with suppress(OSError):
             if {p.name for p in folder.iterdir()} <= {LOCK}:
                 release_folder(folder)
+        if (file := _held.pop(folder, None)) is not None:
+            with suppress(OSError):
+                file.close()

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
+from pydantic import BaseModel, FiniteFloat, ValidationError
 from rasterio.errors import RasterioError
 
 from alight.arrays import F32, U8, U16
@@ -17,6 +18,8 @@ from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
 from alight.records import InputError
 from alight.settings import Settings, settings_of_run
+
+AGAIN = "run again to write it anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +49,97 @@ class Run:
         return settings_of_run(self.info["settings"])
 
 
-def _bands(path: Path) -> tuple[NDArray[Any], Grid] | None:
-    if not path.exists():
-        return None
+# bands of a run's rasters, and the kind of their numbers: floating, unsigned
+RASTERS = {
+    "dem": (2, "f"),
+    "flags": (1, "u"),
+    "terrain": (1, "u"),
+    "safe": (1, "f"),
+    "reasons": (1, "u"),
+    "ortho": (3, "u"),
+}
+MOST_CELLS = 500_000_000  # of a raster, all bands
+
+
+class _Place(BaseModel):
+    east_m: FiniteFloat
+    north_m: FiniteFloat
+
+
+class _Answer(BaseModel):
+    sites: list[_Place]
+    candidates: list[_Place] = []  # version 0.1.0 lists none
+
+
+_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class _CommonError(BaseModel):
+    centre_m: tuple[FiniteFloat, FiniteFloat]
+    covariance: tuple[_Row, _Row, _Row]
+
+
+class _RunJson(BaseModel):
+    """What is read of run.json."""
+
+    answer: _Answer
+    height_above_ground_m: FiniteFloat | None = None
+    common_error: _CommonError | None = None
+    settings: dict[str, Any] = {}
+
+
+def _checked(info: Any) -> dict[str, Any]:
+    """run.json, once all that is read of it is there.
+
+    Raises:
+        InputError: with the first key that is damaged.
+    """
+    try:
+        _RunJson.model_validate(info)
+    except ValidationError as e:
+        first = e.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{RUN_JSON}: {key or 'it'} is damaged ({first['msg'].lower()}); {AGAIN}") from e
+    return dict(info)
+
+
+def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[Any], Grid]:
+    """All bands (B, R, C) of a raster of Alight's own, and where its cells are.
+
+    Args:
+        least: bands that it must have.
+        kinds: of numbers that it may hold, as NumPy's letters.
+        mend: what to do about a damaged one.
+
+    Raises:
+        InputError: it cannot be read, has too few bands, other numbers, or cells that are not square with north up.
+    """
     try:
         with rasterio.open(path) as d:
             t = d.transform
+            square = t.b == t.d == 0 and 1e-4 <= t.a <= 1e4 and abs(t.a + t.e) <= 1e-6 * t.a
+            kind = np.dtype(d.dtypes[0]).kind
+            if d.count < least or d.count * d.height * d.width > MOST_CELLS or not square or kind not in kinds:
+                raise InputError(
+                    f"{path}: {d.count} band(s) of {d.width} x {d.height} cells of {t.a:g} x {-t.e:g} m as "
+                    f"{d.dtypes[0]}; it needs {least} of square cells with north up, of its own type; {mend}"
+                )
             return d.read(), Grid(t.c + t.a / 2, t.f + t.e / 2, t.a, d.height, d.width)
     except RasterioError as e:
-        raise InputError(f"{path}: not a readable raster; run again to write it anew") from e
+        raise InputError(f"{path}: not a readable raster; {mend}") from e
+
+
+def _bands(folder: Path) -> tuple[dict[str, NDArray[Any]], Grid | None]:
+    """The bands of every raster of a run by its name, and their one grid."""
+    found: dict[str, NDArray[Any]] = {}
+    grid: Grid | None = None
+    for name, (least, kind) in RASTERS.items():
+        path = folder / f"{name}.tif"
+        if path.exists():
+            found[name], its = read_bands(path, least, kind, AGAIN)
+            if its != (grid := grid or its):
+                raise InputError(f"{path}: not on the grid of the run's other rasters; {AGAIN}")
+    return found, grid
 
 
 def _local(info: dict[str, Any]) -> LocalFrame | None:
@@ -73,16 +158,14 @@ def read_run(folder: Path) -> Run:
     """
     if not is_run(folder):
         raise InputError(f"{folder}: no finished run here (no run.json of Alight); name the folder given to --out")
-    info = parse_json(read_text(folder / RUN_JSON, LARGEST_JSON))
-    rasters = {name: _bands(folder / f"{name}.tif") for name in ("dem", "flags", "terrain", "safe", "reasons", "ortho")}
-    grid = next((r[1] for r in rasters.values() if r), None)
-    bands = {name: None if r is None else r[0] for name, r in rasters.items()}
+    info = _checked(parse_json(read_text(folder / RUN_JSON, LARGEST_JSON)))
+    bands, grid = _bands(folder)
 
     def only(name: str, band: int = 0) -> Any:
-        found = bands[name]
+        found = bands.get(name)
         return None if found is None else found[band]
 
-    rgb = bands["ortho"]
+    rgb = bands.get("ortho")
     return Run(
         folder=folder,
         info=info,
@@ -94,5 +177,5 @@ def read_run(folder: Path) -> Run:
         terrain=only("terrain"),
         safe=only("safe"),
         reasons=only("reasons"),
-        ortho=None if rgb is None else np.moveaxis(rgb, 0, 2),
+        ortho=None if rgb is None else np.moveaxis(rgb[:3], 0, 2),
     )

@@ -46,6 +46,7 @@ HEAD = "alight"  # name of the metadata record
 ENCODINGS = {CAMERAS: "alight.frame", NAV: "json", IMU: "json", SCHEDULE: "json", NOTES: "json", MOTION: "json",
              SITES: "json", TELEMETRY: "json", ORDERS: "json", LANDING: "json"}  # fmt: skip
 SYNC = 0.5  # s between two times that the file is given to the disk
+_LATEST = 2**63 - 1  # ns
 WAITING_MB = 256  # that may wait for the disk
 
 Message = tuple[str, int, "list[bytes | memoryview]"]  # topic, stamp in ns, parts
@@ -197,7 +198,8 @@ class Recorder:
             try:
                 if message is not None:
                     topic, t_ns, parts = message
-                    self._writer.add_message(self._channels[topic], time.time_ns(), b"".join(parts), t_ns, number)
+                    stamp = min(max(t_ns, 0), _LATEST)  # MCAP's are unsigned; the message has its own
+                    self._writer.add_message(self._channels[topic], time.time_ns(), b"".join(parts), stamp, number)
                     number += 1
                 if time.monotonic() - synced > SYNC:
                     self._file.flush()

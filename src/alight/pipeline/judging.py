@@ -16,7 +16,7 @@ from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
-from alight.records import ElevationMap, Flag, HazardMap, NextView, Sites, TerrainMap
+from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, MissingVeto, NextView, Sites, TerrainMap
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
@@ -26,6 +26,16 @@ GREY = (
     "the pictures are grey: no colour can refuse water, plants or buildings, so fewer are recognised and P(safe) is "
     "lower; give colour pictures"
 )
+MISSING = {
+    MissingVeto.SECOND_CAMERA: (
+        "one camera sees the ground: no two pictures of one moment tell what moves (water, swaying plants), so P(safe) "
+        "is lower; a second camera would tell"
+    ),
+    MissingVeto.ATTITUDE: (
+        "attitude was measured neither by a gimbal nor by GPS/INS: how level the map is rests on positions and "
+        "gravity, so P(safe) is lower; give attitudes"
+    ),
+}
 NO_COVER = "the kind of ground is not judged (terrain.enabled=false): nothing refuses water, plants or buildings"
 
 
@@ -38,13 +48,13 @@ class Verdict:
     danger: HazardMap
     sites: Sites
     frame: MapFrame  # of the map, with what is known of its place in the world
+    missing: MissingVeto = NOTHING_MISSING
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Evidence that the verdict had to do without."""
-        if self.cover is None:
-            return (NO_COVER,)
-        return () if self.cover.coloured else (GREY,)
+        about = (NO_COVER,) if self.cover is None else () if self.cover.coloured else (GREY,)
+        return about + tuple(words for veto, words in MISSING.items() if veto in self.missing)
 
     @property
     def look(self) -> NextView | None:
@@ -118,7 +128,7 @@ class JudgingLane:
             with self._timings.of("terrain"):
                 cover = land_cover(elevation, s.terrain, self._appearance)
         with self._timings.of("hazards"):
-            danger = hazards.assess(elevation, cover, s.lander, s.hazards)
+            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
             self._keep(chosen, danger, frame)
@@ -128,6 +138,7 @@ class JudgingLane:
             frame.on_grid(danger),
             frame.sites(chosen),
             frame,
+            seen.missing,
         )
 
     def _follow(self, frame: MapFrame) -> None:

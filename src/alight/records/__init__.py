@@ -13,11 +13,13 @@ from alight.records.result import RunResult
 from alight.records.schedule import Schedule
 from alight.records.surface import (
     LANDABLE,
+    NOTHING_MISSING,
     REFUSED,
     Datum,
     ElevationMap,
     Flag,
     Heights,
+    MissingVeto,
     PlaceSigma,
     Terrain,
     TerrainMap,
@@ -40,6 +42,7 @@ from alight.records.telemetry import (
 __all__ = [
     "FIX_3D",
     "LANDABLE",
+    "NOTHING_MISSING",
     "PHOTO_COLUMNS",
     "REFUSED",
     "AlightError",
@@ -62,6 +65,7 @@ __all__ = [
     "Kind",
     "Landed",
     "MissingExtraError",
+    "MissingVeto",
     "Motion",
     "MotionState",
     "NavSample",

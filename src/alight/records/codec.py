@@ -24,7 +24,7 @@ CAMERAS, NAV, IMU = "/cameras", "/nav", "/imu"  # topics of what came in
 SCHEDULE, NOTES, MOTION, SITES = "/schedule", "/notes", "/motion", "/sites"  # and of what was done
 TELEMETRY, ORDERS, LANDING = "/telemetry", "/orders", "/landing"  # and of a landing that was flown
 _HEAD = struct.Struct("<I")
-_DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError)
+_DAMAGED = (ValueError, KeyError, TypeError, struct.error, AttributeError, OverflowError, RecursionError)
 
 
 @dataclass(frozen=True, eq=False)

@@ -97,3 +97,9 @@ class Prediction:
     world_from_cams: tuple[Pose, ...]
     earlier: tuple[Pose, ...] | None = None  # world_from_cam at the exposure before; None: no longer known
     covariance: F64 | None = None  # (6, 6) of earlier points in camera 0 now: turned by [rad], then moved by [m]
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether no number of it has run out of range."""
+        known = [p.matrix for p in (*self.world_from_cams, *(self.earlier or ()))]
+        return all(np.isfinite(a).all() for a in (*known, *(() if self.covariance is None else (self.covariance,))))

@@ -63,6 +63,16 @@ class Flag(IntFlag):
     WATER = 1024  # water: what was matched is the bed, below the surface
 
 
+class MissingVeto(IntFlag):
+    """What could have refused ground, and was not there, beside colour (`TerrainMap.coloured`)."""
+
+    SECOND_CAMERA = 1  # no two views of one moment: nothing tells what moves (`Flag.MOVING`)
+    ATTITUDE = 2  # no attitude was measured: nothing tells whether the map is level
+
+
+NOTHING_MISSING = MissingVeto(0)
+
+
 # a height that carries one of these is not given out (NaN in dem.tif)
 REFUSED = (
     Flag.UNSEEN

@@ -8,7 +8,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from alight.settings.base import Finite, Fraction, FrozenModel, Incline, NonNegative, Offset, Positive, Vehicle
+from alight.settings.base import (
+    Finite,
+    Fraction,
+    FrozenModel,
+    Incline,
+    NonNegative,
+    Offset,
+    Part,
+    Positive,
+    Seconds,
+    Vehicle,
+)
 
 
 class SourcesKeys(FrozenModel):
@@ -32,7 +43,7 @@ class FilterKeys(FrozenModel):
     time_offset: Finite = Field(
         0.0, description="Known time by which the camera stamps are ahead of the GPS/INS and IMU clock, s"
     )
-    time_offset_sigma: NonNegative = Field(0.0, description="1-sigma of that time, s; 0: it is known exactly")
+    time_offset_sigma: Seconds = Field(0.0, description="1-sigma of that time, s; 0: it is known exactly")
 
 
 class BundleKeys(FrozenModel):
@@ -146,7 +157,7 @@ class Lander(FrozenModel):
     feet: tuple[tuple[Offset, Offset], ...] | None = Field(
         None, description="Position (forward, left) of each foot from the centre, m; null: no feet"
     )
-    foot_radius: NonNegative = Field(0.0, le=100.0, description="Radius of a foot, m")
+    foot_radius: Part = Field(0.0, description="Radius of a foot, m")
     foot_contact: Literal["highest", "mean"] = Field(
         "highest", description="A foot stands on the highest ground under it, or sinks in to the mean"
     )

@@ -20,10 +20,11 @@ from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
 from alight.sources.source import Findings, RecordedSource, Trajectory
-from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory
+from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory, without_height
 from alight.sources.tables import read_names
 
 NOISE = (1e-9, 1e3)  # of an IMU, in the units of imu0/sensor.yaml
+FARTHEST = (100.0, 10.0)  # km that a flight may be from its origin, across and up: heights are single precision
 
 
 class CalibratedFolder(RecordedSource):
@@ -112,6 +113,13 @@ class FlightLog(CalibratedFolder):
     def __init__(self, root: Path, settings: Settings) -> None:
         super().__init__(root, settings)
         self._nav = read_nav(self._root, self._findings)
+        if self._nav is not None:
+            self._check_origin(self._nav)
+        if self._nav is not None and (low := without_height(self._nav)):
+            self._findings.say(
+                f"nav0: {low} rows have latitude and longitude, but no height, so they are no position; write metres "
+                "above the WGS84 ellipsoid"
+            )
         if self.georeferenced and self._nav is None:
             self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
         self._imu = read_imu(self._root, self._body_from_imu, self._findings)
@@ -133,6 +141,18 @@ class FlightLog(CalibratedFolder):
             self._frames(),
         ]
         return heapq.merge(*streams, key=lambda event: event.t_ns)  # ties in the order of this list
+
+    def _check_origin(self, nav: Table) -> None:
+        """Refuse an origin that is not that of this flight."""
+        place = nav.values[np.isfinite(nav.values[:, :3]).all(axis=1), :3]
+        if not len(place):
+            return
+        east, north, up = np.abs(np.median(self.local.to_enu(*place.T), axis=0)) / 1e3
+        if max(east, north) > FARTHEST[0] or up > FARTHEST[1]:
+            raise InputError(
+                f"{self._root / 'nav0' / 'sensor.yaml'}: origin is {np.hypot(east, north):,.0f} km away from the rows "
+                f"of nav0/data.csv and {up:,.1f} km above or below; write a place of this flight"
+            )
 
     def _read_exposures(self) -> list[Exposure]:
         streams = [self._images(c.name) for c in self.rig.cameras]

@@ -89,6 +89,12 @@ class PhotoTags:
     @property
     def position(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (degrees), altitude (metres as the maker counts them); None without a fix."""
+        place, altitude = self.place, self._altitude()
+        return None if place is None or altitude is None else (*place, altitude)
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude in degrees; None without a fix."""
         latitude = _angle(self.gps.get(Gps.GPSLatitude), self.gps.get(Gps.GPSLatitudeRef), "S")
         longitude = _angle(self.gps.get(Gps.GPSLongitude), self.gps.get(Gps.GPSLongitudeRef), "W")
         if latitude is None or longitude is None:
@@ -96,11 +102,10 @@ class PhotoTags:
             longitude = self.xmp_number("dji:GpsLongitude") or self.xmp_number(
                 "dji:GpsLongtitude"
             )  # DJI's own spelling
-        altitude = self._altitude()
-        if latitude is None or longitude is None or altitude is None:
+        if latitude is None or longitude is None:
             return None
         on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
-        return (latitude, longitude, altitude) if on_earth and (latitude, longitude) != (0, 0) else None
+        return (latitude, longitude) if on_earth and (latitude, longitude) != (0, 0) else None
 
     def _altitude(self) -> float | None:
         exif, absolute = finite(self.gps.get(Gps.GPSAltitude)), self.xmp_number("dji:AbsoluteAltitude")

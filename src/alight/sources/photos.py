@@ -249,8 +249,11 @@ class Photos(RecordedSource):
                 "without an RTK fix a drone's altitude may be above sea level, not the ellipsoid"
             )
         if missing := sum(p.position is None for p in photos):
+            low = sum(p.position is None and p.place is not None for p in photos)
+            but = f" ({low} of them lack the altitude alone: write GPSAltitude)" if low else ""
             self._findings.say(
-                f"{missing} of {len(photos)} photos have no GPS position: their place comes from the pictures alone"
+                f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the pictures "
+                "alone"
             )
         if kinds["flight"]:
             self._findings.say(

@@ -3,20 +3,93 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal
 
-from mcap.exceptions import McapError
+import numpy as np
 from mcap.records import Channel, Message, Metadata
 from mcap.stream_reader import StreamReader
 
 from alight.documents import parse_json
-from alight.records import Event, Frame, InputError, Schedule
+from alight.geometry import Pose
+from alight.records import Event, Frame, InputError, NavSample, Rig, Schedule
 from alight.records.codec import CAMERAS, IMU, NAV, NOTES, SCHEDULE, FlightHead, unpack
 from alight.settings import Settings
+from alight.sources.flight_log import NOISE
+from alight.sources.lens_bounds import why_no_lens
+from alight.sources.sensors import FARTHEST, HIGHEST
 from alight.sources.source import Findings, RecordedSource, Trajectory
+from alight.sources.streams import FASTEST, QUICKEST, SIGMAS, STRONGEST
+from alight.sources.tum import FAR
 
 HEAD = "alight"
+LATEST = 2**62  # ns
+BOUNDS = {  # shapes, and the largest number of each measurement
+    "position_world": ((3,), FAR), "world_from_body": ((3, 3), 1.001), "velocity_world": ((3,), FASTEST),
+    "angular_velocity_body": ((3,), QUICKEST), "specific_force_body": ((3,), STRONGEST),
+    "sigma_position": ((3,), SIGMAS[1]), "sigma_attitude": ((3,), SIGMAS[1]), "sigma_velocity": ((3,), SIGMAS[1]),
+}  # fmt: skip
+
+
+def why_unusable(event: Event, rig: Rig) -> str:
+    """What is wrong with an event out of a recording; empty: nothing."""
+    if not 0 <= event.t_ns < LATEST:
+        return "its time is out of range"
+    if isinstance(event, Frame):
+        sizes = [(c.camera.height, c.camera.width) for c in rig.cameras]
+        shapes = [None if image is None else np.shape(np.asarray(image)) for image in event.images]
+        fits = len(shapes) == len(sizes) and all(
+            shape is None or (shape[:2] == size and shape[2:] in ((), (3,)))
+            for shape, size in zip(shapes, sizes, strict=True)
+        )
+        return "" if fits else "its images are not those of the cameras"
+    for f in fields(event):
+        value = getattr(event, f.name)
+        if f.name == "t_ns" or (value is None and isinstance(event, NavSample)):
+            continue
+        shape, most = BOUNDS[f.name]
+        if value is None or value.shape != shape or not (np.abs(value) <= most).all():
+            return f"{f.name} is out of range"
+        if f.name.startswith("sigma") and (value < SIGMAS[0]).any():
+            return f"{f.name} is out of range"
+    R = event.world_from_body if isinstance(event, NavSample) else None
+    return "world_from_body is no rotation" if R is not None and np.abs(R @ R.T - np.eye(3)).max() > 1e-3 else ""
+
+
+def _check_head(head: FlightHead, path: Path) -> None:
+    """Refuse cameras, a place or a noise that are none."""
+    place, noise = head.local, head.imu_noise.stated().values()
+    try:
+        wrong = [why for c in head.rig.cameras if (why := why_no_lens(c.camera))]
+        wrong += [f"{c.name} is too far from the body" for c in head.rig.cameras if not _is_mounted(c.body_from_cam)]
+        if not (abs(place.latitude) < 90 and abs(place.longitude) <= 360 and abs(place.height) <= HIGHEST):
+            wrong.append("its origin is no place on Earth")
+        if not all(NOISE[0] <= v <= NOISE[1] for v in noise):
+            wrong.append("the noise of the IMU is out of range")
+    except TypeError as e:  # words where numbers belong
+        wrong = [str(e)]
+    if wrong or not head.rig.cameras:
+        raise InputError(f"{path}: its head is damaged ({(wrong or ['no camera'])[0]}); record again")
+
+
+def _schedule(entries: dict[str, list[Any]], kind: str, entry: Any) -> None:
+    """Take over an entry of the schedule, whole or not at all.
+
+    Raises:
+        ValueError, KeyError, TypeError, IndexError, OverflowError: it is damaged.
+    """
+    t_ns, value = int(entry["t_ns"]), int(entry["value"])
+    place = entry.get("about")  # recordings of before 2026-11-23 do not say
+    about = None if place is None else (float(place[0]), float(place[1]))
+    entries[kind].append(t_ns)
+    entries["effort"] += [value] * (kind == "mapped")
+    entries["about"] += [about] * (kind == "judged")
+
+
+def _is_mounted(pose: Pose) -> bool:
+    R = pose.rotation
+    return bool((np.abs(pose.translation) <= FARTHEST).all() and np.abs(R @ R.T - np.eye(3)).max() < 1e-3)
 
 
 class Recording(RecordedSource):
@@ -52,6 +125,8 @@ class Recording(RecordedSource):
                 continue
             try:
                 event = unpack(topic, data)
+                if why := why_unusable(event, self.rig):
+                    raise ValueError(why)
             except ValueError as e:
                 self._findings.lose(f"{topic[1:]} messages", f"in {self._path.name}", str(e))
                 continue
@@ -67,20 +142,18 @@ class Recording(RecordedSource):
         for topic, data in self._messages():
             if topic == HEAD:
                 head = FlightHead.from_json(data.decode())
+                _check_head(head, self._path)
             elif topic == CAMERAS:
                 frames += 1
-            elif topic == SCHEDULE:
-                entry = parse_json(data)
-                if entry["kind"] in entries:
-                    entries[entry["kind"]].append(int(entry["t_ns"]))
-                    if entry["kind"] == "mapped":
-                        entries["effort"].append(int(entry["value"]))
-                    elif entry["kind"] == "judged":
-                        place = entry.get("about")  # recordings of before 2026-11-23 do not say
-                        entries["about"].append(None if place is None else (float(place[0]), float(place[1])))
-            elif topic == NOTES:
-                note = parse_json(data)
-                notes.append(f"{note['lane']}: {note['note']}")
+            elif topic in (SCHEDULE, NOTES):
+                try:
+                    entry = parse_json(data)
+                    if topic == NOTES:
+                        notes.append(f"{entry['lane']}: {entry['note']}")
+                    elif (kind := str(entry["kind"])) in entries:
+                        _schedule(entries, kind, entry)
+                except (ValueError, KeyError, TypeError, OverflowError, IndexError) as e:
+                    self._findings.lose(f"{topic[1:]} messages", f"in {self._path.name}", f"damaged ({e})")
         if head is None:
             raise InputError(f"{self._path}: no recording of Alight; give one that 'alight live' made")
         return head, entries, frames, notes
@@ -99,7 +172,7 @@ class Recording(RecordedSource):
                         yield topics[record.channel_id], record.data
         except OSError as e:
             raise InputError(f"{self._path}: cannot be read ({e.strerror or e}); check the permissions") from e
-        except (McapError, ValueError, KeyError, OverflowError) as e:
+        except Exception as e:  # the library raises whatever the damaged bytes lead to
             if not topics:
                 raise InputError(f"{self._path}: no recording (MCAP); give one that 'alight live' made") from e
             self._findings.say("the recording ends early, as after a loss of power: what came before it is used")

@@ -70,6 +70,12 @@ def usable_nav(table: Table, lines: list[int], findings: Findings) -> Table | No
     return _without(table, lines, bad, "nav0", findings)
 
 
+def without_height(nav: Table) -> int:
+    """Rows of `nav0` in which only the height is missing of a position."""
+    known = np.isfinite(nav.values[:, :3])
+    return int((known[:, 0] & known[:, 1] & ~known[:, 2]).sum())
+
+
 def read_imu(root: Path, body_from_imu: Pose, findings: Findings) -> Table | None:
     """Rows of `imu0` turned into the body's axes; None when there is none that can be used."""
     found = _read(root, "imu0", IMU_COLUMNS, findings)

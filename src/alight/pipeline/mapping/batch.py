@@ -95,7 +95,7 @@ class BatchMapper:
             return FinishedMap(reason=NO_HEIGHT)
         frame = trajectory.place
         vehicle = vehicle_at_end(trajectory, self._map.ground, frame)
-        seen = MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame)
+        seen = MapSnapshot(0, elevation, tuple(looking_down(views)), vehicle, frame, trajectory.attitude)
         compared = self._map.against_prior()
         return FinishedMap(seen, notes={"prior_dem": compared.line} if compared else {})
 

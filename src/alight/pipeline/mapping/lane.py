@@ -11,7 +11,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.navigation import Navigation, Trajectory
-from alight.records import ElevationMap, View
+from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
 
 Progress = Callable[[float], None]
 
@@ -41,6 +41,13 @@ class MapSnapshot:
     views: tuple[View, ...]  # that look down on it
     vehicle: VehiclePosition
     frame: MapFrame
+    attitude: bool = True  # one was measured, or the poses are given
+
+    @property
+    def missing(self) -> MissingVeto:
+        """What could refuse ground, and is not there."""
+        alone = MissingVeto.SECOND_CAMERA if len({v.cam for v in self.views}) < 2 else NOTHING_MISSING
+        return alone if self.attitude else alone | MissingVeto.ATTITUDE
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,7 +124,8 @@ class RecursiveMapper:
             return None
         centre = views[-1].centre
         vehicle = VehiclePosition(centre, float(centre[2] - (self._map.ground_below or 0.0)))
-        return MapSnapshot(self._step, elevation, tuple(views), vehicle, self._frame)
+        attitude = self._newest is None or self._newest.attitude
+        return MapSnapshot(self._step, elevation, tuple(views), vehicle, self._frame, attitude)
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """The map as the last keyframe left it."""
@@ -138,7 +139,8 @@ class RecursiveMapper:
         if elevation is None or self._frame is None:
             return FinishedMap(None, NO_HEIGHT, tuple(self._warnings))
         vehicle = vehicle_at_end(trajectory, self._map.ground, self._frame)
-        seen = MapSnapshot(self._step, elevation, tuple(looking_down(views)), vehicle, self._frame)
+        down, attitude = tuple(looking_down(views)), trajectory.attitude
+        seen = MapSnapshot(self._step, elevation, down, vehicle, self._frame, attitude)
         return FinishedMap(seen, warnings=tuple(self._warnings))
 
 

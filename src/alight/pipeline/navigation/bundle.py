@@ -44,7 +44,15 @@ class BundleLane:
 
     def _adjusted(self, progress: Progress) -> Trajectory:
         found = adjust(self._frames, self._nav, self._rig, self._settings, progress, self._jobs)
+        attitude = any(n is not None and n.world_from_body is not None for n in self._nav)
         motions = tuple(m for m in found.motions if m is not None)
         return Trajectory(
-            motions, found.rig, tuple(found.warnings), dict(found.notes), found.joint, found.photos, found.points_world
+            motions,
+            found.rig,
+            tuple(found.warnings),
+            dict(found.notes),
+            found.joint,
+            found.photos,
+            attitude,
+            found.points_world,
         )

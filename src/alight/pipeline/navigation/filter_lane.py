@@ -131,6 +131,8 @@ class TrackingHalf:
         self._exposure += 1
         p = self._prediction
         expected = p.cameras(batch.frame.t_ns, self._tracker.last_ns, self._imu) if p else None
+        if expected is not None and not expected.is_finite:
+            expected = None
         return TrackedFrame(batch.frame, self._tracker.feed(batch.frame, expected))
 
 
@@ -143,6 +145,7 @@ class FilterHalf:
             self._settings = self._settings.model_copy(update={"smooth": False})
         self._filter = RollbackFilter(rig, self._settings, frame_id)
         self._handover, self._begun = handover, False
+        self.attitude = False  # one was measured
         self._motions: deque[Motion] = deque(maxlen=None if history else 1)
         self._given = self._lost = 0  # exposures
         self.next_frame = frame_id
@@ -152,6 +155,7 @@ class FilterHalf:
         for row in batch.rows:
             if isinstance(row, NavSample):
                 self._filter.feed_nav(row)
+                self.attitude = self.attitude or row.world_from_body is not None
             else:
                 self._filter.feed_imu(row)
         if batch.frame is not None and not self._begun:
@@ -167,7 +171,7 @@ class FilterHalf:
         self._motions.append(motion)
         self.next_frame = max(self.next_frame, motion.frame_id + 1)
         self._given, self._lost = self._given + 1, self._lost + (motion.state is MotionState.LOST)
-        return Navigation(tracked.frame, motion, self._filter.keyframes())
+        return Navigation(tracked.frame, motion, self._filter.keyframes(), self.attitude)
 
     def refined(self) -> RefinedMotions:
         """The motions refined together; empty where that is not asked for or not possible."""
@@ -269,4 +273,5 @@ class FilterLane:
         warnings = [_left_out(repeated, "have the stamp of an earlier one")] if repeated else []
         warnings += self._filtering.warnings(motions, smoothed)
         note = "structure-from-motion filter" + (", smoothed" if smoothed else ", as it was in flight")
-        return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint)
+        attitude = self._filtering.attitude
+        return Trajectory(motions, self._rig, tuple(warnings), {"motion": note}, joint, attitude=attitude)

@@ -34,6 +34,7 @@ class Navigation:
     frame: Frame
     motion: Motion | None  # None: it comes at the end, with all others (`TrueTrajectory`)
     keyframes: Keyframes | None = None  # None: poses are exact
+    attitude: bool = True  # one was measured by now, or the poses are given
 
     @cached_property
     def posterior(self) -> KeyframePosterior | None:
@@ -54,6 +55,7 @@ class Trajectory:
     notes: Mapping[str, object] = field(default_factory=dict)
     joint: KeyframePosterior | None = None  # joint posterior of some or all of the poses; None: they are exact
     photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each photo
+    attitude: bool = True  # one was measured, or the poses are given
     points: F64 = field(default_factory=lambda: np.empty((0, 3)))  # (N, 3) metres, what the poses were adjusted with
 
     @property
@@ -70,7 +72,7 @@ class Trajectory:
     @property
     def reason(self) -> str:
         """Why there is no motion at all."""
-        otherwise = "there is no GPS/INS to start from (nav0), or no picture could be placed"
+        otherwise = "there is no GPS/INS position with height to start from (nav0), or no picture could be placed"
         return "no motion: " + (self.warnings[-1] if self.warnings else otherwise)
 
 

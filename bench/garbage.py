@@ -1,0 +1,160 @@
+"""Garbage in nine of ten images or rows: is a site listed only where the good tenth supports it by itself?
+
+    python bench/garbage.py [--seconds 6] [--seed 0] [--kinds noise,other]
+
+Each kind of garbage is run beside the good tenth alone (the other rows taken away). A site is supported where P(safe)
+of the good tenth's own run reaches the limit within a cell. Exit code 1 when a site is listed that is not supported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import alight_sim
+from alight.outputs import Run, read_run
+from alight.runner.replay import find, write_run
+from alight.settings import Settings
+
+KEPT, OF = 5, 10  # the rows and images with this number of every ten are good
+CLEAN = {"noise": "cam", "other": "cam", "black": "cam", "nav": "nav", "imu": "imu"}  # which streams a kind spoils
+METRE = 1 / 111_000  # degrees of latitude
+
+
+def is_good(k: int) -> bool:
+    """Whether row `k` of a stream is left as it is."""
+    return k % OF == KEPT
+
+
+def _pictures(root: Path, change: Callable[[np.ndarray, int, list[Path]], np.ndarray]) -> None:
+    for cam in sorted(root.glob("mav0/cam*")):
+        rows = (cam / "data.csv").read_text(encoding="utf-8").splitlines()[1:]
+        paths = [cam / "data" / row.split(",")[1].strip() for row in rows]
+        for k, path in enumerate(paths):
+            if not is_good(k):
+                Image.fromarray(change(np.asarray(Image.open(path)), k, paths)).save(path)
+
+
+def noise(root: Path, rng: np.random.Generator) -> None:
+    """Nine of ten images are noise."""
+    _pictures(root, lambda image, k, paths: rng.integers(0, 256, image.shape, np.uint8))
+
+
+def other(root: Path, rng: np.random.Generator) -> None:
+    """Nine of ten images are turned and mirrored copies of good ones: real ground, elsewhere."""
+    good: dict[Path, np.ndarray] = {}
+
+    def change(image: np.ndarray, k: int, paths: list[Path]) -> np.ndarray:
+        path = paths[int(rng.integers(len(paths) // OF)) * OF + KEPT]
+        good.setdefault(path, np.asarray(Image.open(path)))
+        return np.ascontiguousarray(np.roll(good[path][::-1], int(rng.integers(50, 300)), axis=1))
+
+    _pictures(root, change)
+
+
+def black(root: Path, rng: np.random.Generator) -> None:
+    """Nine of ten images are black."""
+    _pictures(root, lambda image, k, paths: np.zeros_like(image))
+
+
+def _rows(path: Path, change: Callable[[list[float]], list[float]]) -> None:
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    for k, row in enumerate(rows):
+        if not is_good(k):
+            t, *fields = row.split(",")
+            rows[k] = ",".join([t, *(repr(v) for v in change([float(f) for f in fields]))])
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+def nav(root: Path, rng: np.random.Generator) -> None:
+    """Nine of ten GPS/INS rows are off by 30 m, with any attitude and velocity, and claim to be exact."""
+
+    def change(v: list[float]) -> list[float]:
+        quaternion = rng.normal(size=4)
+        place = [v[0] + 30 * METRE * rng.normal(), v[1] + 30 * METRE * rng.normal(), v[2] + 30 * rng.normal()]
+        return [*place, *(quaternion / np.linalg.norm(quaternion)), *rng.normal(0, 10, 3), *v[10:]]
+
+    _rows(root / "mav0" / "nav0" / "data.csv", change)
+
+
+def imu(root: Path, rng: np.random.Generator) -> None:
+    """Nine of ten IMU rows are noise."""
+    _rows(root / "mav0" / "imu0" / "data.csv", lambda v: [*rng.normal(0, 1, 3), *rng.normal(0, 20, 3)])
+
+
+def only_good(root: Path, stream: str) -> None:
+    """Take the rows away that a kind of garbage would spoil."""
+    for table in root.glob(f"mav0/{stream}*/data.csv"):
+        head, *rows = table.read_text(encoding="utf-8").splitlines()
+        kept = [row for k, row in enumerate(rows) if is_good(k)]
+        table.write_text("\n".join([head, *kept]) + "\n", encoding="utf-8")
+
+
+KINDS = {"noise": noise, "other": other, "black": black, "nav": nav, "imu": imu}
+
+
+def run(flight: Path, out: Path) -> Run:
+    """Run a flight, and read what that left."""
+    write_run(find(flight, out, Settings()), out)
+    return read_run(out)
+
+
+def unsupported(found: Run, good: Run) -> list[str]:
+    """Sites of a run that the run of the good tenth does not support, in words."""
+    listed = found.info["answer"].get("sites", [])
+    wrong = []
+    for s in listed:
+        p = 0.0
+        if good.safe is not None and good.grid is not None:
+            row, col = (round(float(i)) for i in good.grid.index(s["east_m"], s["north_m"]))
+            if 0 <= row < good.grid.rows and 0 <= col < good.grid.cols:
+                near = good.safe[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+                p = float(np.nanmax(np.nan_to_num(near)))
+        if p < good.settings.hazards.p_safe:
+            wrong.append(f"east {s['east_m']:.1f} north {s['north_m']:.1f} m, P {s['p_safe']:.3f}; alone {p:.3f}")
+    return wrong
+
+
+def made(root: Path, seconds: float, seed: int) -> Path:
+    """A simulated flight of the demo."""
+    alight_sim.write(alight_sim.fly("demo", seed, seconds), root, lambda done, total: None)
+    return root
+
+
+def main() -> int:
+    """Run every kind; return the exit code."""
+    parser = argparse.ArgumentParser(description="Garbage in nine of ten images or rows.")
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    given, bad = parser.parse_args(), 0
+    with tempfile.TemporaryDirectory(prefix="alight-garbage-") as folder:
+        root = Path(folder)
+        alone: dict[str, Run] = {}
+        for kind in given.kinds.split(","):
+            stream = CLEAN[kind]
+            if stream not in alone:
+                flight = made(root / f"{stream}-good", given.seconds, given.seed)
+                only_good(flight, stream)
+                alone[stream] = run(flight, root / f"{stream}-good-run")
+            flight = made(root / kind, given.seconds, given.seed)
+            KINDS[kind](flight, np.random.default_rng(given.seed))
+            found = run(flight, root / f"{kind}-run")
+            wrong = unsupported(found, alone[stream])
+            count, own = (len(r.info["answer"].get("sites", [])) for r in (found, alone[stream]))
+            said = found.info["answer"].get("reason") or ""
+            sys.stdout.write(f"{kind}: {count} sites, the good tenth alone {own}; {len(wrong)} not supported  {said}\n")
+            sys.stdout.write("".join(f"    {w}\n" for w in wrong))
+            sys.stdout.flush()
+            bad += len(wrong)
+    return int(bool(bad))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,135 @@
+"""Damaged recordings through `alight run`: what is damaged is left out, or one line says what to mend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from alight.cli import call
+from alight.outputs.recorder import Recorder
+from alight.records import Event, Frame, ImuSample, NavSample
+from alight.records.codec import FlightHead
+from alight.settings import ImuNoise, Settings
+from alight.sources import open_source
+
+Change = Callable[[Event], Event]
+
+
+@pytest.fixture
+def record(flight: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Write a recording of the flight log over noise, each event changed."""
+
+    def write(change: Change = lambda event: event, entries: tuple[tuple[str, int], ...] = ()) -> Path:
+        source = open_source(flight, Settings())
+        head = FlightHead(source.name, source.rig, source.local, True, ImuNoise(), Settings())
+        path = tmp_path / "recording.mcap"
+        recorder = Recorder(path, head)
+        for event in source.events():
+            recorder.event(change(event))
+        for entry in entries:
+            recorder.entry(*entry)
+        recorder.close()
+        return path
+
+    return write
+
+
+def ran(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a run."""
+    code = call(["run", str(path), "--out", str(path.parent / "out")])
+    told = capsys.readouterr()
+    assert "could not be made" not in told.err
+    return code, told.out, told.err
+
+
+def of_kind(kind: type, **values: Any) -> Change:
+    """Change the events of a kind."""
+    return lambda event: replace(event, **values) if isinstance(event, kind) else event
+
+
+def test_a_whole_one_is_replayed(record: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = ran(record(), capsys)
+    assert code == 0
+    assert out.startswith("NO SITE")
+    assert "left out" not in err
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (of_kind(NavSample, position_world=np.full(3, 1e300)), "position_world is out of range"),
+        (of_kind(NavSample, position_world=np.zeros(2)), "position_world is out of range"),
+        (of_kind(NavSample, velocity_world=np.full(3, np.nan)), "velocity_world is out of range"),
+        (of_kind(NavSample, world_from_body=np.ones((3, 3))), "no rotation"),
+        (of_kind(NavSample, sigma_position=np.full(3, 1e-300)), "sigma_position is out of range"),
+        (of_kind(ImuSample, specific_force_body=np.full(3, 1e200)), "specific_force_body is out of range"),
+        (of_kind(ImuSample, angular_velocity_body=None), "angular_velocity_body is out of range"),
+        (of_kind(ImuSample, t_ns=-5), "its time is out of range"),
+        (of_kind(Frame, images=(np.zeros((3, 3), np.uint8),)), "its images are not those of the cameras"),
+    ],
+)
+def test_what_no_aircraft_measures_is_left_out(
+    change: Change, why: str, record: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = ran(record(change), capsys)
+    assert code in (0, 2)
+    assert why in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("share", [0.0, 0.13, 0.5, 0.97])
+@pytest.mark.parametrize("how", ["cut", "zeros"])
+def test_the_end_is_missing(
+    how: str, share: float, record: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Found by the fuzzer: a file that ends in zeros ended in `struct.error`."""
+    path = record()
+    data = path.read_bytes()
+    kept = data[: int(share * len(data))]
+    path.write_bytes(kept + bytes(len(data) - len(kept)) * (how == "zeros"))
+    code, out, err = ran(path, capsys)
+    if code == 2:  # the head or all exposures are gone
+        assert share < 0.5
+        assert err.count("\n") == 1
+    else:
+        assert (code, out[:7], share > 0) == (0, "NO SITE", True)
+        assert "the recording ends early" in err
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (b'"latitude": 48.1', b'"latitude": 4810'), (b'"latitude": 48.1', b'"latitude": "ab"'),
+        (b'"fu": 50.0', b'"fu": 0.00'), (b'"fu": 50.0', b'"fu": 1e99'), (b'"width": 64', b'"width": -4'),
+        (b'"cameras"', b'"camerae"'), (b'"p_safe": 0.95', b'"p_safe": 9.95'),
+    ],
+)  # fmt: skip
+def test_a_damaged_head_is_refused(
+    old: bytes, new: bytes, record: Callable[..., Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = record()
+    data = path.read_bytes()
+    assert old in data
+    short = len(old) - len(new)
+    path.write_bytes(data.replace(old, new + b" " * short, 1) if short >= 0 else data.replace(old + b"0" * -short, new))
+    code, _, err = ran(path, capsys)
+    if path.read_bytes() != data:
+        assert code == 2
+        assert "head is damaged" in err
+        assert err.count("\n") == 1
+
+
+def test_a_damaged_schedule_is_said(record: Callable[..., Path], capsys: pytest.CaptureFixture[str]) -> None:
+    path = record(entries=(("mapped", 5),))
+    data = path.read_bytes()
+    entry = b'"kind": "mapped", "t_ns"'
+    assert entry in data
+    path.write_bytes(data.replace(entry, entry.replace(b"t_ns", b"t_no")))
+    code, _, err = ran(path, capsys)
+    assert code == 0
+    assert "schedule messages: 1 left out" in err
