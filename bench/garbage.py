@@ -19,7 +19,7 @@ from PIL import Image
 
 import alight_sim
 from alight.outputs import Run, read_run
-from alight.runner.replay import find, write_run
+from alight.runner.replay import Find, find, write_run
 from alight.settings import Settings
 
 KEPT, OF = 5, 10  # the rows and images with this number of every ten are good
@@ -101,7 +101,7 @@ KINDS = {"noise": noise, "other": other, "black": black, "nav": nav, "imu": imu}
 
 def run(flight: Path, out: Path) -> Run:
     """Run a flight, and read what that left."""
-    write_run(find(flight, out, Settings()), out)
+    write_run(find(flight, out, Find(Settings())), out)
     return read_run(out)
 
 

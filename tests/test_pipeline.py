@@ -10,6 +10,7 @@ import pytest
 
 from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
+from alight.jobs import InTurn
 from alight.pipeline import Decision, Pipeline
 from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper
 from alight.pipeline.mapping.frame_store import FrameStore
@@ -91,7 +92,7 @@ def mapped(mapper: BatchMapper | RecursiveMapper, events: tuple[Event, ...] | No
 
 
 def batch_mapper(settings: StageSettings) -> BatchMapper:
-    return BatchMapper(flight()[0].rig, settings, None, Timings())
+    return BatchMapper(flight()[0].rig, settings, None, Timings(), InTurn())
 
 
 def brief_mapper() -> RecursiveMapper:

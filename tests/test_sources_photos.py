@@ -409,9 +409,9 @@ def test_what_is_no_source(tmp_path: Path) -> None:
         opened(tmp_path)
 
 
-def test_png_folder_is_not_photos(tmp_path: Path) -> None:
+def test_a_picture_without_tags_is_no_photo(tmp_path: Path) -> None:
     Image.new("L", (8, 8)).save(tmp_path / "a.png")
-    with pytest.raises(InputError, match="nothing usable"):
+    with pytest.raises(InputError, match="no photo has a GPS position"):
         opened(tmp_path)
 
 
