@@ -37,7 +37,6 @@ FAMILIES = (
     "meadow", "village", "gravel", "concrete", "farmland", "quarry", "desert", "car_park", "depot", "pasture",
     "furrows", "marsh", "canal", "lakes", "yard", "forest", "rubble",
 )  # fmt: skip
-TUNING = tuple(f"{family}/looks/tuning-{seed}" for seed in (1, 2) for family in FAMILIES)
 TEST = tuple(f"{family}/looks/test-1" for family in FAMILIES)
 FIRST_SEED = {"tuning": 3000, "test": 7000}
 PLACES = 6  # of a flight

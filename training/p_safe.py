@@ -1,7 +1,6 @@
 """Fit the tables of rates in `learned/`, and print what they are worth on families of scenes left out.
 
     PYTHONPATH=bench python training/p_safe.py
-    PYTHONPATH=bench python training/p_safe.py --near        # those for looks from near by alone
 
 Each rate is a sum of rising broken lines, fitted by maximum likelihood to whether a touchdown truly meets no obstacle,
 or truly lies on ground that bears and is dry. What the worst family of scenes left out asks for is printed, and is not
@@ -12,26 +11,21 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from card import version, write_table
 from ground_flights import TUNING, cover_of
-from ground_maps import HOWS, How, Judgeable, judgeable
+from ground_maps import HOWS, How, judgeable
 from ground_truth import GroundTruth
 from land_cover import family_of, fit_net, joined, rows_of, with_limit
-from looks import TUNING as LOOKS
-from looks import looks_of
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards.assessment import evidence
 from alight.learned import Rate, rate_bytes
-from alight.learned.rates import TERMS_OF
-from alight.records import TerrainMap
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
 from alight.settings import Settings
 from alight.terrain.classify import Tables
 
@@ -40,10 +34,7 @@ KNOTS = (0.02, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # quantiles of a term, families 
 PENALTY = 1e-5  # of squared rises of the lines
 ROUNDS = 3  # in which a family weighs more by what was lost on it
 EAGER = {"obstacle": 1.0, "ground": 0.5}  # how much more: dense stones and ground that looks safe and is not
-FAR = {"obstacle": ("relief_rate", "density_rate"), "ground": ("ground_rate",)}
-NEAR = {"obstacle": ("near_obstacle_rate",), "ground": ("near_ground_rate",)}
-Names = dict[str, tuple[str, ...]]
-HIDDEN = "density_rate"  # counts as far as the heights would not have shown the obstacles
+NAMES = {"obstacle": ("relief_rate", "density_rate"), "ground": ("ground_rate",)}
 FOLDS = 5  # of flights, or of families, each judged by a net that was fitted without it
 LEAST_STEP = 0.02  # of the range of a term: knots lie no nearer
 MOST = 3.0  # log of the largest rate of a part
@@ -66,11 +57,6 @@ class Sample:
     truly_bears: Mask
     truly_safe: Mask
     truly_near: Mask
-
-    @property
-    def terms(self) -> dict[str, F32]:
-        """All evidence."""
-        return self.obstacle | self.ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,20 +83,22 @@ class Rows:
         return Rows(parts, self.hazard[which], self.family[which], self.weight[which] / self.weight[which].sum())
 
 
-def sample_of(j: Judgeable, cover: TerrainMap, about: Mask | None = None) -> Sample:
-    """Draw cells of one map, and look up the truth; `about`: (R, C), the cells that count."""
+def sample(name: str, how: How, scratch: Path, tables: Tables) -> Sample | None:
+    """Draw cells of one map, and look up the truth."""
+    j = judgeable(name, how, scratch)
+    if j is None:
+        return None
     s = Settings().stages()
-    found, reasons = evidence(j.elevation, cover, s.lander, s.hazards)
+    found, reasons = evidence(j.elevation, cover_of(j, tables), s.lander, s.hazards)
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
-    counts = j.seen if about is None else j.seen & about
-    seen = np.flatnonzero(discs.largest(counts.astype(np.float32)) > 0)
+    seen = np.flatnonzero(discs.largest(j.seen.astype(np.float32)) > 0)
     some = np.random.default_rng(0).choice(seen, min(SOME, len(seen)), replace=False)
 
     def truly(mask: Mask) -> Mask:
         return truth.on(discs.grid, mask).ravel()[some]
 
     return Sample(
-        j.name, family_of(j.name),
+        f"{name}, {how}", family_of(name),
         {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.hidden.ravel()[some],
         {k: v.ravel()[some] for k, v in found.ground.items()},
         discs.coarse(np.nan_to_num(found.tilt)).ravel()[some],
@@ -119,8 +107,8 @@ def sample_of(j: Judgeable, cover: TerrainMap, about: Mask | None = None) -> Sam
     )  # fmt: skip
 
 
-def rows(samples: Sequence[Sample], what: str, families: list[str], names: Names = FAR) -> Rows:
-    """The cells of one factor: those that nothing refuses, and that the other factor's hazards alone leave out.
+def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
+    """The cells of one factor: those that nothing refuses, less those that are a hazard of the other factor alone.
 
     A tuft that is uneven and does not bear is a hazard of the ground.
     """
@@ -129,17 +117,19 @@ def rows(samples: Sequence[Sample], what: str, families: list[str], names: Names
     count = {f: sum(s.family == f for s, _ in kept) for f in families}
     weight = np.concatenate([np.full(use.sum(), 1 / use.sum() / count[s.family]) for s, use in kept])
 
-    def part(name: str) -> Part:
-        terms = TERMS_OF[name]
-        values = [np.stack([s.terms[t][use] for t in terms], axis=1) for s, use in kept]
-        share = [s.hidden[use] if name == HIDDEN else np.ones(use.sum()) for s, use in kept]
+    def part(terms: tuple[str, ...], hidden: bool) -> Part:
+        values = [np.stack([getattr(s, what)[t][use] for t in terms], axis=1) for s, use in kept]
+        share = [s.hidden[use] if hidden else np.ones(use.sum()) for s, use in kept]
         return Part(
             terms, np.nan_to_num(np.concatenate(values)).astype(np.float64), np.concatenate(share).astype(np.float64)
         )
 
+    parts = (
+        (part(RELIEF_TERMS, False), part(DENSITY_TERMS, True)) if what == "obstacle" else (part(GROUND_TERMS, False),)
+    )
     hazard = np.concatenate([~(s.truly_even if what == "obstacle" else s.truly_bears)[use] for s, use in kept])
     family = np.concatenate([np.full(use.sum(), families.index(s.family)) for s, use in kept])
-    return Rows(tuple(part(name) for name in names[what]), hazard, family, weight / weight.sum())
+    return Rows(parts, hazard, family, weight / weight.sum())
 
 
 def _knots(values: F64, weight: F64) -> F64:
@@ -255,10 +245,10 @@ def folds_of(names: Sequence[str], whole_families: bool) -> dict[str, int]:
     return {n: own[family_of(n)].index(n) % FOLDS for n in names}
 
 
-def left_out(samples: list[Sample], strange: list[Sample], what: str, names: Names = FAR) -> tuple[Rows, F64]:
+def left_out(samples: list[Sample], strange: list[Sample], what: str) -> tuple[Rows, F64]:
     """The `strange` cells, and their rates by what was fitted to the samples of all other families."""
     families = sorted({s.family for s in samples})
-    known, r = (rows(some, what, families, names) for some in (samples, strange))
+    known, r = rows(samples, what, families), rows(strange, what, families)
     out = np.empty(len(r.hazard))
     for k in range(len(families)):
         own = r.family == k
@@ -267,32 +257,10 @@ def left_out(samples: list[Sample], strange: list[Sample], what: str, names: Nam
     return r, out
 
 
-def left_out_table(r: Rows, rate: F64, families: list[str]) -> list[str]:
-    """What families that were left out lose at some levels."""
-    out, p = [], np.exp(-rate)
-    for k, f in enumerate(families):
-        own = r.family == k
-        if own.sum() >= LEAST:
-            levels = [f"{v}: false {100 * _share(r.hazard, own & (p >= v)):5.2f}" for v in (0.9, 0.95, 0.99)]
-            out.append(
-                f"   {f:12s} hazards {100 * r.hazard[own].mean():5.1f} expected {100 * (1 - p[own]).mean():5.1f}   "
-                + "   ".join(levels)
-            )
-    return out
-
-
-def _share(of: Mask, where: Mask) -> float:
-    return float(of[where].mean()) if where.any() else 0.0
-
-
-def claimed(s: Sample, rates: dict[str, tuple[Rate, ...]], names: Names) -> F32:
+def claimed(s: Sample, obstacle: Sequence[Rate], ground: Sequence[Rate]) -> F32:
     """P(safe) of the cells of one map."""
-    terms = {k: np.nan_to_num(v) for k, v in s.terms.items()}
-    bad = sum(
-        (s.hidden if name == HIDDEN else np.float32(1)) * np.exp(rate.log_rate(terms))
-        for what in names
-        for name, rate in zip(names[what], rates[what], strict=True)
-    )
+    relief, density = (np.exp(rate.log_rate(s.obstacle)) for rate in obstacle)
+    bad = relief + s.hidden * density + np.exp(ground[0].log_rate(s.ground))
     return np.where(s.kept, s.tilt * np.exp(-bad), np.float32(0)).astype(np.float32)
 
 
@@ -324,77 +292,28 @@ def samples_of(names: Sequence[str], scratch: Path, whole_families: bool, hows: 
     for k in sorted(set(fold.values())):
         others = {n: r for n, r in parts.items() if fold[n] != k}
         tables = Tables(fit_net(joined(list(others.values()))), with_limit(list(others.values()), list(others)))
-        found = [judgeable(n, how, scratch) for n in parts if fold[n] == k for how in hows]
-        out += [sample_of(j, cover_of(j, tables)) for j in found if j is not None]
+        found = [sample(n, how, scratch, tables) for n in parts if fold[n] == k for how in hows]
+        out += [s for s in found if s is not None]
     return out
-
-
-def _keep(path: Path, samples: Sequence[Sample]) -> None:
-    """Write samples to a file."""
-    arrays: dict[str, NDArray[np.generic]] = {}
-    for i, s in enumerate(samples):
-        for f in fields(Sample):
-            value = getattr(s, f.name)
-            terms = value if isinstance(value, dict) else {"": value}
-            arrays |= {f"{i}/{f.name}/{term}": np.asarray(v) for term, v in terms.items()}
-    np.savez_compressed(path, number=np.array(len(samples)), **arrays)
-
-
-def _kept(path: Path) -> list[Sample]:
-    """Read them again."""
-    with np.load(path) as z:
-        found: list[dict[str, Any]] = [{"obstacle": {}, "ground": {}} for _ in range(int(z["number"]))]
-        for key in set(z.files) - {"number"}:
-            i, name, term = key.split("/", 2)
-            if term:
-                found[int(i)][name][term] = z[key]
-            else:
-                found[int(i)][name] = str(z[key]) if name in ("name", "family") else z[key]
-    return [Sample(**values) for values in found]
-
-
-def look_samples(names: Sequence[str], scratch: Path) -> list[Sample]:
-    """Cells about the places of every look, kept between runs; the net of the package judges their cover.
-
-    It was not fitted to these flights.
-    """
-    scratch.mkdir(parents=True, exist_ok=True)
-    out = []
-    for name in names:
-        path = scratch / f"{name.replace('/', '_')}.npz"
-        if not path.exists():
-            looks = [(x, x.judgeable) for x in looks_of(name)]
-            _keep(path, [sample_of(j, cover_of(j), x.about(j.elevation.grid)) for x, j in looks])
-        out += _kept(path)
-    return out
-
-
-def fit_tables(names: Names, samples: list[Sample], strange: list[Sample], fitted: str) -> None:
-    """Fit the rates, write them with their cards, and print what they are worth."""
-    families = sorted({s.family for s in samples})
-    card = {"Fitted on": f"{fitted}, {len(families)} families of scenes. {version()}"}
-    rates: dict[str, tuple[Rate, ...]] = {}
-    for what, own in names.items():
-        r, rate = left_out(samples, strange, what, names)
-        print(f"{what}: the worst family left out asks for {caution(rate, r):.1f} times these rates")
-        print("\n".join(left_out_table(r, rate, families)))
-        rates[what] = fit(rows(samples, what, families, names), EAGER[what])
-        for name, k in zip(own, rates[what], strict=True):
-            write_table(name, rate_bytes(k), card)
-    print("\n".join(table(samples, lambda s: claimed(s, rates, names))))
 
 
 def main() -> None:
     """Fit, and write the tables and their cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
-    parser.add_argument("--near", action="store_true", help="the rates for looks from near by alone")
-    options = parser.parse_args()
-    near = look_samples(LOOKS, options.scratch)
-    fit_tables(NEAR, near, near, f"{len(near)} looks of {len(LOOKS)} simulated flights down to places")
-    if not options.near:
-        far, strange = (samples_of(TUNING, options.scratch, whole) for whole in (False, True))
-        fit_tables(FAR, far, strange, f"{len(far)} maps of {len(TUNING)} simulated tuning flights")
+    scratch = parser.parse_args().scratch
+    samples, strange = (samples_of(TUNING, scratch, whole_families) for whole_families in (False, True))
+    families = sorted({s.family for s in samples})
+    maps = f"{len(samples)} maps of {len(TUNING)} simulated tuning flights"
+    fitted = f"{maps}, {len(families)} families of scenes. {version()}"
+    rates: dict[str, tuple[Rate, ...]] = {}
+    for what, names in NAMES.items():
+        r, rate = left_out(samples, strange, what)
+        print(f"{what}: the worst family left out asks for {caution(rate, r):.1f} times these rates")
+        rates[what] = fit(rows(samples, what, families), EAGER[what])
+        for name, k in zip(names, rates[what], strict=True):
+            write_table(name, rate_bytes(k), {"Fitted on": fitted})
+    print("\n".join(table(samples, lambda s: claimed(s, rates["obstacle"], rates["ground"]))))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from scipy.special import logit
 from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
-from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm, StonyTerm
+from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
 from alight.raster import (
     block_max,
     block_mean,
@@ -26,7 +26,7 @@ from alight.raster import (
     log_at_least,
     nearest_known,
 )
-from alight.records import ElevationMap, Terrain, TerrainMap
+from alight.records import ElevationMap, TerrainMap
 from alight.settings import Lander
 
 RIM = 0.25  # metres; an object this near to the rim may as well lie outside
@@ -37,7 +37,6 @@ PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are 
 UNMATCHED = 10.0  # cells that a sample covers where there is none
 COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 MIN_PROBABILITY = 1e-4  # keeps log odds finite
-STONES, MINERAL = (Terrain.ROCK,), (Terrain.ROCK, Terrain.BARE)
 CERTAIN = np.float32(9.2)  # log odds of landable ground where no land cover was given
 
 
@@ -112,19 +111,12 @@ def _log_rms(power: F32, floor: float) -> F32:
 
 
 def obstacle_terms(
-    elevation: ElevationMap,
-    land_cover: TerrainMap | None,
-    shape: FootprintShape,
-    lander: Lander,
-    discs: Discs,
-    sampling: F32,
-    pixel: F32,
+    elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs, sampling: F32, pixel: F32
 ) -> dict[str, F32]:
     """Evidence against an even footprint, and that obstacles are about, on the cells of `discs`.
 
     `sampling` and `pixel`: metres, means over the footprint.
     """
-    rock, mineral = (_odds_of(land_cover, kinds, elevation.grid.shape) for kinds in (STONES, MINERAL))
     cell, limit, highest = elevation.grid.cell, lander.tallest_obstacle, np.float32(lander.max_roughness)
     relief = discs.coarse(relief_power(elevation, limit))
     spots = picture_spots(elevation, limit)
@@ -144,9 +136,6 @@ def obstacle_terms(
         ReliefTerm.RESIDUAL_MEAN: discs.mean(discs.coarse(residual)),
         ReliefTerm.RESIDUAL_WORST: discs.worst(discs.coarse(gaussian_mean(residual, 0.15 / cell))),
         ReliefTerm.UNKNOWN: discs.largest(shape.footprint.unknown),
-        StonyTerm.ROCK_WORST: discs.worst(discs.coarse(gaussian_mean(rock, 0.2 / cell))),
-        StonyTerm.ROCK_MEAN: discs.mean(discs.coarse(rock)),
-        StonyTerm.MINERAL_MEAN: discs.mean(discs.coarse(mineral)),
         DensityTerm.SPOT_WORST: _log_rms(discs.worst(spot), 0.005),
         DensityTerm.SPOT_MEAN: _log_rms(discs.mean(spot), 0.005),
         DensityTerm.SPOT_AROUND: _log_rms(discs.around(spot), 0.005),
@@ -164,15 +153,6 @@ def sampled(elevation: ElevationMap) -> F32:
 def pictured(elevation: ElevationMap) -> F32:
     """Metres of ground that a pixel of the picture covers, (R, C); where nothing was pictured, several cells."""
     return np.asarray(np.nan_to_num(elevation.picture_sampling, nan=UNMATCHED * elevation.grid.cell), np.float32)
-
-
-def _odds_of(land_cover: TerrainMap | None, kinds: tuple[Terrain, ...], shape: tuple[int, int]) -> F32:
-    """Log odds (R, C) of some kinds of ground; even odds where no kind is known."""
-    if land_cover is None or land_cover.probability is None:
-        return np.zeros(shape, np.float32)
-    p = sum((land_cover.probability[..., k - 1].astype(np.float32) for k in kinds), start=np.float32(0))
-    known = np.where(np.isfinite(p), p, np.float32(0.5))
-    return np.asarray(logit(known.clip(MIN_PROBABILITY, 1 - MIN_PROBABILITY)), np.float32)
 
 
 def ground_odds(land_cover: TerrainMap | None, shape: tuple[int, int]) -> F32:

@@ -20,8 +20,6 @@ FOUND = 0.95  # the chance with which `resolved` would have been found
 SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may take up
 NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
-# of the height of an obstacle: what a sample and a pixel cover where the rates from near by count alone, and not at all
-SAMPLES_NEAR, PIXELS_NEAR = (0.5, 0.7), (0.27, 0.4)
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
 
@@ -35,25 +33,6 @@ class Evidence:
     hidden: F32  # share of the obstacles above the limit that the heights would not show
     unseen: F32  # share of them that neither heights nor pictures would show
     ground: dict[str, F32]  # terms of `ground_rate`
-    near: F32  # 0 to 1, how far the rates for ground looked at from near by count
-
-    @property
-    def from_afar(self) -> tuple[F32, F32, F32]:
-        """Obstacles that the heights point at, obstacles about where all were hidden, ground that does not bear."""
-        relief, density = (np.exp(read_rate(k).log_rate(self.obstacle)) for k in ("relief_rate", "density_rate"))
-        return relief, density, np.exp(read_rate("ground_rate").log_rate(self.ground))
-
-    @property
-    def from_near_by(self) -> tuple[F32, F32]:
-        """Obstacles, and ground that does not bear, by all evidence together."""
-        both = self.obstacle | self.ground
-        obstacle, ground = (np.exp(read_rate(k).log_rate(both)) for k in ("near_obstacle_rate", "near_ground_rate"))
-        return obstacle, ground
-
-    def blended(self, far: F32, near: F32) -> F32:
-        """Expected hazards of both kinds of rates, by the share of each in the logarithm."""
-        low = np.float32(1e-9)
-        return np.asarray(np.maximum(far, low) ** (1 - self.near) * np.maximum(near, low) ** self.near, np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,24 +52,11 @@ def evidence_of(
     """Gather the evidence; `tilt`: margin of the tilt in sigmas, (R, C)."""
     discs = Discs(elevation, lander.radius)
     sampling, pixel = (discs.mean(discs.coarse(v)) for v in (sampled(elevation), pictured(elevation)))
-    obstacle = obstacle_terms(elevation, terrain, shape, lander, discs, sampling, pixel)
+    obstacle = obstacle_terms(elevation, shape, lander, discs, sampling, pixel)
     ground = ground_terms(elevation, terrain, discs)
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
-    near = _near(elevation, lander, discs)
-    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, hidden, unseen, ground, near)
-
-
-def _near(elevation: ElevationMap, lander: Lander, discs: Discs) -> F32:
-    """Share of the rates for ground looked at from near by, by what samples and pixels cover where there are any."""
-    out = np.ones(discs.grid.shape, np.float32)
-    for width, (full, none) in ((elevation.sampling, SAMPLES_NEAR), (elevation.picture_sampling, PIXELS_NEAR)):
-        known = np.isfinite(width)
-        covered, number = (discs.mean(discs.coarse(v.astype(np.float32))) for v in (np.where(known, width, 0), known))
-        usual = np.maximum(covered, np.float32(1e-6)) / np.maximum(number, np.float32(1e-6))
-        share = np.log(np.float32(none * lander.tallest_obstacle) / usual) / np.float32(math.log(none / full))
-        out = np.where(number > 0, np.minimum(out, share.clip(0, 1)), np.float32(0))
-    return out
+    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, hidden, unseen, ground)
 
 
 def factors_of(
@@ -111,10 +77,10 @@ def factors_of(
         return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
     found, curves = evidence_of(elevation, terrain, tilt, shape, lander), read_detection()
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
-    far, near = found.from_afar, found.from_near_by
-    rest = found.unseen * usual
-    expected = found.blended(far[0] + np.maximum(found.hidden * far[1], rest), near[0] + rest)
-    wet = found.blended(far[2], near[1]) + _unlike_dry_ground(terrain, found.discs, settings)
+    shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
+    expected = shown + np.maximum(found.hidden * about, found.unseen * usual)
+    wet = np.exp(read_rate("ground_rate").log_rate(found.ground))
+    wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
     sampling, pixel = sampled(elevation), pictured(elevation)

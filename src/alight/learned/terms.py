@@ -29,14 +29,6 @@ class ReliefTerm(StrEnum):
     UNKNOWN = "unknown"  # share of the footprint without a height
 
 
-class StonyTerm(StrEnum):
-    """Evidence of the land cover that the relief is one of stones, from near by (G7b)."""
-
-    ROCK_WORST = "rock_worst"  # log odds of rock, means over 0.2 m
-    ROCK_MEAN = "rock_mean"
-    MINERAL_MEAN = "mineral_mean"  # log odds of rock or bare ground
-
-
 class DensityTerm(StrEnum):
     """Evidence of the picture that obstacles are about, which the heights may have smoothed away (G7c)."""
 
@@ -108,9 +100,6 @@ def band(octave: int) -> str:
 RELIEF_TERMS: tuple[str, ...] = tuple(t.value for t in ReliefTerm)
 DENSITY_TERMS: tuple[str, ...] = tuple(t.value for t in DensityTerm)
 GROUND_TERMS: tuple[str, ...] = tuple(t.value for t in GroundTerm)
-# from near by, relief, colour and spots are seen of the same things, and each says something about all hazards
-NEAR_OBSTACLE_TERMS: tuple[str, ...] = (*RELIEF_TERMS, *(t.value for t in StonyTerm), *DENSITY_TERMS)
-NEAR_GROUND_TERMS: tuple[str, ...] = (*GROUND_TERMS, *NEAR_OBSTACLE_TERMS)
 FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame is a term as well
     SurfaceTerm.ROUGH_02,
     SurfaceTerm.ROUGH_05,
