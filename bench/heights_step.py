@@ -116,7 +116,7 @@ class Flight:
 def one_step(kept: list[Prepared], newest: View, grid: Grid, known: ElevationMap, buffers: Buffers) -> None:
     """What a step is made of but for first looks at new cells and the map: preparation, Gauss-Newton, sigma, flags."""
     fine = [*kept, prepare_view(newest, CELL, 0.0)]
-    seen = refine.view_geometry(fine, grid, known.height)
+    seen = refine.view_geometry(fine, grid, known.height, 0.0)
     per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
     t = ParallaxSettings()
     visible = refine.visible_from(fine, grid, known.height, per_px, t.refinement.occlusion_px)

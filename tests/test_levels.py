@@ -284,6 +284,17 @@ def test_a_gap_without_common_views_starts_anew_and_keeps_the_map() -> None:
     assert covered > 0.93
 
 
+def test_a_map_begins_wherever_the_heights_of_its_frame_begin() -> None:
+    """A flight that begins in the air has its origin there, and the ground far below it."""
+    off = np.array([0.0, 0.0, -400.0])
+    low = [replace(v, world_from_cam=Pose(v.world_from_cam.rotation, v.centre + off)) for v in level()]
+    there, here = (steps(lane_of(views[:8]), views) for views in (low, level()))
+    a, b = (under(lane, views[-1]) for lane, views in ((there, low), (here, level())))
+    assert a.trusted.mean() > b.trusted.mean() - 0.02
+    assert b.trusted.mean() > 0.9
+    assert np.nanmedian(np.abs(a.height - off[2] - b.height)[a.trusted & b.trusted]) < 0.0025 * UP
+
+
 def test_poses_of_another_frame_do_not_mix() -> None:
     """The estimator begins anew and is 1.5 m off in height: the heights of before are gone, the new ones are right in
     the new frame. Without it views of both frames would be matched with each other."""

@@ -110,7 +110,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None
-    seen = refine.view_geometry(fine, grid, start)
+    seen = refine.view_geometry(fine, grid, start, ground)
     per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
     visible = refine.visible_from(fine, grid, start, per_px, settings.refinement.occlusion_px)
     fit = refine.gauss_newton(fine, grid, start, per_px, visible, settings.refinement.iterations, settings.refinement)

@@ -39,14 +39,14 @@ class Fit:
     metres_per_px: F32  # height that moves the outermost of them apart by one cell
 
 
-def median_height(height: F32) -> float:
-    """About the median of the known heights, metres; 0 where none is known. The exact one costs a step's time."""
+def median_height(height: F32, none: float = 0.0) -> float:
+    """About the median of the known heights, metres; `none` where none is known. The exact one costs a step's time."""
     for every in (8, 1):
         some = height[::every, ::every]
         some = some[np.isfinite(some)]
         if some.size:
             return float(np.median(some))
-    return 0.0
+    return none
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,15 @@ class ViewGeometry:
     views: Mask  # (N, ...) which these are
 
 
-def view_geometry(prepared: list[Prepared], grid: Grid, height: F32) -> ViewGeometry:
-    """Geometry of all views at the ground `height` (R, C), block by block; the median height where it is unknown."""
+def view_geometry(prepared: list[Prepared], grid: Grid, height: F32, ground: float) -> ViewGeometry:
+    """Geometry of all views at the ground `height` (R, C), block by block.
+
+    The median height where it is unknown, and `ground`, metres, where no height is known at all.
+    """
     wide = grid.coarser(SEEN_BLOCK)
     k = min(SEEN_BLOCK // 2, *(n - 1 for n in grid.shape))
     known = height[k::SEEN_BLOCK, k::SEEN_BLOCK]
-    level = np.full(wide.shape, median_height(height), np.float32)
+    level = np.full(wide.shape, median_height(height, ground), np.float32)
     inner = level[: known.shape[0], : known.shape[1]]
     np.copyto(inner, known, where=np.isfinite(known))
     columns = np.empty((len(prepared), *wide.shape), np.float32)

@@ -55,7 +55,8 @@ class Window:
         cls, kept: list[Kept], grid: Grid, known: ElevationMap, searched: tuple[float, float], drop: float
     ) -> Window:
         """The window as these views see it; `drop`: metres from the newest camera to the ground."""
-        seen = refine.view_geometry([k.fine for k in kept], grid, known.height)
+        ground = float(kept[-1].view.centre[2]) - drop
+        seen = refine.view_geometry([k.fine for k in kept], grid, known.height, ground)
         per_px = refine.enlarged(seen.metres_per_px, grid, refine.SEEN_BLOCK)
         near, far = (first_of_twins(kept, share * drop) for share in (BESIDE, APART))
         return cls(grid, known, kept, seen, per_px, searched, drop, rgb_of(kept[-1].view.image), near, far)
