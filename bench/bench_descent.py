@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from alight.arrays import F64
 from alight.elevation import TiledElevation
-from alight.evaluation.report import nmad
 from alight.geometry import Grid
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import footprint
 from alight.records import ElevationMap, View
 from alight.settings import Settings
+from alight.spread import nmad
 from alight_sim import SimulatedFlight, fly
 from alight_sim.patterns import FlightPlan
 

@@ -26,11 +26,11 @@ from ladder import rung
 from true_views import exposures
 
 from alight.arrays import F64
-from alight.evaluation.report import nmad
 from alight.geometry import Pose, so3_exp
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.records import ElevationMap, KeyframePosterior, Motion, View
 from alight.settings import Settings
+from alight.spread import nmad
 
 RUNGS = ("meadow/40m/test-1", "farmland/40m/test-1", "village/40m/test-1", "quarry/40m/test-1")
 COUNT = 20  # exposures

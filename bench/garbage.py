@@ -1,19 +1,25 @@
-"""Garbage in nine of ten images or rows: is a site listed only where the good tenth supports it by itself?
+"""Garbage in nine of ten images, rows or photos: is a site listed only where the good tenth supports it by itself?
 
-    python bench/garbage.py [--seconds 6] [--seed 0] [--kinds noise,other]
+    python bench/garbage.py [--scene demo] [--seconds 6] [--seed 0] [--kinds noise,other]
+    python bench/garbage.py --kinds photos-noise,photos-other,photos-tags
 
-Each kind of garbage is run beside the good tenth alone (the other rows taken away). A site is supported where P(safe)
-of the good tenth's own run reaches the limit within a cell. Exit code 1 when a site is listed that is not supported.
+Each kind of garbage is run beside the good tenth alone (the other rows or photos taken away). A site is supported where
+P(safe) of the good tenth's own run reaches the limit within a cell. Exit code 1 when a site is listed that is not
+supported.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import garbage_photos
 import numpy as np
 from PIL import Image
 
@@ -23,7 +29,6 @@ from alight.runner.replay import Find, find, write_run
 from alight.settings import Settings
 
 KEPT, OF = 5, 10  # the rows and images with this number of every ten are good
-CLEAN = {"noise": "cam", "other": "cam", "black": "cam", "nav": "nav", "imu": "imu"}  # which streams a kind spoils
 METRE = 1 / 111_000  # degrees of latitude
 
 
@@ -88,7 +93,7 @@ def imu(root: Path, rng: np.random.Generator) -> None:
     _rows(root / "mav0" / "imu0" / "data.csv", lambda v: [*rng.normal(0, 1, 3), *rng.normal(0, 20, 3)])
 
 
-def only_good(root: Path, stream: str) -> None:
+def only_good(stream: str, root: Path) -> None:
     """Take the rows away that a kind of garbage would spoil."""
     for table in root.glob(f"mav0/{stream}*/data.csv"):
         head, *rows = table.read_text(encoding="utf-8").splitlines()
@@ -96,7 +101,21 @@ def only_good(root: Path, stream: str) -> None:
         table.write_text("\n".join([head, *kept]) + "\n", encoding="utf-8")
 
 
-KINDS = {"noise": noise, "other": other, "black": black, "nav": nav, "imu": imu}
+@dataclass(frozen=True)
+class Kind:
+    """A kind of garbage."""
+
+    spoil: Callable[[Path, np.random.Generator], None]
+    alone: Callable[[Path], None]  # leaves the good tenth
+    source: str = "flight"
+
+
+CAM, NAV, IMU = (partial(only_good, stream) for stream in ("cam", "nav", "imu"))
+KINDS = {"noise": Kind(noise, CAM), "other": Kind(other, CAM), "black": Kind(black, CAM), "nav": Kind(nav, NAV),
+         "imu": Kind(imu, IMU)}  # fmt: skip
+KINDS |= {
+    f"photos-{name}": Kind(spoil, garbage_photos.only_good, "photos") for name, spoil in garbage_photos.KINDS.items()
+}
 
 
 def run(flight: Path, out: Path) -> Run:
@@ -111,8 +130,10 @@ def unsupported(found: Run, good: Run) -> list[str]:
     wrong = []
     for s in listed:
         p = 0.0
-        if good.safe is not None and good.grid is not None:
-            row, col = (round(float(i)) for i in good.grid.index(s["east_m"], s["north_m"]))
+        if good.safe is not None and good.grid is not None and good.local is not None and found.local is not None:
+            place = found.local.to_geodetic(np.array([s["east_m"], s["north_m"], s["up_m"]]))
+            east, north, _ = good.local.to_enu(*place)
+            row, col = (round(float(i)) for i in good.grid.index(east, north))
             if 0 <= row < good.grid.rows and 0 <= col < good.grid.cols:
                 near = good.safe[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
                 p = float(np.nanmax(np.nan_to_num(near)))
@@ -121,38 +142,50 @@ def unsupported(found: Run, good: Run) -> list[str]:
     return wrong
 
 
-def made(root: Path, seconds: float, seed: int) -> Path:
-    """A simulated flight of the demo."""
-    alight_sim.write(alight_sim.fly("demo", seed, seconds), root, lambda done, total: None)
-    return root
+def made(source: str, root: Path, scene: str, seconds: float, seed: int) -> Path:
+    """A healthy input, made once: a simulated flight, or photos."""
+    folder = root / source
+    if folder.exists():
+        return folder
+    if source == "photos":
+        garbage_photos.draw_card(scene, folder)
+    else:
+        alight_sim.write(alight_sim.fly(scene, seed, seconds), folder, lambda done, total: None)
+    return folder
+
+
+def report(name: str, found: Run, good: Run) -> int:
+    """Say what a run with garbage found; how many of its sites are not supported."""
+    wrong = unsupported(found, good)
+    count, own = (len(r.info["answer"].get("sites", [])) for r in (found, good))
+    said = found.info["answer"].get("reason") or ""
+    sys.stdout.write(f"{name}: {count} sites, the good tenth alone {own}; {len(wrong)} not supported  {said}\n")
+    sys.stdout.write("".join(f"    {w}\n" for w in wrong))
+    sys.stdout.flush()
+    return len(wrong)
 
 
 def main() -> int:
     """Run every kind; return the exit code."""
-    parser = argparse.ArgumentParser(description="Garbage in nine of ten images or rows.")
+    parser = argparse.ArgumentParser(description="Garbage in nine of ten images, rows or photos.")
+    parser.add_argument("--scene", default="demo")
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--kinds", default=",".join(KINDS))
     given, bad = parser.parse_args(), 0
     with tempfile.TemporaryDirectory(prefix="alight-garbage-") as folder:
         root = Path(folder)
-        alone: dict[str, Run] = {}
-        for kind in given.kinds.split(","):
-            stream = CLEAN[kind]
-            if stream not in alone:
-                flight = made(root / f"{stream}-good", given.seconds, given.seed)
-                only_good(flight, stream)
-                alone[stream] = run(flight, root / f"{stream}-good-run")
-            flight = made(root / kind, given.seconds, given.seed)
-            KINDS[kind](flight, np.random.default_rng(given.seed))
-            found = run(flight, root / f"{kind}-run")
-            wrong = unsupported(found, alone[stream])
-            count, own = (len(r.info["answer"].get("sites", [])) for r in (found, alone[stream]))
-            said = found.info["answer"].get("reason") or ""
-            sys.stdout.write(f"{kind}: {count} sites, the good tenth alone {own}; {len(wrong)} not supported  {said}\n")
-            sys.stdout.write("".join(f"    {w}\n" for w in wrong))
-            sys.stdout.flush()
-            bad += len(wrong)
+        alone: dict[Callable[[Path], None], Run] = {}
+        for name in given.kinds.split(","):
+            kind = KINDS[name]
+            healthy = made(kind.source, root, given.scene, given.seconds, given.seed)
+            if kind.alone not in alone:
+                good = shutil.copytree(healthy, root / f"{name}-good")
+                kind.alone(good)
+                alone[kind.alone] = run(good, root / f"{name}-good-run")
+            spoiled = shutil.copytree(healthy, root / name)
+            kind.spoil(spoiled, np.random.default_rng(given.seed))
+            bad += report(name, run(spoiled, root / f"{name}-run"), alone[kind.alone])
     return int(bool(bad))
 
 

@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt
 
 from alight.arrays import F32, F64, U8
 from alight.elevation import FIELDS
-from alight.evaluation.flight import NEAR, FlightTruth, at, read_flight_truth
+from alight.evaluation.flight import NEAR, FlightTruth, read_flight_truth
 from alight.geometry import Grid
 from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
@@ -74,18 +74,18 @@ class Judgeable:
         return self._at(safe) > 0, self._at((away <= NEAR).astype(np.uint8)) > 0
 
     def _at(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        e, n = np.meshgrid(*self.elevation.grid.xy())
-        return at(values, self.truth.grid, e, n)
+        return self.truth.grid.nearest_on(self.elevation.grid, values)
 
 
-def _write(path: Path, e: ElevationMap, truth: FlightTruth) -> None:
+def write_map(path: Path, e: ElevationMap, truth: FlightTruth, **more: object) -> None:
+    """Keep a map beside its truth, and `more` arrays or numbers with it."""
     gauge = e.gauge or Datum(0.0, 0.0, np.zeros((3, 3)))
     np.savez_compressed(
         path,
         grid=_numbers(e.grid), gauge=np.concatenate([[gauge.east, gauge.north], gauge.covariance.ravel()]),
         fine=e.fine, fine_sampling=e.fine_sampling, truth_grid=_numbers(truth.grid),
         dem=truth.dem, label=truth.label,
-        **{k: getattr(e, k) for k in FIELDS},
+        **{k: getattr(e, k) for k in FIELDS}, **more,
     )  # fmt: skip
 
 
@@ -97,7 +97,8 @@ def _grid(g: F64) -> Grid:
     return Grid(float(g[0]), float(g[1]), float(g[2]), int(g[3]), int(g[4]))
 
 
-def _read(path: Path, name: str) -> Judgeable:
+def read_map(path: Path, name: str) -> Judgeable:
+    """What `write_map` kept."""
     with np.load(path) as z:
         g = z["gauge"]
         gauge = Datum(float(g[0]), float(g[1]), g[2:].reshape(3, 3)) if g.any() else None
@@ -140,7 +141,7 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
         off = _drift(list(trajectory.motions), source)
         grid = replace(true.grid, east=true.grid.east + off[0], north=true.grid.north + off[1])
         moved = FlightTruth((true.dem + off[2]).astype(np.float32), true.label, grid)
-        _write(paths[how], seen.frame.elevation(as_judged(seen, Settings().lander)), moved)
+        write_map(paths[how], seen.frame.elevation(as_judged(seen, Settings().lander)), moved)
 
 
 def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) -> Judgeable | None:
@@ -151,4 +152,4 @@ def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) 
     if not paths[how].exists():
         wanted = tuple(h for h, p in paths.items() if not p.exists())
         _make(name, wanted, paths)
-    return _read(paths[how], f"{name}, {how}") if paths[how].exists() else None
+    return read_map(paths[how], f"{name}, {how}") if paths[how].exists() else None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from alight.evaluation.flight import NEAR, FlightTruth, at
+from alight.evaluation.flight import NEAR, FlightTruth
 from alight.geometry import Grid
 from alight.records import LANDABLE, Terrain
 from alight.settings import Lander
@@ -66,5 +66,4 @@ class GroundTruth:
 
     def on(self, grid: Grid, mask: Bool) -> Bool:
         """The nearest value of a mask at every cell of another grid; False outside."""
-        e, n = np.meshgrid(*grid.xy())
-        return np.asarray(at(mask.astype(np.uint8), self.truth.grid, e, n) > 0)
+        return self.truth.grid.nearest_on(grid, mask)

@@ -11,8 +11,8 @@ from matchers import inside, stands_clear
 from numpy.typing import NDArray
 
 from alight.arrays import F64
-from alight.evaluation.report import nmad
 from alight.records import Terrain, View
+from alight.spread import nmad
 from alight_sim import SimulatedFlight
 
 POINTS = 20_000

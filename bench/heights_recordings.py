@@ -19,9 +19,9 @@ from subjects import Subject, flight, photos
 
 from alight.arrays import F64
 from alight.evaluation.photos import interpolated, plane_of
-from alight.evaluation.report import nmad
 from alight.records import ElevationMap, Flag, View
 from alight.settings import Settings
+from alight.spread import nmad
 
 DATA = Path(os.environ.get("ALIGHT_DATA", Path(__file__).parents[2] / "shared" / "data"))
 OWN_NOISE = 0.028  # metres, of the reference's points

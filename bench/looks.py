@@ -12,21 +12,22 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
-from ground_flights import cover_of
-from ground_maps import Judgeable
+from ground_flights import LEVELS, Judged, cover_of, pooled, reliability
+from ground_maps import Judgeable, read_map, write_map
 from ground_truth import Bool, GroundTruth
 
 from alight import hazards
 from alight.arrays import F64
 from alight.evaluation.flight import FlightTruth
 from alight.geometry import Grid
+from alight.parallax.window import part_of
 from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
-from alight.records import Event, Frame, InputError
+from alight.records import ElevationMap, Event, Frame, InputError
 from alight.settings import Settings, load_settings
 from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.oracle import OracleLander, safe_places
@@ -37,6 +38,7 @@ FAMILIES = (
     "meadow", "village", "gravel", "concrete", "farmland", "quarry", "desert", "car_park", "depot", "pasture",
     "furrows", "marsh", "canal", "lakes", "yard", "forest", "rubble",
 )  # fmt: skip
+TUNING = tuple(f"{family}/looks/tuning-{k}" for k in (1, 2) for family in FAMILIES)
 TEST = tuple(f"{family}/looks/test-1" for family in FAMILIES)
 FIRST_SEED = {"tuning": 3000, "test": 7000}
 PLACES = 6  # of a flight
@@ -49,10 +51,9 @@ CRUISE, SLOW, SINK = 5.0, 2.0, 2.0  # m/s: to a leg, on it, down
 NEAR_ENOUGH, PATIENCE = 1.0, 40.0  # m to a way-point; s
 REACH = 4.0  # m about the place that count
 BEYOND = 4.0  # m about these, of which the truth is wanted
+KEPT = 15.0  # m, half the side of the map about the place that is kept
 STEP = 0.1  # s
 MARGIN = 0.3  # m by which a safe place is safe
-LEVELS = (0.8, 0.9, 0.95, 0.99)
-BINS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0 + 1e-9)
 _NAME = re.compile(r"([a-z_]+)/looks/(tuning|test)-(\d+)")
 
 
@@ -172,42 +173,67 @@ def looks_of(name: str) -> Iterator[Look]:
                 yield found
 
 
-def judged(look: Look) -> tuple[F64, Bool, Bool]:
-    """P(safe) of the cells about the place, and where a touchdown is truly safe, or within 0.3 m of where it is."""
+def kept_looks(name: str, scratch: Path) -> list[Look]:
+    """The looks of a world, their maps cut to `KEPT` metres about the place; flown once."""
+    folder = scratch / name.replace("/", "_")
+    if not folder.exists():
+        making = folder.with_suffix(".part")
+        making.mkdir(parents=True, exist_ok=True)
+        for k, look in enumerate(looks_of(name)):
+            about = cut(look.judgeable.elevation, look.place)
+            write_map(making / f"{k:02d}.npz", about, look.judgeable.truth, place=look.place, above=look.height)
+        making.rename(folder)
+    return [_read_look(path, f"{name}, look {path.stem}") for path in sorted(folder.glob("*.npz"))]
+
+
+def _read_look(path: Path, name: str) -> Look:
+    with np.load(path) as z:
+        return Look(read_map(path, name), z["place"], float(z["above"]))
+
+
+def cut(e: ElevationMap, place: F64) -> ElevationMap:
+    """The map within `KEPT` metres of a place, with its finest picture."""
+    row, col = (round(float(k)) for k in e.grid.index(*place))
+    half = round(KEPT / e.grid.cell)
+    rows, cols = (slice(max(0, k - half), min(n, k + half)) for k, n in ((row, e.grid.rows), (col, e.grid.cols)))
+    assert e.fine is not None
+    assert e.fine_sampling is not None
+    n = e.fine.shape[0] // e.grid.rows
+    fine = e.fine[n * rows.start : n * rows.stop, n * cols.start : n * cols.stop]
+    return replace(part_of(e, (rows, cols)), fine=fine, fine_sampling=e.fine_sampling[rows, cols], gauge=e.gauge)
+
+
+def judged(look: Look) -> Judged:
+    """The cells about the place."""
     s, j = Settings().stages(), look.judgeable
     danger = hazards.assess(j.elevation, cover_of(j), s.lander, s.hazards)
     truth, here = GroundTruth(j.truth, s.lander), j.seen & look.about(danger.grid)
     safe, near = (truth.on(danger.grid, m)[here] for m in (truth.safe, truth.near(truth.safe)))
-    return np.nan_to_num(danger.p_safe)[here].astype(np.float64), safe, near
+    return Judged(j.name, np.nan_to_num(danger.p_safe)[here], safe, near)
 
 
-def line(name: str, p: F64, safe: Bool, near: Bool) -> str:
-    """What is false and found at some levels."""
-    parts = [
-        f"{level}: false {100 * float((~near[p >= level]).mean()) if (p >= level).any() else 0.0:5.2f} "
-        f"found {100 * float((p[safe] >= level).mean()) if safe.any() else 0.0:5.1f}"
-        for level in LEVELS
-    ]
-    return f"{name:34s} {len(p):7d} cells, safe {100 * float(safe.mean()):5.1f} %   " + "   ".join(parts)
+def show(j: Judged) -> None:
+    """Print what is claimed, falsely claimed and found."""
+    print(f"{j.name:36s} {len(j.p)} cells, {100 * j.safe.mean():.1f} % truly safe")
+    for level in LEVELS:
+        print("   " + j.line(level), flush=True)
 
 
 def main() -> None:
     """The table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("flights", nargs="*", default=TEST)
-    everything: list[tuple[F64, Bool, Bool]] = []
-    for name in parser.parse_args().flights:
-        found = [judged(look) for look in looks_of(name)]
+    parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
+    options, done = parser.parse_args(), list[Judged]()
+    for name in options.flights:
+        found = [judged(look) for look in kept_looks(name, options.scratch)]
         if found:
-            p, safe, near = (np.concatenate(v) for v in zip(*found, strict=True))
-            everything.append((p, safe, near))
-            print(line(name, p, safe, near), flush=True)
-    p, safe, near = (np.concatenate(v) for v in zip(*everything, strict=True))
-    print(line("all of them", p, safe, near))
-    for low, high in pairwise(BINS):
-        here = (p >= low) & (p < high) & (p > 0)
-        if here.any():
-            print(f"   claimed {p[here].mean():.3f}  true {near[here].mean():.3f}  {here.sum():8d} cells")
+            done.append(pooled(found, name))
+            show(done[-1])
+    every = pooled(done)
+    show(every)
+    for claimed, true, cells in reliability(every):
+        print(f"   claimed {claimed:.3f}  true {true:.3f}  {cells:8d} cells")
 
 
 if __name__ == "__main__":

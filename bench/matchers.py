@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from subjects import Points, Subject
 
 from alight.arrays import F32, F64
-from alight.evaluation.report import nmad
 from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, Terrain, View
 from alight.runner import replay
+from alight.spread import nmad
 
 WRONG = 0.01  # of the height above ground
 STEP = 0.13  # of the height between the pictures of a pair: every second photo

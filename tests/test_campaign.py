@@ -137,7 +137,7 @@ def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -
 
 def done_to(vehicle: SteeredFlight) -> str:
     """All that a fault may change."""
-    sensors = vehicle._imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
+    sensors = vehicle._sensors.imu_lost, vehicle._nav.errors, vehicle._cameras.commanded
     return repr((vehicle.battery, vehicle._air, vehicle._pushes, len(vehicle.world.bodies), *sensors))
 
 

@@ -16,11 +16,12 @@ from damage import HEIGHT, LATITUDE, LONGITUDE, STEP, T0, write_flight, write_ro
 from numpy.typing import NDArray
 from some_run import some_run
 
-from alight.evaluation import evaluate, flight, nmad, photos
+from alight.evaluation import evaluate, flight, photos
 from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, LocalFrame, Pose, so3_exp
 from alight.outputs import write_run
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, InputError, Motion, RunResult, Sites, Terrain
+from alight.spread import nmad
 
 CELL = 0.1
 GRID = Grid(-20.0, 20.0, CELL, 401, 401)
@@ -244,14 +245,6 @@ def test_damaged_truth_is_refused(truth: Path, tmp_path: Path) -> None:
     write_raster(flight_ / "truth" / "class.tif", np.ones((9, 9), np.uint8), Grid(0.0, 0.0, 1.0, 9, 9))
     with pytest.raises(InputError, match="not on one grid"):
         evaluate(tmp_path / "out", flight_)
-
-
-def test_lookup_is_nearest_and_empty_outside() -> None:
-    grid = Grid(0.0, 0.0, 1.0, 2, 3)
-    values = np.arange(6, dtype=np.float32).reshape(2, 3)
-    got = flight.at(values, grid, np.array([0.4, 2.0, 1.6, 9.0]), np.array([0.0, -1.0, -0.6, 0.0]))
-    np.testing.assert_array_equal(got, [0.0, 5.0, 5.0, np.nan])
-    assert flight.at(values.astype(np.uint8), grid, np.array([9.0]), np.array([0.0]))[0] == 0
 
 
 def test_dilation() -> None:

@@ -18,8 +18,8 @@ from some_run import site as some_site
 from alight.geometry import Grid
 from alight.landing.executive import TABLE, Executive, as_markdown
 from alight.landing.executive.search import square_spiral
-from alight.landing.route import lowest_clear
-from alight.records import ElevationMap, Hazard, HazardMap, MotionState, NextView, Sites
+from alight.landing.route import lowest_clear, standing
+from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
 from alight.settings import load_settings
 
@@ -41,6 +41,7 @@ class Ground:
     sees: float = 20.0  # m about the vehicle
     tall: float = 0.0  # m, of a wall across east = 15
     unlisted: tuple[float, float] = (0.0, 0.0)  # heights between which places are in doubt and not listed
+    gap: bool = False  # of the map, about east = 0
 
     def map(self) -> ElevationMap:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
@@ -53,6 +54,7 @@ class Ground:
             for name, v in vars(m).items()
             if isinstance(v, np.ndarray) and v.ndim >= 2 and v.shape[:2] == m.grid.shape
         }
+        blank["flags"][:, np.abs(east) < 2.0] = int(Flag.UNSEEN) if self.gap else 0
         return replace(m, grid=grid, **blank | {"height": flat, "sigma": np.full(grid.shape, 0.02, np.float32)})
 
     def seen(self, number: int, t: float, at: np.ndarray) -> Seen:
@@ -570,7 +572,7 @@ def test_no_verdict_no_landing() -> None:
 def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  # type: ignore[type-arg]
     """Situations at random: no exception, no transition that the table has not, and no order after the end."""
     executive, ground, t = Executive(settings()), Ground({(1.0, 1.0): clearer_from_below}), 0.0
-    for state, link, pilot, standing, wind, battery, age, frame, up, p in moments:
+    for state, link, pilot, stands, wind, battery, age, frame, up, p in moments:
         t += 1.0
         ground.frame_id, ground.places[1.0, 1.0] = frame, lambda h, p=p: p
         at = np.array([1.0, 0.0, up])
@@ -578,7 +580,7 @@ def test_whatever_happens_it_stays_in_its_table(moments: list[tuple]) -> None:  
         ended = executive.state in (S.LANDED, S.HANDED_OVER)
         order = executive.tick(
             Situation(t, None if lost else at, state, frame, ground.seen(int(t), t, at), age, wind > 10,
-                      link=link or wind > 3, pilot=pilot and wind > 18, standing=standing and up < 1, battery=battery,
+                      link=link or wind > 3, pilot=pilot and wind > 18, standing=stands and up < 1, battery=battery,
                       wind=np.array([wind, -wind]), holds=battery > 0.5)
         )  # fmt: skip
         assert not ended or order.what == "nothing"
@@ -644,10 +646,34 @@ def test_after_a_first_refusal_the_search_goes_on_to_its_end() -> None:
 
 def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:
     m = Ground({}, tall=12.0).map()
-    over = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([30.0, 0.0, 5.0]), m, 3.0)
-    beside = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0]), m, 3.0)
-    assert over == pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4)
-    assert beside == pytest.approx(3.04, abs=1e-4)
+    over = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([30.0, 0.0, 5.0]), m.grid, standing(m), 3.0)
+    beside = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0]), m.grid, standing(m), 3.0)
+    assert over == (pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4), 0.0)
+    assert beside == (pytest.approx(3.04, abs=1e-4), 0.0)
+
+
+def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not() -> None:
+    m = some_elevation()
+    height, flags = np.zeros_like(m.height), np.zeros_like(m.flags)
+    half = round(1.0 / m.grid.cell)
+    crown, speck = (slice(20, 20 + 2 * half), slice(20, 20 + 2 * half)), (5, 5)
+    for where in (crown, speck):
+        height[where], flags[where] = 9.0, Flag.UNSURE
+    top = standing(replace(m, height=height, flags=flags, sigma=np.full_like(height, 0.02)))
+    assert top[20 + half, 20 + half] == 9.0
+    assert top[speck] < 1.0
+
+
+@pytest.mark.parametrize("mapped", [True, False])
+def test_a_long_way_over_unmapped_ground_is_flown_at_the_height_of_the_search(mapped: bool) -> None:
+    """From a place that fell at a low look to the next: between them may stand what no map has."""
+    places = {(10.0, 5.0): lambda h: 0.92 if h > 9.0 else 0.1, (-15.0, 5.0): lambda h: 0.91}
+    f = Flight(Ground(places, sees=60.0, gap=not mapped), Executive(settings()))
+    f.fly()
+    assert min(p[2] for state, _, p in f.orders if state is S.LOOK and p[0] > 5.0) < 10.0
+    between = [p[2] for state, _, p in f.orders if state is S.APPROACH and -5.0 < p[0] < 0.0]
+    assert between
+    assert (min(between) > 25.0) is not mapped
 
 
 @pytest.mark.parametrize("trouble", ["motion", "pictures", "frame", "wind"])

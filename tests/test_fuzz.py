@@ -6,9 +6,14 @@ import json
 import os
 import subprocess
 import sys
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
+import numpy as np
 import pytest
+import rasterio
+from PIL import Image
 
 ROOT = Path(__file__).parents[1]
 
@@ -48,3 +53,48 @@ source.Findings.lose = faulty
     assert code == 1, said
     kept = [json.loads(p.read_text(encoding="utf-8")) for p in keep.glob("*.json")]
     assert any("a fault put in" in k["fault"] and len(k["damages"]) == 1 for k in kept)
+
+
+@pytest.fixture(scope="module")
+def cost() -> ModuleType:
+    """What a trial may cost, as a module."""
+    spec = spec_from_file_location("cost", ROOT / "bench" / "fuzz" / "cost.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules["cost"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("seconds", "megabytes", "pixels", "fault"),
+    [
+        (19.0, 300.0, 0, None), (31.0, 300.0, 0, "too slow"), (31.0, 300.0, 400_000, None),
+        (119.0, 300.0, 800_000, None), (121.0, 300.0, 800_000, "too slow"), (1.0, 790.0, 0, None),
+        (1.0, 810.0, 0, "too large: 810 MB"), (1.0, 1390.0, 800_000, None),
+        (1.0, 1410.0, 800_000, "too large: 1410 MB"),
+    ],
+)  # fmt: skip
+def test_time_and_memory_are_held_against_what_was_left(
+    cost: ModuleType, seconds: float, megabytes: float, pixels: int, fault: str | None
+) -> None:
+    """The healthy input takes 3 s and 100 MB more than nothing, and leaves 200,000 pixels."""
+    healthy = cost.Cost(3.0, 400.0, 200_000, 300.0)
+    assert healthy.fault(SimpleNamespace(fault=None, seconds=seconds, megabytes=megabytes), pixels) == fault
+
+
+def test_a_wrong_answer_stays_wrong_whatever_was_left(cost: ModuleType) -> None:
+    found = SimpleNamespace(fault="no answer", seconds=1.0, megabytes=1.0)
+    assert cost.Cost(3.0, 400.0, 0, 300.0).fault(found, 10**9) == "no answer"
+
+
+def test_pixels_of_whole_pictures_and_rasters_count(cost: ModuleType, tmp_path: Path) -> None:
+    for name in ("a.png", "b.jpg"):
+        Image.fromarray(np.zeros((20, 30, 3), np.uint8)).save(tmp_path / name)
+    (tmp_path / "c.png").write_bytes(b"")
+    (tmp_path / "d.txt").write_text("text")
+    with rasterio.open(tmp_path / "e.tif", "w", driver="GTiff", width=7, height=9, count=1, dtype="uint8",
+                       transform=rasterio.Affine(2, 0, 0, 0, -2, 0)) as raster:  # fmt: skip
+        raster.write(np.zeros((9, 7), np.uint8), 1)
+    assert cost.pixels_left(tmp_path) == 2 * 600 + 63

@@ -27,6 +27,7 @@ def bench() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules["garbage"] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from lenses import LENSES, each_lens
 from numpy.testing import assert_allclose
 from pyproj import CRS, Transformer
 from scipy.linalg import expm
@@ -41,16 +42,6 @@ angle = st.one_of(
 near_pi = st.floats(1e-12, 1e-3).map(lambda e: np.pi - e)
 rotation = st.tuples(axis, angle).map(lambda p: so3_exp(p[0] * p[1]))
 pose = st.tuples(rotation, vector).map(lambda p: Pose(p[0], 100 * p[1]))
-
-LENSES = {
-    "none": Camera(640, 480, 512.0, 508.0, 321.3, 236.8),
-    "radial-tangential": Camera(
-        640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (-0.28, 0.08, 0.0006, -0.0004)
-    ),
-    "five numbers": Camera(640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (0.05, -0.1, 1e-3, 5e-4, 0.02)),
-    "equidistant": Camera(640, 480, 300.0, 301.0, 322.0, 239.0, "equidistant", (0.01, -0.004, 0.002, -0.0005)),
-}
-lens = pytest.mark.parametrize("camera", LENSES.values(), ids=LENSES.keys())
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
@@ -231,7 +222,7 @@ def all_over(camera: Camera, step: float = 20.0) -> np.ndarray:
     return np.stack([u, v], axis=-1)
 
 
-@lens
+@each_lens
 def test_rays_and_projection_undo_each_other(camera: Camera) -> None:
     pixels = all_over(camera)
     rays = camera.rays(pixels)
@@ -241,23 +232,23 @@ def test_rays_and_projection_undo_each_other(camera: Camera) -> None:
         assert_allclose(camera.project(rays * depth), pixels, atol=1e-7)
 
 
-@lens
+@each_lens
 def test_undistort_undoes_distort(camera: Camera) -> None:
     ideal = camera.rays(all_over(camera))[..., :2]
     assert_allclose(camera.undistort(camera.distort(ideal)), ideal, atol=1e-9)
 
 
-@lens
+@each_lens
 def test_the_principal_ray_meets_the_principal_point(camera: Camera) -> None:
     assert_allclose(camera.project([0.0, 0.0, 3.0]), [camera.cu, camera.cv], atol=1e-9)
 
 
-@lens
+@each_lens
 def test_nothing_behind_the_camera_is_seen(camera: Camera) -> None:
     assert np.isnan(camera.project([[0.1, 0.1, -1.0], [0.1, 0.1, 0.0]])).all()
 
 
-@lens
+@each_lens
 @pytest.mark.parametrize("factor", [0.5, 0.25, 2.0])
 def test_a_scaled_camera_keeps_its_rays(camera: Camera, factor: float) -> None:
     """Centres at integers: pixel u of the large image lies at (u + 0.5) f - 0.5 of the small one."""
@@ -408,6 +399,29 @@ def test_a_window_is_a_part(grid: Grid, data: st.DataObject) -> None:
     part = grid.window(r, c, grid.rows - r, grid.cols - c)
     assert_allclose(part.xy()[0], grid.xy()[0][c:], atol=1e-9)
     assert_allclose(part.xy()[1], grid.xy()[1][r:], atol=1e-9)
+
+
+@given(grids, number, number)
+def test_the_nearest_value_is_that_of_the_cell_a_place_lies_in(grid: Grid, right: float, down: float) -> None:
+    rows, cols = np.indices(grid.shape)
+    number_of = (rows * grid.cols + cols).astype(np.float32)
+    xs, ys = grid.xy()
+    off_x, off_y = 0.49 * grid.cell * right, -0.49 * grid.cell * down
+    east, north = np.meshgrid(xs + off_x, ys + off_y)
+    assert (grid.nearest_at(number_of, east, north) == number_of).all()
+    beyond = np.array([xs[0] - 0.51 * grid.cell, xs[-1] + 0.51 * grid.cell])
+    assert np.isnan(grid.nearest_at(number_of, beyond, ys[:1])).all()
+    assert (grid.nearest_at(np.ones(grid.shape, np.uint8), beyond, ys[:1]) == 0).all()
+    assert (grid.nearest_at(np.ones((*grid.shape, 3), np.uint8), beyond, ys[:1], 7.0) == 7).all()
+    assert (number_of == rows * grid.cols + cols).all()  # what was given stays as it was
+
+
+@given(grids, st.data())
+def test_a_window_with_a_rim_takes_the_values_that_the_grid_has(grid: Grid, data: st.DataObject) -> None:
+    r, c = data.draw(st.integers(0, grid.rows - 1)), data.draw(st.integers(0, grid.cols - 1))
+    values = np.arange(grid.rows * grid.cols, dtype=np.uint16).reshape(grid.shape)
+    wide = grid.nearest_on(grid.window(r - 1, c - 1, grid.rows - r + 2, grid.cols - c + 2), values, 9999)
+    assert (wide == np.pad(values, 1, constant_values=9999)[r:, c:]).all()
 
 
 @given(grids)

@@ -21,6 +21,7 @@ from alight.parallax.pose_refinement.solve import thinning
 from alight.pipeline.navigation import GivenLane
 from alight.records import Datum, ElevationMap, Frame, Heights, KeyframePosterior, Motion, Rig, RigCamera, View
 from alight.settings import MotionSettings, ParallaxSettings
+from alight.spread import nmad
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -269,7 +270,7 @@ def shape(found: ElevationMap) -> tuple[float, F64]:
     A = np.c_[np.ones(len(e)), EAST[ok] - about[0], NORTH[ok] - about[1]]
     fit = np.linalg.lstsq(A, e, rcond=None)[0]
     rest = e - A @ fit
-    return float(1.4826 * np.median(np.abs(rest - np.median(rest)))), fit
+    return nmad(rest), fit
 
 
 @cache

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import twins
+from lenses import LENSES, each_lens
 from numpy.testing import assert_allclose, assert_array_equal
 
 from alight.geometry import Camera, Grid, Pose, ground_projection, so3_exp
@@ -467,15 +468,6 @@ def test_visibility(kind: str) -> None:
 
 # -- projection
 
-LENSES = {
-    "none": Camera(640, 480, 512.0, 508.0, 321.3, 236.8),
-    "radial-tangential": Camera(
-        640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (-0.28, 0.08, 0.0006, -0.0004)
-    ),
-    "five numbers": Camera(640, 480, 470.0, 469.0, 318.2, 241.0, "radial-tangential", (0.05, -0.1, 1e-3, 5e-4, 0.02)),
-    "equidistant": Camera(640, 480, 300.0, 301.0, 322.0, 239.0, "equidistant", (0.01, -0.004, 0.002, -0.0005)),
-}
-LENS = pytest.mark.parametrize("camera", LENSES.values(), ids=LENSES.keys())
 DOWN = so3_exp([0.2, -0.1, 0.7]) @ np.diag([1.0, -1.0, -1.0])  # a camera that looks down, a little askew
 
 
@@ -491,7 +483,7 @@ def run_project(camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose)
     return maps
 
 
-@LENS
+@each_lens
 def test_project_is_the_camera(camera: Camera) -> None:
     """To a thousandth of a pixel where the picture is, and nothing beyond it."""
     grid = Grid(-40.0, 41.0, 0.7, 120, 110)
@@ -511,7 +503,7 @@ def test_project_is_the_camera(camera: Camera) -> None:
     assert (my[~inside] == projection.OUTSIDE).all()
 
 
-@LENS
+@each_lens
 def test_project_shows_nothing_behind_the_camera_and_nothing_unknown(camera: Camera) -> None:
     grid = Grid(-5.0, 5.0, 0.5, 20, 20)
     up = Pose(np.eye(3), np.array([0.0, 0.0, 30.0]))

@@ -20,11 +20,12 @@ from alight.geometry import Camera
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
 from alight.runner.live.telemetry import with_telemetry
 from alight.settings import Settings
+from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import ExposureMatcher, SensorClock, StampedImage
 from alight.sources.growing import GrowingLog, GrowingTable
 from alight.sources.live import LiveSource, open_live
 from alight.sources.opening import open_source
-from alight.sources.paced import paced, read_ahead
+from alight.sources.paced import paced
 from alight_sim import default_rig, fly
 from alight_sim.autopilot import SimulatedAutopilot, UdpServer
 
@@ -73,11 +74,29 @@ def test_reading_ahead_keeps_order_ends_and_errors() -> None:
         yield from rows(1, 2)
         raise InputError("a bad file")
 
-    assert [e.t_ns for e in read_ahead(iter(rows(*range(300))), 4)] == [k * 1_000_000 for k in range(300)]
-    found = read_ahead(fails(), 1)
+    assert [e.t_ns for e in as_they_arrive(iter(rows(*range(300))), most=4)] == [k * 1_000_000 for k in range(300)]
+    found = as_they_arrive(fails(), most=1)
     assert [next(found).t_ns, next(found).t_ns] == [1_000_000, 2_000_000]
     with pytest.raises(InputError, match="a bad file"):
         next(found)
+
+
+def test_events_of_two_sources_come_until_the_first_one_ends() -> None:
+    def slowly() -> Iterator[Event]:
+        for e in rows(1, 2, 3):
+            time.sleep(0.05)
+            yield e
+
+    def endless() -> Iterator[Event]:
+        while True:
+            yield from rows(7)
+            time.sleep(0.01)
+
+    assert sorted(e.t_ns for e in as_they_arrive(slowly(), iter(rows(5, 6)))) == [
+        k * 1_000_000 for k in (1, 2, 3, 5, 6)
+    ]
+    arrived = [e.t_ns for e in as_they_arrive(slowly(), endless())]
+    assert [t for t in arrived if t != 7_000_000] == [1_000_000, 2_000_000, 3_000_000]
 
 
 def test_a_flight_that_is_stopped_ends() -> None:

@@ -125,10 +125,11 @@ def test_nowhere_to_write_at_all(loop: Path, monkeypatch: pytest.MonkeyPatch, tm
     assert "loops are compiled anew" in said
 
 
+@pytest.mark.parametrize("name", ["NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"])
 @pytest.mark.parametrize("count", ["0", "-1", "many", "99999999", ""])
-def test_a_number_of_threads_that_no_machine_has(loop: Path, count: str) -> None:
-    _, said = run(loop, NUMBA_NUM_THREADS=count)
-    assert "not a number from 1 to" in said
+def test_a_number_of_threads_that_no_machine_has(loop: Path, name: str, count: str) -> None:
+    _, said = run(loop, **{name: count})
+    assert f"{name}={count}: not a number from 1 to" in said
 
 
 def test_compiled_loops_of_another_checkout_do_not_count_as_warm(

@@ -19,9 +19,10 @@ from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import triangulate_pair
 from alight.parallax.views import choose_views, may_see
-from alight.records import REFUSED, ElevationMap, Flag, Heights, View
+from alight.records import REFUSED, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PointsTuning
+from alight.spread import nmad
 
 CELL = 0.2
 GRID = Grid(-5.9, 4.5, CELL, 46, 60)
@@ -60,10 +61,6 @@ def heights(views: list[View] | tuple[View, ...], low: float = LOW, high: float 
 
 def trusted(found: Heights) -> np.ndarray:
     return np.isfinite(found.height) & ((found.flags & np.uint16(REFUSED)) == 0)
-
-
-def nmad(error: np.ndarray) -> float:
-    return float(1.4826 * np.median(np.abs(error - np.median(error))))
 
 
 # -- heights
@@ -149,7 +146,16 @@ def test_views_that_do_not_see_the_grid_are_ignored() -> None:
     up = replace(v[0], world_from_cam=Pose(np.eye(3), np.array([0.0, 0.0, UP])))
     together = heights([away, *v, up])
     assert together.height.tobytes() == heights(v).height.tobytes()
-    assert match_tile(Images([away, up, v[0]], CELL, 0.0), GRID, LOW, HIGH, ParallaxSettings()) is None
+    for few in ([away, up, v[0]], []):
+        assert match_tile(Images(few, CELL, 0.0), GRID, LOW, HIGH, ParallaxSettings()) is None
+
+
+@pytest.mark.parametrize("high", [UP - 0.01, UP + 5.0])
+def test_heights_as_high_as_the_cameras_are_not_swept(high: float) -> None:
+    """Planes near a camera would need pictures a thousand times as wide as the ground."""
+    found = heights(level_views(), LOW, high)
+    assert np.nanmedian(np.abs(found.height[is_trusted(found.flags)])) < 0.5 * PX
+    assert match_tile(Images(list(level_views()), CELL, UP), GRID, UP + 1.0, UP + 5.0, ParallaxSettings()) is None
 
 
 def test_views_are_chosen_for_their_baseline() -> None:

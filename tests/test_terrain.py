@@ -53,14 +53,11 @@ def test_a_pond_with_a_visible_bed_is_refused() -> None:
 
 
 def test_ground_bears_where_it_may_be_landed_on_and_where_it_is_rock() -> None:
-    """The two differ by the share of rock alone; what is held down beside a tree is held down in both."""
+    """What is held down beside a tree is held down in both."""
     e, water = pond(0.7)
     t = classify(e, SETTINGS)
     assert t.bears is not None
-    assert t.probability is not None
     assert (t.bears >= t.landable - 1e-6).all()
-    rock = t.probability[..., Terrain.ROCK - 1].astype(np.float32)
-    assert (t.bears - t.landable <= rock + 0.01).mean() > 0.99
     assert (t.bears[water] < 0.5).mean() > 0.95
 
 
@@ -167,16 +164,16 @@ def test_the_ground_under_a_plane_is_the_plane() -> None:
 def test_a_height_is_taken_back_where_the_patch_is_water_not_where_that_is_the_likeliest_hazard() -> None:
     label = np.full((20, 30), Terrain.BARE, np.uint8)
     label[2:12, 2:12] = label[2:12, 15:25] = label[15:18, 2:8] = Terrain.WATER
-    p = np.full((20, 30, 8), 0.1, np.float16)
-    p[2:12, 2:12, Terrain.WATER - 1] = 0.9
-    p[5, 5, Terrain.WATER - 1] = 0.2  # a doubtful cell of a pond
-    p[2:12, 15:25, Terrain.WATER - 1] = 0.4  # a shadow beside a bush
-    p[3, 16, Terrain.WATER - 1] = 0.9
-    cover = TerrainMap(Grid(0.0, 0.0, 0.1, 20, 30), label, np.zeros((20, 30), np.float32), p)
+    p = np.full((20, 30), 0.1, np.float32)
+    p[2:12, 2:12] = 0.9
+    p[5, 5] = 0.2  # a doubtful cell of a pond
+    p[2:12, 15:25] = 0.4  # a shadow beside a bush
+    p[3, 16] = 0.9
+    cover = TerrainMap(Grid(0.0, 0.0, 0.1, 20, 30), label, np.zeros((20, 30), np.float32), water=p)
     wet = open_water(cover)
     assert wet[2:12, 2:12].all()
     assert wet.sum() == 100
-    assert open_water(replace(cover, probability=None)).sum() == 218  # nothing but the names is known
+    assert open_water(replace(cover, water=None)).sum() == 218  # nothing but the names is known
 
 
 def test_water_stands_to_the_brim_and_runs_off_where_the_ground_is_not_known() -> None:

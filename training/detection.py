@@ -24,7 +24,6 @@ from ground_maps import HOWS, judgeable
 from ground_truth import GroundTruth
 
 from alight.arrays import F32, F64, I64, Mask
-from alight.evaluation.flight import at
 from alight.hazards.evidence import patch_mean, power_of_bumps, relief_power
 from alight.hazards.picture_spots import picture_spots
 from alight.raster import distance_to, ellipse, local_max
@@ -91,8 +90,8 @@ def obstacles_of(name: str, how: str, scratch: Path, lander: Lander) -> Obstacle
         return None
     least = [float(np.quantile(v[even], FALSE)) for v in (relief, spot)]
     width = np.sqrt(4 * half[which] / np.pi)
-    there = (at(e.trusted.astype(np.uint8), e.grid, east, north) > 0) & (width < WIDEST * limit)
-    got = [at(v, e.grid, east, north)[there] for v in (relief, spot, e.sampling, e.picture_sampling)]
+    there = e.grid.nearest_at(e.trusted, east, north) & (width < WIDEST * limit)
+    got = [e.grid.nearest_at(v, east, north)[there] for v in (relief, spot, e.sampling, e.picture_sampling)]
     return Obstacles(
         peak[which][there], width[there], got[2], got[3], got[1] / least[1],
         got[0] > least[0], got[1] > least[1],

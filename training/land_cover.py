@@ -10,7 +10,7 @@ making them is most of the work.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,10 +19,12 @@ from card import version, write_table
 from draws import rounds_of
 from ground_flights import TUNING
 from ground_maps import Judgeable, judgeable
+from looks import TUNING as LOOKS
+from looks import kept_looks
 from scipy.ndimage import distance_transform_edt
 from sklearn.neural_network import MLPClassifier
 
-from alight.arrays import F32, F64, I64, U8
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.elevation import on_cells_up_to
 from alight.learned import CLIP, AffineLayer, KnownGround, Net, known_bytes, net_bytes
 from alight.learned.known import CLIP as KNOWN_CLIP
@@ -72,36 +74,55 @@ def worst_class(j: Judgeable) -> U8:
     return j.of(label)
 
 
-def _drawn(j: Judgeable) -> tuple[I64, U8, F64]:
-    """Some cells of a map, their classes, and their weights."""
-    rng, kind = np.random.default_rng(0), worst_class(j).ravel()
-    flags = j.elevation.flags & np.uint16(Flag.UNSEEN)
-    ok = (seen(j.elevation) & j.known & (flags == 0)).ravel() & (kind > 0)
-    every = np.flatnonzero(ok)
+def _drawn(kind: U8) -> tuple[I64, F64]:
+    """Some of the cells (N,) of a flight, those of class 0 left aside, and their weights."""
+    rng = np.random.default_rng(0)
+    every = np.flatnonzero(kind)
     parts = [rng.choice(every, min(AS_THEY_COME, len(every)), replace=False)]
     weights = [np.full(len(parts[0]), 0.5 / len(parts[0]))]
-    found = [c for k in Terrain if len(c := np.flatnonzero(ok & (kind == k))) >= LEAST]
+    found = [c for k in Terrain if len(c := np.flatnonzero(kind == k)) >= LEAST]
     for cells in found:
         parts.append(rng.choice(cells, min(OF_A_CLASS, len(cells)), replace=False))
         weights.append(np.full(len(parts[-1]), 0.5 / len(found) / len(parts[-1])))
-    at = np.concatenate(parts)
-    return at, kind[at], np.concatenate(weights)
+    return np.concatenate(parts), np.concatenate(weights)
+
+
+def _seen_of(name: str, scratch: Path) -> Iterator[tuple[Judgeable, Mask]]:
+    """The maps of a flight on the cells of the land cover, and which cells count, (R, C)."""
+    if "/looks/" in name:
+        maps = [(look.judgeable, look.about) for look in kept_looks(name, scratch)]
+    else:
+        j = judgeable(name, "batch", scratch)
+        maps = [] if j is None else [(j, lambda grid: np.ones(grid.shape, np.bool_))]
+    for j, about in maps:
+        j = replace(j, elevation=on_cells_up_to(j.elevation, TerrainSettings().cell))
+        e = j.elevation
+        yield j, seen(e) & j.known & ((e.flags & np.uint16(Flag.UNSEEN)) == 0) & about(e.grid)
+
+
+def _cells_of(name: str, scratch: Path) -> tuple[list[str], F32, U8] | None:
+    """Evidence of the cells of a flight that count (N, terms) by name, and their classes (N,)."""
+    names, values, kind = list[str](), [], []
+    for j, counts in _seen_of(name, scratch):
+        found = evidence_of(j.elevation)
+        names = list(found)
+        values.append(np.stack([v[counts] for v in found.values()], axis=1))
+        kind.append(worst_class(j)[counts])
+    return (names, np.concatenate(values), np.concatenate(kind)) if values else None
 
 
 def rows_of(flights: Iterable[str], scratch: Path) -> list[Rows]:
-    """Some cells of every flight; kept beside its map."""
+    """Some cells of every flight, or of the looks of a world; kept beside its map."""
     out = []
     for number, name in enumerate(flights):
         path = scratch / f"{name.replace('/', '_')}-cover.npz"
         if not path.exists():
-            j = judgeable(name, "batch", scratch)
-            if j is None:
+            cells = _cells_of(name, scratch)
+            if cells is None:
                 continue
-            j = replace(j, elevation=on_cells_up_to(j.elevation, TerrainSettings().cell))
-            at, kind, weight = _drawn(j)
-            found = evidence_of(j.elevation)
-            values = np.stack([v.ravel()[at] for v in found.values()], axis=1)
-            np.savez(path, names=np.array(list(found)), values=values, kind=kind, weight=weight)
+            names, values, kind = cells
+            at, weight = _drawn(kind)
+            np.savez(path, names=np.array(names), values=values[at], kind=kind[at], weight=weight)
         with np.load(path) as z:
             at_ = np.full(len(z["kind"]), number, np.int64)
             out.append(Rows(tuple(map(str, z["names"])), z["values"], z["kind"].astype(np.int64) - 1, z["weight"], at_))
@@ -187,17 +208,21 @@ def main() -> None:
     """Fit, and write the tables and their cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
-    parts = rows_of(TUNING, parser.parse_args().scratch)
+    names = (*TUNING, *LOOKS)
+    parts = rows_of(names, parser.parse_args().scratch)
+    near = sum("/looks/" in names[int(p.flight[0])] for p in parts)
     fitted = (
-        f"Maps of {len(parts)} simulated tuning flights of our own simulator (`TUNING` in `bench/ground_flights.py`), "
-        "batch maps with\nestimated poses; a cell carries a class that may not be landed on if any of that class lies "
-        f"in it. {AS_THEY_COME} cells as they come and\n{OF_A_CLASS} of each class are drawn a flight. {version()}"
+        f"Maps of {len(parts) - near} simulated tuning flights of our own simulator (`TUNING` in "
+        "`bench/ground_flights.py`), batch maps with\nestimated poses, and looks from 4 to 10 m in "
+        f"{near} worlds (`TUNING` in `bench/looks.py`), recursive maps;\na cell carries a class that may not be landed "
+        f"on if any of that class lies in it. {AS_THEY_COME} cells as they come and\n{OF_A_CLASS} of each class are "
+        f"drawn a flight. {version()}"
     )
     measure = "Not measured yet. Command: `python bench/bench_terrain.py measure`."
     made = "`PYTHONPATH=bench python training/land_cover.py`"
     sections = {"Fitted on": fitted, "Made by": made}
     write_table("land_cover", net_bytes(fit_net(joined(parts))), sections | {"Metrics": measure})
-    known = with_limit(parts, [TUNING[int(p.flight[0])] for p in parts])
+    known = with_limit(parts, [names[int(p.flight[0])] for p in parts])
     write_table("known_ground", known_bytes(known), sections)
 
 

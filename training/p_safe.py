@@ -11,15 +11,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from card import version, write_table
 from ground_flights import TUNING, cover_of
-from ground_maps import HOWS, How, judgeable
+from ground_maps import HOWS, How, Judgeable, judgeable
 from ground_truth import GroundTruth
 from land_cover import family_of, fit_net, joined, rows_of, with_limit
+from looks import TUNING as LOOKS
+from looks import Look, kept_looks
 from scipy.optimize import minimize
 
 from alight.arrays import F32, F64, I64, Mask
@@ -83,28 +86,49 @@ class Rows:
         return Rows(parts, self.hazard[which], self.family[which], self.weight[which] / self.weight[which].sum())
 
 
-def sample(name: str, how: How, scratch: Path, tables: Tables) -> Sample | None:
-    """Draw cells of one map, and look up the truth."""
-    j = judgeable(name, how, scratch)
-    if j is None:
-        return None
+def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = SOME) -> Sample:
+    """Draw cells of one map, or of what lies about the place of a look, and look up the truth."""
     s = Settings().stages()
     found, reasons = evidence(j.elevation, cover_of(j, tables), s.lander, s.hazards)
     discs, truth = found.discs, GroundTruth(j.truth, s.lander)
-    seen = np.flatnonzero(discs.largest(j.seen.astype(np.float32)) > 0)
-    some = np.random.default_rng(0).choice(seen, min(SOME, len(seen)), replace=False)
+    seen = discs.largest(j.seen.astype(np.float32)) > 0
+    cells = np.flatnonzero(seen if about is None else seen & about.about(discs.grid))
+    some = np.random.default_rng(0).choice(cells, min(most, len(cells)), replace=False)
 
     def truly(mask: Mask) -> Mask:
         return truth.on(discs.grid, mask).ravel()[some]
 
     return Sample(
-        f"{name}, {how}", family_of(name),
+        j.name, family_of(j.name),
         {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.hidden.ravel()[some],
         {k: v.ravel()[some] for k, v in found.ground.items()},
         discs.coarse(np.nan_to_num(found.tilt)).ravel()[some],
         discs.largest((reasons != 0).astype(np.float32)).ravel()[some] == 0,
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
     )  # fmt: skip
+
+
+def together(parts: Sequence[Sample], name: str) -> Sample:
+    """The cells of several maps as of one."""
+
+    def joined_of(field: str) -> Any:
+        values = [getattr(p, field) for p in parts]
+        if isinstance(values[0], dict):
+            return {k: np.concatenate([v[k] for v in values]) for k in values[0]}
+        return np.concatenate(values)
+
+    rest = {f.name: joined_of(f.name) for f in fields(Sample) if f.name not in ("name", "family")}
+    return Sample(name, parts[0].family, **rest)
+
+
+def samples_of_flight(name: str, scratch: Path, tables: Tables, hows: Sequence[How]) -> list[Sample]:
+    """One of every way of mapping, or one of all looks of a world."""
+    if "/looks/" in name:
+        looks = kept_looks(name, scratch)
+        parts = [sample(look.judgeable, tables, look, SOME // len(looks)) for look in looks]
+        return [together(parts, name)] if parts else []
+    maps = [judgeable(name, how, scratch) for how in hows]
+    return [sample(j, tables) for j in maps if j is not None]
 
 
 def rows(samples: Sequence[Sample], what: str, families: list[str]) -> Rows:
@@ -292,8 +316,7 @@ def samples_of(names: Sequence[str], scratch: Path, whole_families: bool, hows: 
     for k in sorted(set(fold.values())):
         others = {n: r for n, r in parts.items() if fold[n] != k}
         tables = Tables(fit_net(joined(list(others.values()))), with_limit(list(others.values()), list(others)))
-        found = [sample(n, how, scratch, tables) for n in parts if fold[n] == k for how in hows]
-        out += [s for s in found if s is not None]
+        out += [s for n in parts if fold[n] == k for s in samples_of_flight(n, scratch, tables, hows)]
     return out
 
 
@@ -302,10 +325,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
     scratch = parser.parse_args().scratch
-    samples, strange = (samples_of(TUNING, scratch, whole_families) for whole_families in (False, True))
+    names = (*TUNING, *LOOKS)
+    samples, strange = (samples_of(names, scratch, whole_families) for whole_families in (False, True))
     families = sorted({s.family for s in samples})
-    maps = f"{len(samples)} maps of {len(TUNING)} simulated tuning flights"
-    fitted = f"{maps}, {len(families)} families of scenes. {version()}"
+    near = sum("/looks/" in s.name for s in samples)
+    maps = (
+        f"{len(samples) - near} maps of {len(TUNING)} simulated tuning flights, looks from 4 to 10 m in {near} worlds"
+    )
+    fitted = f"{maps}; {len(families)} families of scenes. {version()}"
     rates: dict[str, tuple[Rate, ...]] = {}
     for what, names in NAMES.items():
         r, rate = left_out(samples, strange, what)

@@ -24,46 +24,48 @@ sys.path.insert(0, str(Path(__file__).parent))
 import protocol
 import seeds
 import trial
+from cost import PATIENCE, Cost, pixels_left
 from grammar import Damage, drawn
 
-SLOWER, LARGER = 10.0, 2.0  # than the healthy input
-LEAST_SECONDS, MORE_MEGABYTES = 20.0, 300.0
+HEALTHY_SECONDS = 600.0  # of the processor, that a healthy input may take
 TAGS = tuple(seeds.dji_tags())
 
 
 class Fuzzer:
-    """Healthy inputs, how long and how much memory they take, and the failures that were found."""
+    """Healthy inputs, what they cost, and the failures that were found."""
 
     def __init__(self, folder: Path, keep: Path, kinds: list[str]) -> None:
         self._folder, self._keep = folder, keep
         self.failures: dict[str, Path] = {}
-        self._healthy: dict[str, trial.Outcome] = {}
+        self._healthy: dict[str, Cost] = {}
+        idle = trial.idle_megabytes()
         for kind in kinds:
             if kind in seeds.INPUTS:
                 _made(kind, folder / kind)
-                self._healthy[kind] = self._tried(kind, [], 600.0)
-                if self._healthy[kind].fault:
-                    raise SystemExit(f"{kind}: the healthy input fails: {self._healthy[kind].said}")
+                found, pixels = self._tried(kind, [], HEALTHY_SECONDS)
+                if found.fault:
+                    raise SystemExit(f"{kind}: the healthy input fails: {found.fault}: {found.said}")
+                self._healthy[kind] = Cost(found.seconds, found.megabytes, pixels, idle)
 
-    def _tried(self, kind: str, damages: list[Damage], limit: float) -> trial.Outcome:
-        """Damage a copy of a healthy input and run the command on it."""
+    def _tried(self, kind: str, damages: list[Damage], limit: float) -> tuple[trial.Outcome, int]:
+        """Damage a copy of a healthy input and run the command on it; what that gave, and the pixels that it left."""
         with tempfile.TemporaryDirectory(dir=self._folder) as spare:
-            copy, out = Path(spare) / "input", Path(spare) / "out"
+            copy, out = Path(spare) / "input", Path(spare) / "left" / "out"
+            out.parent.mkdir()
             if kind == "photos" and any(d.kind in ("tag", "place", "same") for d in damages):
                 seeds.photos(copy, tuple(damages))
             else:
                 shutil.copytree(self._folder / kind, copy)
             for d in damages:
                 d.apply(copy)
-            return trial.run(kind, trial.command(kind, copy, out, damages), limit)
+            found = trial.run(kind, trial.command(kind, copy, out, damages), limit)
+            return found, pixels_left(out.parent)
 
     def judged(self, kind: str, damages: list[Damage]) -> tuple[str | None, str]:
         """What is wrong with the answer to a damaged input, or None; and what was said."""
         healthy = self._healthy[kind]
-        found = self._tried(kind, damages, max(LEAST_SECONDS, SLOWER * healthy.seconds))
-        if found.fault is None and found.megabytes > LARGER * healthy.megabytes + MORE_MEGABYTES:
-            return f"too large: {found.megabytes:.0f} MB", found.said
-        return found.fault, found.said
+        found, pixels = self._tried(kind, damages, PATIENCE * healthy.limit)
+        return healthy.fault(found, pixels), found.said
 
     def shrunk(self, kind: str, damages: list[Damage], fault: str) -> list[Damage]:
         """The fewest of the damages that still fail."""

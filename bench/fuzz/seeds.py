@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import sys
 import tempfile
@@ -14,14 +13,12 @@ import rasterio
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "helpers"))
 
-from damage import dji_tags, write_flight, write_photo, xmp_packet
+from damage import dji_tags, write_campaign, write_flight, write_photo, xmp_packet
 from grammar import NUMBERS, Damage
 
-import alight
 import alight_sim
 from alight.cli import call
 from alight.learned import table_path
-from alight.settings import Settings
 
 
 def noise(folder: Path) -> None:
@@ -91,26 +88,8 @@ def model(folder: Path) -> None:
 
 def campaign(folder: Path) -> None:
     """Two campaigns of three landings that were given up, and are not flown."""
-    fixed = {"seed": 0, "scene": "lake", "world_seed": 1, "flight_seed": 2, "heading": 0.1, "wind": [1, 2],
-             "gusts": 0.1, "gps_sigma": [1, 1, 2], "gps_tau": 30}  # fmt: skip
-    look = {"t": 1.5, "place": [0, 0, 0], "height": 15, "verdict": "candidate", "p_safe": 0.6, "doubt": "relief"}
-    step = {"t": 2.0, "before": "search", "event": "found", "after": "approach", "reason": "found", "p_safe": 0.6}
-    lines = [
-        {"conditions": {"landing": k, **fixed}, "outcome": "rightly refused", "why": "no site", "state": "return",
-         "looks": [look], "transitions": [step], "p_found": 0.6, "seconds": 60.0, "safe_share": 0.1}
-        for k in range(3)
-    ]  # fmt: skip
-    head = {
-        "alight": alight.__version__,
-        "seed": 0,
-        "scenes": ["lake"],
-        "landings": 3,
-        "settings": Settings().model_dump(mode="json"),
-    }
     for name in ("one", "two"):
-        (folder / name).mkdir(parents=True)
-        (folder / name / "campaign.json").write_text(json.dumps(head), encoding="utf-8")
-        (folder / name / "landings.jsonl").write_text("".join(json.dumps(x) + "\n" for x in lines), encoding="utf-8")
+        write_campaign(folder / name)
 
 
 def _done(words: list[str]) -> None:

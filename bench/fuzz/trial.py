@@ -12,13 +12,14 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
+from cost import TOO_SLOW
 from grammar import Damage
 
 import alight.cli
 import alight.runner.judge
 import alight.runner.replay  # imported once: every trial is a fork of this process
 
-PATIENCE = 30  # times the limit of processor time, by the clock: other processes want the processor, too
+STARVED = 30  # times the limit of processor time, by the clock: other processes want the processor, too
 MEMORY = 6 * 2**30  # bytes of address space, beyond which a trial may not ask for more
 
 
@@ -76,10 +77,15 @@ def run(kind: str, arguments: list[str], limit: float) -> Outcome:
         child = os.fork()
         if child == 0:
             _child(arguments, streams, limit)
-        status, used = _wait(child, start, PATIENCE * limit)
+        status, used = _wait(child, start, STARVED * limit)
         out, err = (p.read_text(encoding="utf-8", errors="replace") if p.exists() else "" for p in streams)
     seconds, megabytes = used.ru_utime + used.ru_stime, used.ru_maxrss / 1024
     return Outcome(_fault(COMMANDS[kind], status, out, err), seconds, megabytes, (out + err)[-3000:])
+
+
+def idle_megabytes() -> float:
+    """Memory of this process, with which every trial begins."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def _child(arguments: list[str], streams: list[Path], limit: float) -> None:
@@ -113,8 +119,8 @@ def _wait(child: int, start: float, limit: float) -> tuple[int, resource.struct_
 def _fault(asked: Command, status: int, out: str, err: str) -> str | None:
     """What is wrong with an answer; None: it is one of those promised, or one line that says what to mend."""
     if os.WIFSIGNALED(status):
-        number = os.WTERMSIG(status)
-        return "too slow" if number in (signal.SIGXCPU, signal.SIGKILL) else f"ended by signal {number}"
+        ends = {signal.SIGXCPU: TOO_SLOW, signal.SIGKILL: "does not end, and does nothing"}
+        return ends.get(signal.Signals(os.WTERMSIG(status)), f"ended by signal {os.WTERMSIG(status)}")
     code = os.WEXITSTATUS(status)
     if "Traceback" in err:
         last = [line for line in err.splitlines() if line and not line.startswith(" ")]

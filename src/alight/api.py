@@ -98,13 +98,13 @@ def run(
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
     from alight.outputs import FileStore
-    from alight.runner.replay import replay
+    from alight.runner.replay import prior_heights, replay
     from alight.runner.work import cluster_jobs
     from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
     recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
-    prior = None if prior_dem is None else Path(prior_dem)
+    prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
     with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
         return Result(replay(recording, chosen, poses, progress, store, jobs, prior))

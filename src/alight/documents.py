@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+from collections import Counter
 from collections.abc import Hashable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
+from pydantic import BaseModel, ValidationError
 
 LONGEST = 1_000_000  # bytes of a YAML file: the largest of ours has 20,000
 LARGEST_JSON = 64_000_000  # bytes
 DEEPEST = 40  # of mappings and lists in each other
 MOST_VALUES = 50_000  # aliases counted as often as they are used
 LARGEST_INTEGER = 2**63
+LONG_INTEGER = "an integer of more than 19 digits; check the number"
+MOST_DIGITS = 100  # of an integer: one of 63 bits, written in binary, has 65
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class DocumentError(ValueError):
@@ -30,10 +38,9 @@ def read_bytes(path: Path, largest: int) -> bytes:
     if path.exists() and not path.is_file() and not path.is_dir():
         raise DocumentError("is a pipe or a device; give a plain file")
     with path.open("rb") as file:
-        data = file.read(largest + 1)
-    if len(data) > largest:
-        raise DocumentError(f"is larger than {largest / 1e6:g} MB; give the right file")
-    return data
+        if os.fstat(file.fileno()).st_size > largest:
+            raise DocumentError(f"is larger than {largest / 1e6:g} MB; give the right file")
+        return file.read()
 
 
 def read_text(path: Path, largest: int = LONGEST) -> str:
@@ -50,21 +57,38 @@ def read_text(path: Path, largest: int = LONGEST) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML of words and numbers: no dates, and keys are words."""
+    """YAML of words and decimal numbers: no dates, no octal 010, no 1:30 for 90; a key is a word and stands once."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """A mapping whose keys are words."""
+        names = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise DocumentError(f"the key {twice[0][:40]!r} stands twice; write it once")
         tree = super().construct_mapping(node, deep=deep)
         for key in tree:
             if not isinstance(key, str):
                 raise DocumentError(f"the key {str(key)[:40]!r} is no word; put it into quotes")
         return tree
 
+    def construct_yaml_int(self, node: yaml.ScalarNode) -> int:
+        """An integer that is not too long to be one of ours."""
+        _see_digits(node.value)
+        return int(node.value)
 
+
+_NUMBERS = {
+    "tag:yaml.org,2002:int": r"[-+]?[0-9]+$",
+    "tag:yaml.org,2002:float": (
+        r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?$|[-+]?\.(?:inf|Inf|INF)$|\.(?:nan|NaN|NAN)$"
+    ),
+}
+_Loader.add_constructor("tag:yaml.org,2002:int", _Loader.construct_yaml_int)
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in some if tag != "tag:yaml.org,2002:timestamp"]
+    first: [(tag, pattern) for tag, pattern in some if tag not in {"tag:yaml.org,2002:timestamp", *_NUMBERS}]
     for first, some in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+for _tag, _pattern in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, re.compile(_pattern), list("-+.0123456789"))
 
 
 def parse_yaml(text: str) -> Any:
@@ -130,13 +154,40 @@ def parse_json(text: str | bytes) -> Any:
         DocumentError: it is no JSON, too deep, or holds numbers out of range.
     """
     try:
-        tree = json.loads(text)
+        tree = json.loads(text, parse_int=_integer)
     except RecursionError as e:
         raise DocumentError(_deep()) from e
+    except DocumentError:
+        raise
     except ValueError as e:
         raise DocumentError(f"not valid JSON: {e}") from e
     _check(tree, 0)
     return tree
+
+
+def _integer(digits: str) -> int:
+    _see_digits(digits)
+    return int(digits)
+
+
+def _see_digits(text: str) -> None:
+    """Refuse an integer that is so long that even to read it takes time."""
+    if len(text) > MOST_DIGITS:
+        raise DocumentError(LONG_INTEGER)
+
+
+def validated(kind: type[Model], tree: Any) -> Model:
+    """The value of a document as a record of a kind.
+
+    Raises:
+        DocumentError: with the first key that is missing, unknown or of a wrong type.
+    """
+    try:
+        return kind.model_validate(tree)
+    except ValidationError as e:
+        first = e.errors(include_url=False)[0]
+        key = ".".join(str(part)[:40] for part in first["loc"])
+        raise DocumentError(f"{key or 'it'} is damaged ({first['msg'].lower()})") from e
 
 
 def _check(tree: Any, depth: int) -> None:
@@ -151,6 +202,6 @@ def _check(tree: Any, depth: int) -> None:
             _check(value, depth + 1)
     elif isinstance(tree, int):
         if abs(tree) > LARGEST_INTEGER:
-            raise DocumentError("an integer of more than 19 digits; check the number")
+            raise DocumentError(LONG_INTEGER)
     elif not isinstance(tree, str | float | None):
         raise DocumentError(f"a {type(tree).__name__} is neither a word nor a number; put it into quotes")

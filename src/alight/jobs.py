@@ -84,19 +84,15 @@ class InTurn:
 def resolved(
     arguments: tuple[Any, ...], sent: Callable[[Sent], Any], kept: Callable[[KeptHere], Any]
 ) -> tuple[Any, ...]:
-    """The arguments with what `Sent` and `KeptHere` stand for."""
+    """The arguments, and those within a tuple, with the values of `Sent` and `KeptHere` in their places."""
 
     def one(argument: Any) -> Any:
-        if isinstance(argument, tuple):
-            return (
-                tuple(one(a) for a in argument) if any(isinstance(a, Sent | KeptHere) for a in argument) else argument
-            )
-        return (
-            sent(argument)
-            if isinstance(argument, Sent)
-            else kept(argument)
-            if isinstance(argument, KeptHere)
-            else argument
-        )
+        if isinstance(argument, Sent):
+            return sent(argument)
+        if isinstance(argument, KeptHere):
+            return kept(argument)
+        if isinstance(argument, tuple) and any(isinstance(a, Sent | KeptHere) for a in argument):
+            return tuple(map(one, argument))
+        return argument
 
-    return tuple(one(a) for a in arguments)
+    return tuple(map(one, arguments))

@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 NAMED = "NUMBA_CACHE_DIR"  # names another folder; child processes find the one of their parent there
 COST = "loops are compiled anew by this command, about 4 minutes"
-THREADS = "NUMBA_NUM_THREADS"
+THREADS = ("NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 MOST_THREADS = 16  # a processor; more is a slip of the pen and ends in a process that starts no thread at all
 
 
@@ -106,15 +106,14 @@ def cache_folder(name: str) -> Path | None:
 
 
 def mend_threads() -> None:
-    """Take a number of threads out of the environment that the compiler would refuse or no machine has.
+    """Take numbers of threads out of the environment that the compiler or OpenCV would refuse, or no machine has.
 
     Where /dev/shm is missing or read-only, numba warns at length of a lock that only concurrent imports need: not here.
     """
     warnings.filterwarnings("ignore", message="Could not obtain multiprocessing lock")
-    given = os.environ.get(THREADS)
-    if given is None:
-        return
     most = MOST_THREADS * (os.cpu_count() or 1)
-    if not (given.isascii() and given.isdigit() and 1 <= int(given[:9]) <= most):
-        del os.environ[THREADS]
-        log.warning("%s=%s: not a number from 1 to %d; all processors are used", THREADS, given[:40], most)
+    for name in THREADS:
+        given = os.environ.get(name, "1")
+        if not (given.isascii() and given.isdigit() and 1 <= int(given[:9]) <= most):
+            del os.environ[name]
+            log.warning("%s=%s: not a number from 1 to %d; all processors are used", name, given[:40], most)

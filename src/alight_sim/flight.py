@@ -120,17 +120,7 @@ class SimulatedFlight:
     @property
     def notes(self) -> dict[str, Any]:
         """Facts for the report."""
-        lens = self.rig.cameras[0].camera
-        return {
-            "cameras": [c.name for c in self.rig.cameras],
-            "image_size": [lens.width, lens.height],
-            "focal_px": [lens.fu, lens.fv],
-            "focal_from": "simulated",
-            "nav": True,
-            "imu": True,
-            "scene": self.world.description,
-            "imu_noise": self.imu.densities,
-        }
+        return flight_notes(self.rig, self.world, self.imu)
 
     @property
     def imu_noise(self) -> ImuNoise:
@@ -285,6 +275,21 @@ class SimulatedFlight:
     def seeds(self, *key: int) -> np.random.SeedSequence:
         """The random stream of one source of randomness."""
         return np.random.SeedSequence(self.seed, spawn_key=key)
+
+
+def flight_notes(rig: Rig, world: World, imu: ImuErrors) -> dict[str, Any]:
+    """Facts about a simulated flight for the report."""
+    lens = rig.cameras[0].camera
+    return {
+        "cameras": [c.name for c in rig.cameras],
+        "image_size": [lens.width, lens.height],
+        "focal_px": [lens.fu, lens.fv],
+        "focal_from": "simulated",
+        "nav": True,
+        "imu": True,
+        "scene": world.description,
+        "imu_noise": imu.densities,
+    }
 
 
 def seen_box(flight: SimulatedFlight) -> Extent:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 from PIL import Image
+
+import alight
+from alight.settings import Settings
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000
@@ -199,4 +203,30 @@ def write_photos(folder: Path, n: int = 4) -> Path:
     """A healthy folder of n photos, 3 s and about 3 m apart."""
     for k in range(n):
         write_photo(folder / f"DJI_{k:04d}.JPG", k, second=f"{10 + 3 * k}", place=(45.0 + 3e-5 * k, 7.6, 350.0))
+    return folder
+
+
+# -- campaigns
+
+
+def campaign_line(landing: int) -> dict[str, Any]:
+    """A landing that was given up, as a line of landings.jsonl."""
+    conditions = {"landing": landing, "seed": 0, "scene": "lake", "world_seed": 1, "flight_seed": 2, "heading": 0.1,
+                  "wind": [1, 2], "gusts": 0.1, "gps_sigma": [1, 1, 2], "gps_tau": 30}  # fmt: skip
+    look = {"t": 1.5, "place": [0, 0, 0], "height": 15, "verdict": "candidate", "p_safe": 0.6, "doubt": "relief"}
+    step = {"t": 2.0, "before": "search", "event": "found", "after": "approach", "reason": "found", "p_safe": 0.6}
+    return {
+        "conditions": conditions, "outcome": "rightly refused", "why": "no site", "state": "return",
+        "looks": [look], "transitions": [step], "p_found": 0.6, "seconds": 60.0, "safe_share": 0.1,
+    }  # fmt: skip
+
+
+def write_campaign(folder: Path, landings: int = 3) -> Path:
+    """The folder of a campaign of which all is flown."""
+    head = {"alight": alight.__version__, "seed": 0, "scenes": ["lake"], "landings": landings}
+    folder.mkdir(parents=True)
+    tree = head | {"settings": Settings().model_dump(mode="json")}
+    (folder / "campaign.json").write_text(json.dumps(tree), encoding="utf-8")
+    lines = [json.dumps(campaign_line(k)) + "\n" for k in range(landings)]
+    (folder / "landings.jsonl").write_text("".join(lines), encoding="utf-8")
     return folder

@@ -55,12 +55,12 @@ class Autopilot:
 
     @property
     def telemetry(self) -> Telemetry | None:
-        """A snapshot of the vehicle; None: not heard yet."""
+        """The newest report of everything heard from the vehicle; it does not change later. None: not heard yet."""
         return None if self.vehicle is None else self.vehicle.telemetry
 
     @property
     def counts(self) -> FrameCounts:
-        """What came over the link."""
+        """Messages, unknown messages and damaged bytes since the link was opened."""
         return self._framing.counts
 
     def pending(self) -> list[bytes]:
@@ -69,7 +69,7 @@ class Autopilot:
         return out
 
     def notices(self) -> list[Notice]:
-        """What has happened; each notice is handed out once."""
+        """What the vehicle did, or answered to an order, since the last call; each notice is handed out once."""
         out, self._notices = self._notices, []
         return out
 
@@ -79,7 +79,11 @@ class Autopilot:
         return out
 
     def tick(self, now_ns: int) -> None:
-        """Let time pass: heartbeats, requests, retries."""
+        """Let time pass: heartbeats, requests, retries.
+
+        Args:
+            now_ns: of our clock; never less than before.
+        """
         self._now_ns = max(now_ns, self._now_ns)
         if self._heartbeat_ns is None or self._now_ns - self._heartbeat_ns >= _HEARTBEAT_NS:
             self._heartbeat_ns = self._now_ns

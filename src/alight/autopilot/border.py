@@ -17,22 +17,22 @@ GRAVITY = 9.80665  # m/s^2, of the unit mg
 
 
 def enu(north: float, east: float, down: float) -> F64:
-    """A vector of NED as one of ENU."""
+    """Return the components (3,) in ENU of a vector that is given in NED; any unit."""
     return np.array([east, north, -down], dtype=np.float64)
 
 
 def ned(vector_world: ArrayLike) -> F64:
-    """A vector of ENU as one of NED."""
+    """Return the components (3,) in NED of a vector (3,) in ENU; any unit."""
     return enu(*np.asarray(vector_world, dtype=np.float64))  # its own inverse
 
 
 def flu(x: float, y: float, z: float) -> F64:
-    """A vector of FRD as one of FLU."""
+    """Return the components (3,) in FLU of a vector that is given in FRD; any unit."""
     return np.array([x, -y, -z], dtype=np.float64)
 
 
 def frd(vector_body: ArrayLike) -> F64:
-    """A vector of FLU as one of FRD."""
+    """Return the components (3,) in FRD of a vector (3,) in FLU; any unit."""
     return flu(*np.asarray(vector_body, dtype=np.float64))  # its own inverse
 
 
@@ -50,12 +50,12 @@ def world_from_body_of_angles(roll: float, pitch: float, yaw: float) -> F64 | No
 
 
 def scaled_degrees(angle: float) -> int:
-    """Degrees as MAVLink's integers of 1e-7 degrees."""
+    """Return an angle in degrees as the integer that MAVLink sends: 1e-7 degrees."""
     return round(angle * 1e7)
 
 
 def signed_angle(angle: float) -> float:
-    """An angle between -pi and pi."""
+    """Return an angle in rad as the same angle from -pi to pi."""
     return math.remainder(angle, 2 * math.pi)
 
 
@@ -71,7 +71,14 @@ class EstimateTie:
     place: Place  # the autopilot's
 
     def place_of(self, target_world: ArrayLike) -> Place:
-        """Give a position of our world, (3,) metres, as the autopilot must be told it."""
+        """Return a position of our world as the autopilot must be told it.
+
+        Args:
+            target_world: (3,) metres.
+
+        Returns:
+            Degrees, and metres above sea level and above the home, in error by as much as the autopilot's own position.
+        """
         lat, lon, height = self.local.to_geodetic(np.stack([self.position_world, np.asarray(target_world)]))
         up = float(height[1] - height[0])
         return Place(

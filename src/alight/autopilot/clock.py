@@ -41,7 +41,7 @@ class VehicleClock:
 
     @property
     def known(self) -> bool:
-        """Whether instants can be carried over."""
+        """Whether an answer has come, so that instants can be carried from one clock to the other."""
         return self._base is not None
 
     def question(self, now_ns: int) -> int:
@@ -50,7 +50,16 @@ class VehicleClock:
         return now_ns
 
     def answer(self, asked_ns: int, theirs_ns: int, now_ns: int) -> bool:
-        """Take an answer; False: it is none to a question of ours. After a jump of its clock all begins anew."""
+        """Take an answer to TIMESYNC. After a jump of the autopilot's clock all begins anew.
+
+        Args:
+            asked_ns: our stamp, as the answer repeats it.
+            theirs_ns: the autopilot's clock when it answered.
+            now_ns: our clock when the answer came.
+
+        Returns:
+            False: no question of ours had this stamp, or it was answered before.
+        """
         if asked_ns not in self._asked or now_ns < asked_ns:
             return False
         self._asked.remove(asked_ns)
@@ -62,7 +71,7 @@ class VehicleClock:
         return True
 
     def forget(self) -> None:
-        """Start anew, as after a reboot."""
+        """Forget all exchanges, as after a reboot: instants cannot be carried over until the next answer."""
         self._exchanges.clear()
         self._asked.clear()
         self._base = None

@@ -37,7 +37,7 @@ class _Command:
 
 @dataclass(frozen=True)
 class CommandAnswer:
-    """What became of a command."""
+    """The end of a command: accepted, refused or never answered."""
 
     ticket: int
     name: str
@@ -59,7 +59,18 @@ class CommandQueue:
         self.target = (0, 0)  # system and component
 
     def submit(self, name: str, number: int, parameters: Sequence[float], t_ns: int, flies: bool = True) -> int:
-        """Send a command, or line it up behind one of its kind; returns the ticket that its answer will bear."""
+        """Send a command, or line it up behind one of its kind.
+
+        Args:
+            name: for its answer.
+            number: of the MAV_CMD.
+            parameters: the first of its seven; the others are 0.
+            t_ns: now.
+            flies: it moves the vehicle, and is given up at a takeover.
+
+        Returns:
+            The ticket that its answer will bear.
+        """
         self._tickets += 1
         full = (*parameters, *(0.0,) * (_PARAMETERS - len(parameters)))
         queue = self._queues.setdefault(number, deque())
@@ -69,22 +80,31 @@ class CommandQueue:
         return self._tickets
 
     def replace(self, name: str, number: int, parameters: Sequence[float], t_ns: int) -> int:
-        """Send a command instead of all of its kind that are under way."""
+        """As `submit`, but commands of its kind that are under way or lined up are given up first."""
         self._queues.pop(number, None)
         return self.submit(name, number, parameters, t_ns)
 
     def waiting(self, number: int) -> int:
-        """How many of a kind are under way or lined up."""
+        """The number of commands of a MAV_CMD that are under way or lined up."""
         return len(self._queues.get(number, ()))
 
     def drop(self, everything: bool = False) -> None:
-        """Give up what moves the vehicle, or everything."""
+        """Give up, without an answer, the commands that move the vehicle, or all."""
         for number, queue in list(self._queues.items()):
             left = deque(c for c in queue if not (everything or c.flies))
             self._queues[number] = left
 
     def hear(self, number: int, result: int, t_ns: int) -> CommandAnswer | None:
-        """Take a COMMAND_ACK; the answer, if it ends one of ours."""
+        """Take a COMMAND_ACK.
+
+        Args:
+            number: of the MAV_CMD.
+            result: MAV_RESULT; "in progress" only prolongs the wait.
+            t_ns: now.
+
+        Returns:
+            The answer to a command of ours that has ended; None: none has.
+        """
         queue = self._queues.get(number)
         if not queue or not queue[0].tries:
             return None
@@ -94,7 +114,7 @@ class CommandQueue:
         return self._finish(queue, result == 0, RESULTS.get(result, f"result {result}"), t_ns)
 
     def tick(self, t_ns: int) -> list[CommandAnswer]:
-        """Send again what was not answered in time; the answers of those that never were."""
+        """Send again what was not answered in time; return the answers of commands that were tried often enough."""
         out = []
         for queue in self._queues.values():
             if queue and t_ns >= queue[0].deadline_ns:

@@ -25,24 +25,24 @@ class ControlWatch:
         return "" if self._mode is None else self._mode[1]
 
     def ordered(self, mode: FlightMode, t_ns: int) -> None:
-        """We have asked for a mode."""
+        """Take control and note that a mode was asked for: a change to it within six seconds is ours."""
         if not self.in_control:
             self._neutral = None
         self.in_control = True
         self._asked[mode] = t_ns
 
     def released(self) -> None:
-        """We are not in control any more."""
+        """Give control away; modes that were asked for are forgotten."""
         self.in_control = False
         self._asked.clear()
 
     def rebooted(self) -> None:
-        """Nothing is known of the mode; what we asked for is void."""
+        """Give control away, and forget the mode and the neutral sticks."""
         self.released()
         self._mode = self._neutral = None
 
     def mode(self, mode: FlightMode, name: str, t_ns: int) -> str | None:
-        """Take a heartbeat's mode; the reason, if it shows that somebody else has taken over."""
+        """Take a heartbeat's mode; return in words how it shows that somebody else has taken over, or None."""
         before, self._mode = self._mode, (mode, name)
         if before is None or before == self._mode or not self.in_control:
             return None
@@ -53,7 +53,14 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not ask for"
 
     def sticks(self, positions: tuple[int, ...]) -> str | None:
-        """Take the sticks; the reason, if a pilot moves them."""
+        """Take the positions of the sticks.
+
+        Args:
+            positions: microseconds of each channel.
+
+        Returns:
+            The reason in words if a pilot moved one since we took over, else None.
+        """
         if not self.in_control:
             return None
         if self._neutral is None:

@@ -38,7 +38,7 @@ _RATES: Mapping[str, float] = {  # Hz
 
 
 class Firmware(Protocol):
-    """What differs between autopilots."""
+    """Modes, streams and messages of one kind of autopilot."""
 
     name: str
     rates: Mapping[str, float]  # Hz of the messages to ask for
@@ -47,7 +47,7 @@ class Firmware(Protocol):
     home_items: int  # items of its missions that are not ours
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """What a heartbeat's mode means, and the autopilot's own word for it."""
+        """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own word for it."""
 
     def mode_parameters(self, mode: FlightMode) -> tuple[float, ...]:
         """Parameters of MAV_CMD_DO_SET_MODE."""
@@ -56,10 +56,20 @@ class Firmware(Protocol):
         """Parameters of MAV_CMD_NAV_TAKEOFF to a height in metres above the home."""
 
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """The items as they are uploaded."""
+        """Return the items in the form in which this autopilot takes them."""
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
-        """LANDING_TARGET of a target (3,) metres from the vehicle, world axes; None: it cannot be expressed yet."""
+        """Make a LANDING_TARGET.
+
+        Args:
+            t_ns: instant at which this held, our clock.
+            target_world: (3,) metres from the vehicle to the target, world axes.
+            world_from_body: (3, 3) attitude of that instant.
+            own_ned: (3,) metres, the vehicle in the estimator's local frame; None: not known.
+
+        Returns:
+            The message; None: the target cannot be expressed yet.
+        """
 
 
 class ArduPilotFirmware:
@@ -90,7 +100,7 @@ class ArduPilotFirmware:
     }
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
-        """What a heartbeat's mode means, and the autopilot's own word for it."""
+        """Look up Copter's number; a number that is not known is `OTHER`."""
         name = self._names[custom_mode] if custom_mode < len(self._names) else str(custom_mode)
         return self._meanings.get(name, FlightMode.OTHER), name
 

@@ -16,7 +16,7 @@ _REMEMBERED_NS = 1_000_000_000  # after this long without a newer one, an old se
 
 @dataclass
 class FrameCounts:
-    """What came over the link."""
+    """Counts of a link since it was opened."""
 
     messages: int = 0
     damaged: int = 0  # bytes that belong to no whole message
@@ -25,7 +25,7 @@ class FrameCounts:
 
 @dataclass(frozen=True)
 class Heard:
-    """A message with its sender."""
+    """A message with its sender, and whether newer ones came before it."""
 
     message: Any
     name: str

@@ -72,7 +72,7 @@ class Link(ABC):
         return True
 
     def close(self) -> None:
-        """End the link."""
+        """Close the socket or the port."""
         with suppress(OSError):
             self._shut()
 
@@ -107,7 +107,7 @@ class UdpLink(Link):
 
     @property
     def port(self) -> int:
-        """Our own port."""
+        """The port of this machine that the link is bound to."""
         return int(self._socket.getsockname()[1])
 
     def _open(self) -> None:

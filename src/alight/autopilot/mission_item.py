@@ -46,12 +46,22 @@ def waypoint(place: Place, heading: float = math.nan, hold: float = 0.0) -> Miss
 
 
 def land(place: Place, heading: float = math.nan) -> MissionItem:
-    """Land at a place; its altitude is that of the ground."""
+    """Land at a place.
+
+    Args:
+        place: on the ground.
+        heading: rad clockwise from north; NaN: as the autopilot likes.
+    """
     return MissionItem(NAV_LAND, (0.0, 0.0, 0.0, math.degrees(heading) % 360.0), place, ABOVE_HOME)
 
 
 def change_speed(speed: float, downwards: bool = False) -> MissionItem:
-    """Fly at so many m/s from here on: over the ground, or straight down."""
+    """Change the speed from this item on.
+
+    Args:
+        speed: m/s.
+        downwards: of the descent; else over the ground.
+    """
     kind = _DESCENT_SPEED if downwards else _GROUND_SPEED
     return MissionItem(DO_CHANGE_SPEED, (kind, speed, _AS_IT_IS, 0.0))
 

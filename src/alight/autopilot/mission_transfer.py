@@ -31,7 +31,7 @@ REFUSALS = {
 
 @dataclass(frozen=True)
 class TransferResult:
-    """The end of a transfer."""
+    """The end of an upload or a deletion."""
 
     ok: bool
     text: str
@@ -52,17 +52,17 @@ class MissionTransfer:
         self._deadline_ns = self._tries = self._starts = 0
 
     def start(self, items: tuple[MissionItem, ...], t_ns: int) -> None:
-        """Begin; a transfer that is under way is given up."""
+        """Begin to upload the items; a transfer that is under way is given up."""
         self._items, self.active, self._starts = items, True, 1
         self._begin(t_ns)
 
     def rebooted(self, t_ns: int) -> None:
-        """The vehicle has forgotten the transfer: begin again."""
+        """Begin a transfer that is under way anew: the vehicle has forgotten it."""
         if self.active:
             self._begin(t_ns)
 
     def stop(self) -> None:
-        """Give up."""
+        """Give up the transfer that is under way, without a result."""
         self.active = False
 
     def request(self, sequence: int, t_ns: int) -> None:
@@ -76,7 +76,15 @@ class MissionTransfer:
         self._transmit(t_ns)
 
     def acknowledge(self, result: int, t_ns: int) -> TransferResult | None:
-        """MISSION_ACK: the end, or a hint that something was lost."""
+        """Take a MISSION_ACK.
+
+        Args:
+            result: MAV_MISSION_RESULT.
+            t_ns: now.
+
+        Returns:
+            The end of the transfer; None: it goes on, and what was lost is sent again.
+        """
         if not self.active or result == _OUT_OF_TURN:  # an item came twice; the request for the next will come
             return None
         if result == _ACCEPTED:
@@ -89,7 +97,7 @@ class MissionTransfer:
         return self._refused(result)
 
     def tick(self, t_ns: int) -> TransferResult | None:
-        """Send again what was not answered in time; the end, if it never was."""
+        """Send again what was not answered in time; return the end of a transfer that nobody answers, else None."""
         if not self.active or t_ns < self._deadline_ns:
             return None
         if self._interrupted is None and self._tries < _TRIES:

@@ -23,10 +23,14 @@ def dialect() -> Any:
 
 
 def message(name: str, **fields: Any) -> Any:
-    """Make a message by its name and fields."""
+    """Make a message by its name, such as HEARTBEAT, and its fields in MAVLink's units.
+
+    Raises:
+        MissingExtraError: pymavlink is not installed.
+    """
     return getattr(dialect(), f"MAVLink_{name.lower()}_message")(**fields)
 
 
 def message_id(name: str) -> int:
-    """The number of a message."""
+    """Return the number of a message by its name, such as HEARTBEAT."""
     return int(getattr(dialect(), f"MAVLINK_MSG_ID_{name}"))

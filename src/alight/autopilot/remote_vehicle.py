@@ -75,7 +75,7 @@ class RemoteVehicle:
 
     @property
     def telemetry(self) -> Telemetry:
-        """A snapshot."""
+        """The newest report of everything heard from the vehicle; it does not change later."""
         return self._state.telemetry(self._now_ns)
 
     @property
@@ -85,15 +85,31 @@ class RemoteVehicle:
 
     @property
     def patience_ns(self) -> int:
-        """Time for time-outs: the autopilot's own, or ours while it is silent."""
+        """The time that time-outs are counted in, ns: the autopilot's own, or ours while it is silent."""
         return self._pace.t_ns
 
     def place_at(self, t_ns: int) -> Place | None:
-        """Where the autopilot thought to be at an instant of our clock; None: no report near it."""
+        """Return where the autopilot believed to be.
+
+        Args:
+            t_ns: instant of our clock.
+
+        Returns:
+            Degrees, and metres above sea level and home; None: no report near that instant, or clocks not tied.
+        """
         return self._state.place_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
 
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
-        """Tie our position (3,) of an instant to the autopilot's of the same; None: it has none near that instant."""
+        """Tie our position to the autopilot's of the same instant.
+
+        Args:
+            local: our world.
+            position_world: (3,) metres, ours.
+            t_ns: the instant, of our clock.
+
+        Returns:
+            The tie; None: the autopilot has no position near that instant.
+        """
         place = self.place_at(t_ns)
         return None if place is None else EstimateTie(local, position_world, place)
 
@@ -116,7 +132,7 @@ class RemoteVehicle:
         return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns)
 
     def arm(self) -> int:
-        """Start the motors."""
+        """Start the motors; refused by the autopilot while its own checks fail."""
         return self._commands.submit("arm", _ARM, (1.0,), self._pace.t_ns)
 
     def disarm(self) -> int:

@@ -28,14 +28,19 @@ class Setpoint:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A set-point tied to the autopilot's own estimate: it can be sent again and means the same."""
+    """A set-point relative to the autopilot's own estimate: it can be sent again and means the same."""
 
     place: Place | None
     velocity_ned: F64 | None
     heading: float | None
 
     def message(self, t_ns: int, system: int, component: int) -> Any:
-        """The set-point as a message: global above sea level, or a velocity in the local frame."""
+        """Make the message: a place above sea level, or a velocity in the local frame.
+
+        Args:
+            t_ns: now, our clock.
+            system, component: of the vehicle.
+        """
         mask = _NO_ACCELERATION | _NO_YAW_RATE
         mask |= (_NO_VELOCITY if self.velocity_ned is None else 0) | (_NO_YAW if self.heading is None else 0)
         vx, vy, vz = (float(v) for v in (np.zeros(3) if self.velocity_ned is None else self.velocity_ned))
@@ -74,5 +79,5 @@ def target_of(setpoint: Setpoint, tie: EstimateTie | None) -> Target:
 
 
 def hold_at(place: Place) -> Target:
-    """Stay at a place."""
+    """Return the set-point that keeps the vehicle at a place, with any heading."""
     return Target(place, None, None)

@@ -30,12 +30,12 @@ class StreamKeeper:
         self._tickets: dict[int, str] = {}
 
     def rebooted(self) -> None:
-        """Ask for everything anew."""
+        """Forget what was asked for and heard, so that every stream is asked for again."""
         self._streams = {name: _Stream(s.rate) for name, s in self._streams.items()}
         self._tickets.clear()
 
     def hear(self, name: str, t_ns: int) -> None:
-        """Take note that a message has come."""
+        """Note that a message of a stream has come."""
         stream = self._streams.get(name)
         if stream is not None:
             stream.heard_ns, stream.wait_ns = t_ns, _FIRST_NS
@@ -45,13 +45,13 @@ class StreamKeeper:
         return self._tickets.pop(ticket, None) is not None
 
     def tick(self, t_ns: int) -> None:
-        """Ask for what is missing."""
+        """Ask for each stream that has not come or has dried up, at growing intervals."""
         for name, stream in self._streams.items():
             if self._missing(stream, t_ns):
                 self._ask(name, stream, t_ns)
 
     def dry(self, t_ns: int) -> list[str]:
-        """The streams that do not come."""
+        """Return the names of the messages that were asked for and have not come, or come no more."""
         return [n for n, s in self._streams.items() if s.heard_ns < 0 or self._late(s, t_ns)]
 
     def _late(self, stream: _Stream, t_ns: int) -> bool:

@@ -75,7 +75,11 @@ class TelemetryEvents:
         return found if np.isfinite(found) else None
 
     def forget(self, starts: int) -> None:
-        """Start anew after the autopilot has; the world stays."""
+        """Start anew after the autopilot has; the world stays.
+
+        Args:
+            starts: how often the autopilot has started so far.
+        """
         self.starts = starts
         self._gps = self._flags = None
         self._attitudes.clear()

@@ -55,21 +55,21 @@ class VehicleState:
         self.sticks: tuple[int, ...] | None = None
 
     def telemetry(self, now_ns: int) -> Telemetry:
-        """A snapshot."""
+        """Return everything heard so far, with the age in seconds of each message."""
         return replace(self._now, ages={name: (now_ns - t) * 1e-9 for name, t in self._heard.items()})
 
     def heard_ns(self, name: str) -> int | None:
-        """When a message was last heard, our clock."""
+        """The instant of our clock at which a message was last heard; None: never."""
         return self._heard.get(name)
 
     def rebooted(self) -> None:
-        """Forget what a new start has made void."""
+        """Forget everything but the mode; the vehicle counts as disarmed."""
         self._now = replace(Telemetry(self.firmware.name), armed=False, mode=self._now.mode)
         self._places.clear()
         self._local = self.sticks = None
 
     def hear(self, name: str, m: Any, now_ns: int) -> None:
-        """Take a message of the vehicle."""
+        """Take a message of the vehicle that came at `now_ns` of our clock."""
         self._heard[name] = now_ns
         boot_ns = boot_time_ns(m)
         if boot_ns is not None:
@@ -79,7 +79,14 @@ class VehicleState:
             take(m)
 
     def place_at(self, boot_ns: int) -> Place | None:
-        """Where the autopilot thought to be at an instant of its own clock; None: too far from every report."""
+        """Return where the autopilot believed to be, carried on from the nearest report by its velocity.
+
+        Args:
+            boot_ns: instant of the autopilot's clock.
+
+        Returns:
+            Degrees, and metres above sea level and above the home; None: too far from every report.
+        """
         if not self._places:
             return None
         t, place, velocity = min(self._places, key=lambda entry: abs(entry[0] - boot_ns))

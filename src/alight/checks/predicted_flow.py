@@ -20,6 +20,7 @@ from alight.arrays import F64, I64, Mask
 from alight.checks.evidence import CameraEvidence, ImuTable, NavTable
 from alight.checks.flow import grid_of, moved
 from alight.geometry import Pose
+from alight.spread import robust_sigma
 
 LEAST_PAIRS = 8
 STEEP = 0.3  # of n . z: a camera whose axis is nearer to the horizon sees no level ground
@@ -81,8 +82,10 @@ def _bias(turning: Slerp, attitude: Slerp, s: F64, t: F64) -> tuple[F64, float]:
     if len(begin) < 4:
         return np.zeros(3), FREE_BIAS
     one, two = ((f(begin).inv() * f(begin + 1.0)).as_rotvec() for f in (turning, attitude))
-    spread = 1.4826 * np.median(np.abs(one - two - np.median(one - two, axis=0)))
-    return np.median(one - two, axis=0), float(np.clip(spread / np.sqrt(len(begin) / 2), BIAS_SIGMA, FREE_BIAS))
+    off = one - two
+    bias = np.median(off, axis=0)
+    spread = robust_sigma(off - bias)
+    return bias, float(np.clip(spread / np.sqrt(len(begin) / 2), BIAS_SIGMA, FREE_BIAS))
 
 
 def seconds_since(t_ns: I64, origin_ns: int) -> F64:

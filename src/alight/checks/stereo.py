@@ -19,6 +19,7 @@ from alight.checks.predicted_flow import STEEP, FlowFit
 from alight.checks.result import CheckResult, bad, good, unknown
 from alight.geometry import Camera, Pose, skew, so3_exp
 from alight.records import Rig, RigCamera
+from alight.spread import nmad
 from alight.tracks import inverse_depth
 
 RESIDUAL = 1.0  # px, RMS from the epipolar line that a rig may have
@@ -227,7 +228,7 @@ def _of_depth(case: StereoCase, evidence: str, flow: FlowFit) -> CheckResult:
     arm = np.array([np.median((disparity / rho)[level & (at == k)]) for k in range(len(times))])  # px m
     expected = np.interp(times, flow.depth_seconds, _smooth(flow.inverse_depth))
     error = (stereo - expected) * arm
-    off, sigma = float(np.median(error)), _spread(error) / np.sqrt(max(len(error) - 1, 1))
+    off, sigma = float(np.median(error)), nmad(error) / np.sqrt(max(len(error) - 1, 1))
     said = float(np.median(expected * arm))
     evidence += f", disparity {said + off:.2f} px where flow and GPS/INS give {said:.2f} px"
     share = SHARE / float(np.median(-normals[:, 2])) ** 2  # relief shows more in an oblique view
@@ -248,7 +249,3 @@ def _smooth(values: F64) -> F64:
     """Running median of five."""
     padded = np.pad(values, 2, mode="edge")
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, 5), axis=1))
-
-
-def _spread(values: F64) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))

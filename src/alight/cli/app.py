@@ -46,6 +46,22 @@ SetOption = Annotated[
 SettingsOption = Annotated[Path | None, typer.Option("--settings", metavar="FILE", help="Settings as YAML.")]
 ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="OUT", help="Folder for the results.")]
+RigOption = Annotated[
+    Path | None, typer.Option("--rig", metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
+]
+SeparationOption = Annotated[
+    float | None,
+    typer.Option(
+        "--separation",
+        min=-200.0,
+        max=200.0,
+        help="Ellipsoid minus sea level, m, where the receiver does not report it.",
+    ),
+]
+RecordOption = Annotated[
+    bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
+]
+SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Another seed, another place.")]
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", callback=_speak_up, help="Say more on stderr.")]
 
 
@@ -195,6 +211,7 @@ def _usual(words: Sequence[str]) -> str:
     advice = {
         "hazards": "give a part of the raster (gdal_translate -srcwin) or coarser cells (gdalwarp -tr)",
         "simulate": "choose smaller images, a lower rate or a smaller ground in the scene",
+        "rehearse": "choose smaller images with --width",
         "terrain": "give fewer or smaller pictures",
         "evaluate": "give a smaller run",
         "check": "read less with --seconds",
@@ -233,7 +250,12 @@ def _end(number: int, frame: object) -> None:
 
 
 def _mend_streams() -> None:
-    """Closed standard streams lead to nothing, or the next file would take their place; any name can be printed."""
+    """Closed standard streams lead to nothing, or the next file would take their place; any name can be printed.
+
+    A terminal that says it has no columns is taken for one that says nothing.
+    """
+    if not os.environ.get("COLUMNS", "80").strip("0"):
+        del os.environ["COLUMNS"]
     for number in range(3):
         try:
             os.fstat(number)

@@ -18,6 +18,7 @@ from alight.cli.app import (
     say,
 )
 from alight.records import InputError
+from alight.records.campaign import MOST_LANDINGS
 
 if TYPE_CHECKING:
     from alight.runner.campaign import Campaign, Ended
@@ -31,9 +32,9 @@ def campaign(
     scenes: Annotated[
         list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
     ] = None,
-    landings: Annotated[int | None, typer.Option(min=1, help="How many landings; 20.")] = None,
+    landings: Annotated[int | None, typer.Option(min=1, max=MOST_LANDINGS, help="How many landings; 20.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of everything that chance decides.")] = 0,
-    jobs: Annotated[int, typer.Option(min=1, help="Processes that fly landings on this machine.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that fly landings on this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster instead: tcp://host:8786.")
     ] = None,

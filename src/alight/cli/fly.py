@@ -17,10 +17,15 @@ from rich.text import Text
 from alight.cli.app import (
     ForceOption,
     OutOption,
+    RecordOption,
+    RigOption,
+    SeedOption,
+    SeparationOption,
     SetOption,
     SettingsOption,
     VerboseOption,
     app,
+    complain,
     read_settings,
     say,
     stderr,
@@ -34,6 +39,7 @@ if TYPE_CHECKING:
     from alight.runner.fly import FlightOutcome, FlightStatus
     from alight_sim.steered import SteeredFlight
 
+BEHIND = 1.0  # s, from which a rehearsal says that the machine is too slow
 ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
 
 
@@ -53,9 +59,7 @@ def fly(
         str, typer.Option(metavar="SOURCE", help="Cameras (camera:0,camera:2) or a folder that is being filled.")
     ],
     out: OutOption,
-    rig: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
-    ] = None,
+    rig: RigOption = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show every order instead of sending it.")] = False,
     take_off: Annotated[
         float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
@@ -64,11 +68,11 @@ def fly(
         str | None,
         typer.Option(metavar="LAT,LON,ALT,SEP", help="Home for route.plan, where the autopilot's is not meant."),
     ] = None,
-    separation: Annotated[
-        float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
-    ] = None,
-    imu: Annotated[float, typer.Option(min=0.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")] = 100.0,
-    record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
+    separation: SeparationOption = None,
+    imu: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")
+    ] = 100.0,
+    record: RecordOption = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
     force: ForceOption = False,
@@ -109,11 +113,13 @@ def rehearse(
         Path, typer.Option(metavar="FOLDER", help="Filled with the pictures: the --camera of alight fly.")
     ],
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = 14550,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
-    height: Annotated[float, typer.Option(min=0.0, help="Metres above the ground at the start; 0: it stands.")] = 30.0,
-    width: Annotated[int, typer.Option(min=80, help="Of the pictures, pixels; the height follows.")] = 320,
-    rate: Annotated[float, typer.Option(min=1.0, help="Exposures a second.")] = 5.0,
-    wind: Annotated[float, typer.Option(min=0.0, help="From the west, m/s.")] = 0.0,
+    seed: SeedOption = 0,
+    height: Annotated[
+        float, typer.Option(min=0.0, max=500.0, help="Metres above the ground at the start; 0: it stands.")
+    ] = 30.0,
+    width: Annotated[int, typer.Option(min=80, max=4000, help="Of the pictures, pixels; the height follows.")] = 320,
+    rate: Annotated[float, typer.Option(min=1.0, max=100.0, help="Exposures a second.")] = 5.0,
+    wind: Annotated[float, typer.Option(min=0.0, max=50.0, help="From the west, m/s.")] = 0.0,
     autopilot: Annotated[Dialects, typer.Option(help="Whose dialect it speaks.")] = Dialects.ARDUPILOT,
     seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
     verbose: VerboseOption = False,
@@ -133,6 +139,12 @@ def rehearse(
             rehearsal.wait(5.0)
         except KeyboardInterrupt:
             pass
+    if rehearsal.server.behind > BEHIND:
+        complain(
+            f"warning: the simulation was up to {rehearsal.server.behind:.0f} s behind the clock: this machine is too "
+            "slow for it; lower --rate or --width",
+            "yellow",
+        )
     if flight.contact is None:
         say("it has not touched the ground")
         return

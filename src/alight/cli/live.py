@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,6 +11,9 @@ from rich.text import Text
 from alight.cli.app import (
     ForceOption,
     OutOption,
+    RecordOption,
+    RigOption,
+    SeparationOption,
     SetOption,
     SettingsOption,
     VerboseOption,
@@ -36,16 +38,12 @@ def live(
     follow: Annotated[
         bool, typer.Option("--follow", help="The folder is being filled; 10 s without anything new end it.")
     ] = False,
-    rig: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Calibration of cameras: cam0/sensor.yaml and so on.")
-    ] = None,
+    rig: RigOption = None,
     telemetry: Annotated[
         str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
     ] = None,
-    separation: Annotated[
-        float | None, typer.Option(help="Ellipsoid minus sea level, m, where the receiver does not report it.")
-    ] = None,
-    record: Annotated[bool, typer.Option(help="Record everything that comes in, and what is done, as MCAP.")] = True,
+    separation: SeparationOption = None,
+    record: RecordOption = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
     force: ForceOption = False,

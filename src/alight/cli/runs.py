@@ -12,6 +12,7 @@ import typer
 from alight.cli.app import (
     ForceOption,
     OutOption,
+    SeedOption,
     SetOption,
     SettingsOption,
     VerboseOption,
@@ -113,7 +114,7 @@ def evaluate(
 @app.command()
 def demo(
     out: OutOption = Path("out/demo"),
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 1,
+    seed: SeedOption = 1,
     settings: SettingsOption = None,
     assign: SetOption = None,
     force: ForceOption = False,

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from alight.cli.app import VerboseOption, app, progress_bar, say
+from alight.cli.app import SeedOption, VerboseOption, app, progress_bar, say
 from alight.documents import parse_yaml, read_text
 from alight.records import InputError, SettingsError
 
@@ -27,7 +27,7 @@ def simulate(
         str | None, typer.Argument(metavar="SCENE", help="A scene file (YAML), or the name of a built-in scene.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FLIGHT", help="Folder for the flight log.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Another seed, another place.")] = 0,
+    seed: SeedOption = 0,
     show: Annotated[bool, typer.Option("--list", help="Show the built-in scenes.")] = False,
     keys: Annotated[bool, typer.Option("--keys", help="Print every key of a scene file, as Markdown.")] = False,
     height: Annotated[float | None, typer.Option(help="Metres above the ground, instead of the scene's.")] = None,
@@ -94,17 +94,24 @@ def read(scene: str, assignments: list[str], seed: int = 0) -> Scene:
         raise SettingsError(str(e)) from e
 
 
+def _item(part: str) -> int:
+    number = int(part)
+    if number < 1:
+        raise IndexError(part)
+    return number - 1
+
+
 def _assign(tree: dict[str, Any], assignment: str) -> None:
     """Put one value into the tree of a scene; items of a list are counted from 1."""
     key, sep, value = assignment.partition("=")
-    if not sep or not key.strip():
+    if not sep or not all(part.strip() for part in key.split(".")):
         raise SettingsError(f"--set takes key=value, got {assignment!r}")
     *path, last = key.strip().split(".")
     at: Any = tree
     try:
         for part in path:
-            at = at[int(part) - 1] if isinstance(at, list) else at.setdefault(part, {})
-        at[int(last) - 1 if isinstance(at, list) else last] = parse_yaml(value)
+            at = at[_item(part)] if isinstance(at, list) else at.setdefault(part, {})
+        at[_item(last) if isinstance(at, list) else last] = parse_yaml(value)
     except (ValueError, IndexError, TypeError, AttributeError) as e:
         raise SettingsError(f"--set {assignment}: does not fit the scene; its keys stand in the scene's file") from e
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from alight.evaluation.flight import against_flight
 from alight.evaluation.photos import against_photos
-from alight.evaluation.report import Evaluation, nmad
+from alight.evaluation.report import Evaluation
 from alight.outputs import read_run
 from alight.records import InputError
 
-__all__ = ["Evaluation", "evaluate", "nmad"]
+__all__ = ["Evaluation", "evaluate"]
 
 
 def evaluate(out: Path, truth: Path) -> Evaluation:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from alight.arrays import F64
-from alight.evaluation.report import Evaluation, nmad, rms
+from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, so3_log
 from alight.outputs import Run, read_bands
 from alight.raster import clearance_of, gradient
@@ -19,6 +19,7 @@ from alight.records import Flag, Hazard, InputError, Terrain
 from alight.settings import Lander, Settings
 from alight.sources import open_source, read_tum
 from alight.sources.source import Trajectory
+from alight.spread import nmad
 from alight_sim import TrueFootprint
 from alight_sim.truth import safe_mask
 
@@ -66,22 +67,14 @@ def read_flight_truth(folder: Path) -> FlightTruth:
     return FlightTruth(dem.astype(np.float32), label, grid)
 
 
-def at(values: NDArray[Any], grid: Grid, east: F64, north: F64) -> NDArray[Any]:
-    """The nearest cell's value at each place; NaN (or 0 for classes) outside."""
-    r, c = (np.rint(i).astype(int) for i in grid.index(east, north))
-    inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
-    outside = np.nan if np.issubdtype(values.dtype, np.floating) else 0
-    return np.where(inside, values[r.clip(0, grid.rows - 1), c.clip(0, grid.cols - 1)], outside)
-
-
 def compare_heights(run: Run, truth: FlightTruth, out: Evaluation, offset: F64, suffix: str = "") -> None:
     """Heights, sigma and acceptance by class; the map first moved back by `offset`, (3,) metres."""
     if run.height is None or run.grid is None or run.flags is None or run.sigma is None:
         out.put(f"heights{suffix}", "the run has no dem.tif")
         return
     e, n = np.meshgrid(*run.grid.xy())
-    true = at(truth.dem, truth.grid, e - offset[0], n - offset[1])
-    kind = at(truth.label, truth.grid, e - offset[0], n - offset[1])
+    true = truth.grid.nearest_at(truth.dem, e - offset[0], n - offset[1])
+    kind = truth.grid.nearest_at(truth.label, e - offset[0], n - offset[1])
     seen = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(true)
     given = np.isfinite(run.height) & seen
     error = run.height - offset[2] - true
@@ -136,8 +129,8 @@ def placed(run: Run, truth: FlightTruth, offset: F64) -> F64:
     south, east = (np.asarray(rise) for rise in gradient(run.height.astype(np.float64), run.grid.cell))
     known = ((run.flags & np.uint16(Flag.UNSEEN)) == 0) & np.isfinite(east) & np.isfinite(south)
     for _ in range(_REGISTRATIONS):
-        error = run.height - offset[2] - at(truth.dem, truth.grid, e - offset[0], n - offset[1])
-        kind = at(truth.label, truth.grid, e - offset[0], n - offset[1])
+        error = run.height - offset[2] - truth.grid.nearest_at(truth.dem, e - offset[0], n - offset[1])
+        kind = truth.grid.nearest_at(truth.label, e - offset[0], n - offset[1])
         use = known & np.isfinite(error) & np.isin(kind, GROUND)
         if use.sum() < _LEAST_TO_REGISTER:
             return offset
@@ -170,7 +163,7 @@ def decision(
     """
     good = [_truly_safe(places_of(run, kind) - offset[:2], truth, safe) for kind in ("sites", "candidates")]
     places = places_of(run, "sites") - offset[:2]
-    on = at(truth.label, truth.grid, places[:, 0], places[:, 1])
+    on = truth.grid.nearest_at(truth.label, places[:, 0], places[:, 1])
     if good[0]:
         out.put(f"best site truly safe{suffix}", "yes" if good[0][0] else "NO")
     out.put(f"sites truly safe{suffix}", f"{sum(good[0])} of {len(good[0])}")
@@ -182,15 +175,15 @@ def decision(
         return
     e, n = np.meshgrid(*run.grid.xy())
     e, n = e - offset[0], n - offset[1]
-    good_cells = at(safe, truth.grid, e, n) > 0
-    known = np.isfinite(at(truth.dem, truth.grid, e, n))
+    good_cells = truth.grid.nearest_at(safe, e, n) > 0
+    known = np.isfinite(truth.grid.nearest_at(truth.dem, e, n))
     claimed = (run.safe >= run.settings.hazards.p_safe) & known
     near = dilated(good_cells, NEAR / run.grid.cell)
     out.put(f"declared safe and not within {NEAR} m of truly safe, %{suffix}", share(claimed & ~near, claimed))
     out.put(f"truly safe cells found, %{suffix}", share(claimed & good_cells, good_cells))
     if run.reasons is None or run.flags is None:
         return
-    open_cells = at(with_room(safe, truth.grid.cell), truth.grid, e, n) > 0
+    open_cells = truth.grid.nearest_at(with_room(safe, truth.grid.cell), e, n) > 0
     open_cells &= (run.flags & np.uint16(Flag.UNSEEN)) == 0
     kept = (run.reasons & ~np.uint16(Hazard.DOUBT)) == 0
     name = f"seen and truly safe with {ROOM:g} m of clearance, and not refused, %"
@@ -199,7 +192,7 @@ def decision(
 
 def _truly_safe(places: F64, truth: FlightTruth, safe: NDArray[np.uint8]) -> list[bool]:
     """Whether each place, (N, 2) metres, lies on a cell of the truth that is `safe`."""
-    return [bool(v) for v in at(safe, truth.grid, places[:, 0], places[:, 1])]
+    return [bool(v) for v in truth.grid.nearest_at(safe, places[:, 0], places[:, 1])]
 
 
 def with_room(safe: NDArray[np.uint8], cell: float) -> NDArray[np.uint8]:
@@ -269,6 +262,10 @@ def against_flight(run: Run, folder: Path) -> Evaluation:
     if np.abs(run.local.to_enu(flight.local.latitude, flight.local.longitude, flight.local.height)).max() > 1e-3:
         raise InputError(f"{folder}: another origin than that of the run; name the flight that was run")
     truth = read_flight_truth(folder)
+    if run.grid is not None and not np.isfinite(truth.grid.nearest_on(run.grid, truth.dem)).any():
+        raise InputError(
+            f"{folder / 'truth' / 'dem.tif'}: knows no height on the run's map; name the flight that was run"
+        )
     safe = truth.safe(lander_of(run))
     out.put("height above ground, m", float(run.info.get("height_above_ground_m") or np.nan))
     compare_heights(run, truth, out, np.zeros(3))

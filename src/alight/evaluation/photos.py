@@ -13,13 +13,14 @@ from scipy.spatial import cKDTree
 
 from alight.arrays import F64
 from alight.documents import read_bytes
-from alight.evaluation.report import Evaluation, nmad, rms
+from alight.evaluation.report import Evaluation, rms
 from alight.geometry import Grid, LocalFrame
 from alight.learned import arrays_of
 from alight.outputs import Run, world_up
 from alight.raster import ellipse
 from alight.records import Flag, InputError
 from alight.sources import read_tum
+from alight.spread import nmad
 
 LEAST_TRACK, MOST_ERROR = 3, 1.0  # photos, px: a reference point that is believed
 # names and shapes: -1 is the number of points, -2 that of the photos

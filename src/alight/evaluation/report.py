@@ -8,12 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def nmad(errors: ArrayLike) -> float:
-    """Normalised median absolute deviation: the sigma of the core of a distribution, blind to its tails."""
-    e = np.asarray(errors, dtype=np.float64)
-    return float(1.4826 * np.median(np.abs(e - np.median(e)))) if e.size else float("nan")
-
-
 def rms(errors: ArrayLike) -> float:
     """Root mean square."""
     e = np.asarray(errors, dtype=np.float64)

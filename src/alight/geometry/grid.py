@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,27 @@ class Grid:
     def index(self, east: NDArray[np.float64], north: NDArray[np.float64]) -> tuple[F64, F64]:
         """Fractional (row, column) of world positions."""
         return (self.north - np.asarray(north)) / self.cell, (np.asarray(east) - self.east) / self.cell
+
+    def nearest_at(self, values: NDArray[Any], east: F64, north: F64, outside: float | None = None) -> NDArray[Any]:
+        """Look up the value of the cell that is nearest to each place.
+
+        Args:
+            values: (R, C, ...), one for each cell.
+            east, north: metres, of any shapes that broadcast.
+            outside: for places beyond the grid; None: NaN, or 0 where the values are no floating-point numbers.
+        """
+        row, col = (np.rint(i).astype(np.int64) for i in self.index(east, north))
+        inside = (row >= 0) & (row < self.rows) & (col >= 0) & (col < self.cols)
+        out = np.asarray(values[row.clip(0, self.rows - 1), col.clip(0, self.cols - 1)])
+        if outside is None:
+            outside = np.nan if np.issubdtype(values.dtype, np.floating) else 0
+        out[~inside] = outside
+        return out
+
+    def nearest_on(self, target: Grid, values: NDArray[Any], outside: float | None = None) -> NDArray[Any]:
+        """As `nearest_at`, for the centres of another grid's cells: (target rows, target columns, ...)."""
+        east, north = target.xy()
+        return self.nearest_at(values, east[None, :], north[:, None], outside)
 
     def window(self, row: int, col: int, rows: int, cols: int) -> Grid:
         """The part that starts at (row, col)."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, Mask
 from alight.hazards.footprint_kernels import cast_shadows
+from alight.spread import SIGMA_OF_MAD
 
 DIFFERENCE, SMOOTHING = np.array([-1, 0, 1], np.float32), np.array([1, 2, 1], np.float32)
 LEAST_SHADOW = 50  # pixels that must lie in a predicted shadow before its brightness is used
@@ -84,7 +85,7 @@ def find_light(height: F32, image: F32, lit: Mask, pixel: float) -> Sunlight:
         x = _solve(terms[kept], seen[kept])
     left = np.clip(seen - terms @ x.astype(np.float32), -4 * seen.std(), 4 * seen.std())
     explained = 1 - float((left**2).mean()) / max(float(seen.var()), 1e-9)
-    return Sunlight(x[:3], float(x[3]), 1.4826 * typical, explained)
+    return Sunlight(x[:3], float(x[3]), SIGMA_OF_MAD * typical, explained)
 
 
 def in_shadow(height: F32, light: Sunlight, pixel: float) -> Mask:

@@ -9,9 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from alight.arrays import F64, Mask
+from alight.geometry import Grid
 from alight.landing.wind import ground_speed, is_from_behind
-from alight.records import ElevationMap, Route, Site, Waypoint
+from alight.raster import block_quantile, upsample
+from alight.records import ElevationMap, Flag, Route, Site, Waypoint
 from alight.settings import RouteSettings
+
+BLOCK = 0.5  # metres: doubtful heights are believed by blocks of this size
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,21 +34,32 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
     ex, ey = site.east - start[0], site.north - start[1]
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
     near = np.hypot(x - share * ex, y - share * ey) <= width + elevation.grid.cell / 2
-    known = elevation.trusted
-    top = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
-    here = near & known
-    unknown = _track_unknown(start, site, elevation, known)
+    top = standing(elevation)
+    here, known = near & np.isfinite(top), np.isfinite(top)
+    unknown = _track_unknown(start, site, elevation, elevation.trusted)
     return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
+
+
+def standing(elevation: ElevationMap) -> F64:
+    """Height of what may stand in the way, (R, C) metres, world up; NaN where no camera measured any.
+
+    Trusted heights with two sigma. Most of a tree's crown is in doubt, so doubtful heights count as well: the median of
+    those within a block, because single ones are wrong.
+    """
+    usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
+    height = np.where(usable, elevation.height, np.float32(np.nan))
+    size = max(1, round(BLOCK / elevation.grid.cell))
+    about = upsample(block_quantile(height, size, 0.5), size, height.shape).astype(np.float64)
+    surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
+    return np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan))
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
     """True if any cell of the ground track lies off the map or is not known."""
     grid = elevation.grid
     steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
-    row, col = grid.index(np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps))
-    r, c = np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)
-    inside = (r >= 0) & (r < grid.rows) & (c >= 0) & (c < grid.cols)
-    return not bool(inside.all() and known[r[inside], c[inside]].all())
+    east, north = np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps)
+    return not bool(grid.nearest_at(known, east, north).all())
 
 
 def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wind: F64 | None) -> tuple[float, float]:
@@ -68,24 +83,28 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wi
     return level, level
 
 
-def lowest_clear(start: F64, to: F64, elevation: ElevationMap, clearance: float) -> float:
-    """Height (metres, world up) at which a level way is clear of everything mapped below it, two sigma included.
+def lowest_clear(start: F64, to: F64, grid: Grid, top: F64, clearance: float) -> tuple[float, float]:
+    """How high a level way has to be flown, and how much of the ground below it is not mapped.
 
     Args:
         start, to: (3,) metres; the way leads from above the one to above the other.
+        grid: of the map.
+        top: (R, C) metres, as `standing` gives it.
         clearance: metres, above and beside the way.
 
     Returns:
-        The height; minus infinity where nothing is mapped below the way.
+        The height at which it is clear of everything mapped, metres up, minus infinity where nothing is; and the share
+        of the cells within the clearance that are not mapped.
     """
-    east, north = elevation.grid.xy()
+    east, north = grid.xy()
     x, y = np.meshgrid(east - start[0], north - start[1])
     ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
-    near = np.hypot(x - share * ex, y - share * ey) <= clearance + elevation.grid.cell / 2
-    here = near & elevation.trusted
-    top = elevation.height[here].astype(np.float64) + 2 * elevation.sigma[here].astype(np.float64)
-    return float(top.max(initial=-np.inf)) + clearance
+    near = np.hypot(x - share * ex, y - share * ey) <= clearance + grid.cell / 2
+    here = top[near]
+    known = np.isfinite(here)
+    unknown = 1.0 - float(known.mean()) if here.size else 1.0
+    return float(here[known].max(initial=-np.inf)) + clearance, unknown
 
 
 def _bearing(a: F64, b: F64, otherwise: float) -> float:

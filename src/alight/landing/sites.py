@@ -28,7 +28,7 @@ def separation(settings: SitesSettings, lander: Lander) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """What a choice is made from."""
+    """The arguments of `choose_sites`, and the scores of its cells."""
 
     hazards: HazardMap
     land_cover: TerrainMap | None

@@ -1,4 +1,4 @@
-"""What wind does to the ways of a landing: speed over the ground, and from which side to come."""
+"""Wind on the ways of a landing: speed over the ground, and the side from which to come."""
 
 from __future__ import annotations
 

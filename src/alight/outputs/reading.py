@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
-from pydantic import BaseModel, FiniteFloat, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat
 from rasterio.errors import RasterioError
 
 from alight.arrays import F32, U8, U16
-from alight.documents import LARGEST_JSON, parse_json, read_text
+from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text, validated
 from alight.geometry import Grid, LocalFrame
 from alight.outputs.folder import RUN_JSON, is_run
 from alight.records import InputError
@@ -61,9 +61,12 @@ RASTERS = {
 MOST_CELLS = 500_000_000  # of a raster, all bands
 
 
+_Metres = Annotated[float, Field(ge=-1e6, le=1e6)]  # from the origin: a local frame ends long before
+
+
 class _Place(BaseModel):
-    east_m: FiniteFloat
-    north_m: FiniteFloat
+    east_m: _Metres
+    north_m: _Metres
 
 
 class _Answer(BaseModel):
@@ -95,11 +98,9 @@ def _checked(info: Any) -> dict[str, Any]:
         InputError: with the first key that is damaged.
     """
     try:
-        _RunJson.model_validate(info)
-    except ValidationError as e:
-        first = e.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{RUN_JSON}: {key or 'it'} is damaged ({first['msg'].lower()}); {AGAIN}") from e
+        validated(_RunJson, info)
+    except DocumentError as e:
+        raise InputError(f"{RUN_JSON}: {e}; {AGAIN}") from e
     return dict(info)
 
 
@@ -112,8 +113,11 @@ def read_bands(path: Path, least: int, kinds: str, mend: str) -> tuple[NDArray[A
         mend: what to do about a damaged one.
 
     Raises:
-        InputError: it cannot be read, has too few bands, other numbers, or cells that are not square with north up.
+        InputError: it is no plain file, cannot be read, has too few bands, other numbers, or cells that are not square
+            with north up.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: not a plain file; {mend}")
     try:
         with rasterio.open(path) as d:
             t = d.transform

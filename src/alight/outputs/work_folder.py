@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, MutableMapping
 from pathlib import Path
 from typing import Any
 
-from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_text
+from alight.documents import LARGEST_JSON, DocumentError, parse_json, read_bytes, read_text
 from alight.outputs.atomic_write import write_whole
 from alight.records import InputError
 
@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 WORK = "unfinished-work"  # its name in the output
 KEY = "run.json"  # whose work it is
 SUFFIX = ".part"
+LARGEST_PIECE = 4_000_000_000  # bytes
 
 
 class WorkFolder(MutableMapping[str, bytes]):
@@ -52,8 +53,8 @@ class WorkFolder(MutableMapping[str, bytes]):
 
     def __getitem__(self, name: str) -> bytes:
         try:
-            return self._path(name).read_bytes()
-        except OSError as e:
+            return read_bytes(self._path(name), LARGEST_PIECE)
+        except (OSError, DocumentError) as e:
             raise KeyError(name) from e
 
     def __setitem__(self, name: str, data: bytes) -> None:

@@ -27,6 +27,7 @@ BESIDE = 1  # coarse cells about one whose heights a ray tries
 BORDER = 6  # the same where none of these has a height
 SLACK = 2  # planes beyond these
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
+CLOSE = 0.2  # of the height of the lowest view above the heights searched: what stands nearer to it is not swept
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
 
 Span = tuple[float, float]  # lowest and highest height, metres
@@ -214,7 +215,7 @@ def sweep(
         pyramid: the views at the cells of `grid`, then at cells twice as large and so on. The coarsest tries all
             planes that its views can tell apart, each finer one those about what the coarser found.
         grid: the cells.
-        searched: lowest and highest height, metres.
+        searched: lowest and highest height, metres; what stands nearer to the lowest view than `CLOSE` is left out.
         ground: metres, about where most of it lies.
         reference: the view along whose rays heights are tried.
 
@@ -223,6 +224,11 @@ def sweep(
         second one fits.
     """
     about = pyramid[0][reference].centre
+    lowest = float(centres_of(pyramid[0])[:, 2].min())
+    if lowest <= searched[0]:
+        return np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
+    searched = searched[0], min(searched[1], lowest - CLOSE * (lowest - searched[0]))
+    ground = min(ground, searched[1])
     rays = ray_lattice(grid, ground, searched, pyramid[0][reference])
     of = [rays]
     while len(of) < len(pyramid) and min(of[-1].shape) >= 2 * LEAST_SIDE:

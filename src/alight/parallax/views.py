@@ -216,6 +216,8 @@ def choose_views(views: Sequence[View], grid: Grid, height: float, count: int, m
     Greedy: the next view is the one that adds most to cells with few views, weighted by its distance to the views that
     are already in. Views flatter than `max_tangent` (horizontal over vertical distance) serve where nothing else sees.
     """
+    if not views:
+        return []
     xs, ys = grid.xy()
     px, py = np.meshgrid(np.linspace(xs[0], xs[-1], 7), np.linspace(ys[0], ys[-1], 7))
     points = np.c_[px.ravel(), py.ravel(), np.full(px.size, height)]

@@ -5,18 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 Outcome = Literal[
     "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
 ]  # fmt: skip
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
+MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
 GROUND = ("slope", "roughness", "belly", "rotor", "ground")  # reasons that are the ground's; the rest is the flying's
 
 
 class _Line(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class FaultRecord(_Line):
@@ -32,7 +33,7 @@ class FaultRecord(_Line):
 class Conditions(_Line):
     """What a landing is flown in: all that is drawn."""
 
-    landing: int  # its number in the campaign
+    landing: int = Field(ge=0)  # its number in the campaign
     seed: int  # of the campaign
     scene: str
     world_seed: int
@@ -108,7 +109,7 @@ class LandingRecord(_Line):
     found_after: float | None = None  # s to the first place
     distance: float = 0.0  # metres flown
     verdicts: int = 0
-    picture: str | None = None  # file beside landings.jsonl
+    picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file beside landings.jsonl
     error: str | None = None
     cpu_s: float = 0.0  # CPU time: another run does not repeat it
     cpu_of: dict[
@@ -134,10 +135,12 @@ class LandingRecord(_Line):
 class CampaignHead(_Line):
     """What makes a campaign: the same seed, scenes and settings give the same landings."""
 
+    model_config = ConfigDict(extra="ignore")  # campaign.json holds what was found, too
+
     alight: str
-    seed: int
-    scenes: tuple[str, ...]
-    landings: int  # that are to be flown; more of them make no other campaign
+    seed: int = Field(ge=0)
+    scenes: tuple[str, ...] = Field(min_length=1)
+    landings: int = Field(ge=1, le=MOST_LANDINGS)  # that are to be flown; more of them make no other campaign
     settings: dict[str, Any]
 
     def differing(self, other: CampaignHead) -> str | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from alight.arrays import F32, F64
 from alight.geometry import Grid
-from alight.records.surface import Terrain, nearest_on
+from alight.records.surface import Terrain
 
 Kind = Literal["site", "candidate"]
 Doubt = Literal["relief", "obstacle", "ground"]  # the factors of P(safe)
@@ -58,7 +58,7 @@ class HazardMap:
 
         def moved(values: NDArray[Any]) -> NDArray[Any]:
             unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Hazard.UNKNOWN)
-            return nearest_on(self.grid, grid, values, unknown)
+            return self.grid.nearest_on(grid, values, unknown)
 
         arrays = [f.name for f in fields(self) if f.name != "grid"]
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})

@@ -20,16 +20,11 @@ class PriorHeights:
 
     def at(self, east: F64, north: F64) -> F64:
         """The height of the nearest cell to each place (metres), NaN where it is unknown."""
-        row, col = (np.rint(v).astype(np.int64) for v in self.grid.index(east, north))
-        inside = (row >= 0) & (row < self.grid.rows) & (col >= 0) & (col < self.grid.cols)
-        out = np.full(np.shape(row), np.nan)
-        out[inside] = self.height[row[inside], col[inside]]
-        return out
+        return self.grid.nearest_at(self.height, east, north).astype(np.float64)
 
     def over(self, grid: Grid) -> F64:
         """(R, C) its heights on another grid."""
-        east, north = np.meshgrid(*grid.xy())
-        return self.at(east, north)
+        return self.grid.nearest_on(grid, self.height).astype(np.float64)
 
 
 @dataclass(frozen=True)

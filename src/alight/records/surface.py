@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F16, F32, F64, U8, U16
+from alight.arrays import F32, F64, U8, U16
 from alight.geometry import Grid
 
 
@@ -188,7 +188,7 @@ class TerrainMap:
     grid: Grid
     label: U8  # (R, C) Terrain codes
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
-    probability: F16 | None = None  # (R, C, 8) of codes 1 to 8; NaN = nothing seen
+    water: F32 | None = None  # (R, C) probability of water; NaN = nothing seen
     enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
     novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
     bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
@@ -200,19 +200,7 @@ class TerrainMap:
             return self
 
         def moved(values: NDArray[Any] | None) -> Any:
-            if values is None:
-                return None
-            unknown = np.nan if np.issubdtype(values.dtype, np.floating) else float(Terrain.UNKNOWN)
-            return nearest_on(self.grid, grid, values, unknown)
+            return None if values is None else self.grid.nearest_on(grid, values)
 
         arrays = [f.name for f in fields(self) if f.name not in ("grid", "coloured")]
         return replace(self, grid=grid, **{name: moved(getattr(self, name)) for name in arrays})
-
-
-def nearest_on(source: Grid, target: Grid, values: NDArray[Any], outside: float) -> NDArray[Any]:
-    """The nearest value (R, C, ...) of one grid at every cell of another."""
-    row, col = (np.rint(i).astype(np.int64) for i in source.index(*target.xy()))
-    off = ((row < 0) | (row >= source.rows))[:, None] | ((col < 0) | (col >= source.cols))[None, :]
-    out = values[np.ix_(row.clip(0, source.rows - 1), col.clip(0, source.cols - 1))]
-    out[off] = outside
-    return np.asarray(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -19,6 +20,15 @@ def _shares(index: NDArray[Any], seen: NDArray[np.bool_], count: int) -> list[fl
     return [float(n) / max(int(seen.sum()), 1) for n in found]
 
 
+def _keys(labels: Iterable[str], colours: Iterable[str], shares: Iterable[float]) -> list[Key]:
+    """Those that occur in the map."""
+    return [
+        Key(colour, label, words.percent(share))
+        for label, colour, share in zip(labels, colours, shares, strict=True)
+        if share > 0
+    ]
+
+
 def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Figure:
     """Why not here: one colour a reason."""
     order = list(paint.HAZARD_COLOURS)
@@ -26,9 +36,7 @@ def reasons_figure(hazards: HazardMap, elevation: ElevationMap, c: Canvas) -> Fi
     colours = list(paint.HAZARD_COLOURS.values())
     share = _shares(index, elevation.views > 0, len(order))
     keys = [Key(paint.SAFE_COLOUR, "fit for a touchdown", words.percent(share[0]))]
-    keys += [
-        Key(k, words.HAZARDS[h], words.percent(s)) for h, k, s in zip(order, colours, share[1:], strict=True) if s > 0
-    ]
+    keys += _keys((words.HAZARDS[h] for h in order), colours, share[1:])
     return Figure(
         title="Where a landing is refused, and why",
         alt="Map of the ground in one colour per reason of refusal",
@@ -88,8 +96,7 @@ def classes_figure(terrain: TerrainMap, elevation: ElevationMap, c: Canvas) -> F
     found = index[terrain.label]
     colours = list(paint.TERRAIN_COLOURS.values())
     share = _shares(found, elevation.views > 0, len(order))
-    rows = zip(order, colours, share[1:], strict=True)
-    keys = [Key(k, words.ground(t.name), words.percent(s)) for t, k, s in rows if s > 0]
+    keys = _keys((words.ground(t.name) for t in order), colours, share[1:])
     if share[0] > 0:
         keys.append(Key("ground", words.ground(Terrain.UNKNOWN.name), words.percent(share[0])))
     return Figure(
@@ -109,9 +116,7 @@ def missing_figure(elevation: ElevationMap, c: Canvas) -> Figure:
     colours = list(paint.FLAG_COLOURS.values())
     share = _shares(index, elevation.views > 0, len(order))
     keys = [Key("ground", "height found", words.percent(share[0]))]
-    keys += [
-        Key(k, words.FLAGS[f], words.percent(s)) for f, k, s in zip(order, colours, share[1:], strict=True) if s > 0
-    ]
+    keys += _keys((words.FLAGS[f] for f in order), colours, share[1:])
     return Figure(
         title="Where heights are missing, and why",
         alt="Map of the reasons why heights are missing or doubtful",

@@ -15,7 +15,7 @@ from alight.training.train import train
 
 
 class TrainedAppearance(NamedTuple):
-    """A model, and its test."""
+    """A model of appearance, and its test on sites that it was not trained on."""
 
     model: Model
     left_out: Confusion | None  # each site judged without itself; None: all pictures are of one site

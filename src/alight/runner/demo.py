@@ -33,7 +33,7 @@ Tell = Callable[[str, float], None]
 
 @dataclass(frozen=True, eq=False)
 class DemoLanding:
-    """How the demo's landing went."""
+    """The end of the demo's landing, and the truth about its touchdown."""
 
     result: RunResult
     state: FlightState

@@ -33,7 +33,7 @@ def for_surveyed_heights(settings: Settings) -> Settings:
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """The answer for one height raster."""
+    """The result of one height raster, with its coordinate system."""
 
     result: RunResult
     crs: CRS | None  # of the raster; None: metres east and north

@@ -21,7 +21,6 @@ from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
-from alight.records.surface import nearest_on
 from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
@@ -40,7 +39,7 @@ BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
 @dataclass
 class Landing:
-    """How one landing went."""
+    """The end of one landing in closed loop, with its diary."""
 
     state: FlightState = FlightState.SEARCH
     diary: FlightDiary = field(default_factory=FlightDiary)
@@ -83,13 +82,20 @@ def judged_every(executive: Executive) -> float | None:
 
 
 class _MeasuredPipeline(Pipeline):
-    """A pipeline that tells what mapping costs by itself."""
+    """The pipeline of a vehicle, which adds the time that mapping takes to `costs`."""
 
-    costs: Timings
+    def __init__(
+        self, vehicle: SteeredFlight, settings: Settings, appearance: terrain.Model | None, costs: Timings
+    ) -> None:
+        super().__init__(
+            vehicle.rig, "flight", settings, clock=time.perf_counter, history=False, appearance=appearance,
+            imu=vehicle.imu_noise,
+        )  # fmt: skip
+        self._costs = costs
 
     def map(self, navigation: Navigation) -> MapSnapshot | None:
-        """Improve the map with an exposure, measured."""
-        with self.costs.of("mapping"):
+        """As `Pipeline.map`, measured."""
+        with self._costs.of("mapping"):
             return super().map(navigation)
 
 
@@ -109,16 +115,7 @@ class _Loop:
             }
         )
         self._costs = Timings(time.process_time)
-        self._pipeline = _MeasuredPipeline(
-            vehicle.rig,
-            "flight",
-            self._settings,
-            clock=time.perf_counter,
-            history=False,
-            appearance=appearance,
-            imu=vehicle.imu_noise,
-        )
-        self._pipeline.costs = self._costs
+        self._pipeline = _MeasuredPipeline(vehicle, self._settings, appearance, self._costs)
         self.executive = Executive(settings.stages())
         self._begin = vehicle.time_ns
         self._motion: Motion | None = None
@@ -144,7 +141,7 @@ class _Loop:
         return self.executive.state in ENDS or self.t > self._most
 
     def step(self) -> None:
-        """One order, and what comes of it."""
+        """Let the vehicle fly for `TICK` seconds, take what it sensed, and obey the next order."""
         with self._costs.of("simulator"):
             events = self._vehicle.step(TICK, self._wanted)
         for event in events:
@@ -215,7 +212,7 @@ class _Loop:
             self._wanted = Wanted(self._held, speed=1.0)
 
     def result(self, map_all: bool) -> Landing:
-        """How it went."""
+        """The landing as it is now; `map_all`: with the decision on the map of the whole flight."""
         d = self.executive.diary
         commits = [x for x in d.transitions if x.after is FlightState.COMMIT]
         p = commits[-1].p_safe if commits else None
@@ -239,14 +236,15 @@ def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 2
     cell, (east, north, _) = 2 * reach / size, look.place
     edge = reach - cell / 2  # the middle of the first pixel
     shown = Grid(east - edge, north + edge, cell, size, size)
-    photo = nearest_on(seen.elevation.grid, shown, seen.elevation.rgb, 0)
-    return LookPicture(look, photo, nearest_on(seen.hazards.grid, shown, seen.hazards.p_safe, np.nan), reach)
+    photo = seen.elevation.grid.nearest_on(shown, seen.elevation.rgb)
+    return LookPicture(look, photo, seen.hazards.grid.nearest_on(shown, seen.hazards.p_safe), reach)
 
 
 def as_seen(verdict: Verdict, number: int, t: float) -> Seen:
-    """A verdict in the frame of its map, as the executive wants it.
+    """Return a verdict in the frame of its map, as the executive wants it.
 
     Args:
+        verdict: in the world.
         number: of the verdict, rising.
         t: s, of the newest exposure that its map holds.
     """

@@ -29,7 +29,11 @@ Tell = Callable[[str, float], None]  # what is being done, share done
 
 
 def given_poses(source: Source, poses: str | None) -> TimedPoses | None:
-    """The poses that replace the estimated ones: None, `truth`, or the name of a TUM file.
+    """Return the poses that replace the estimated ones.
+
+    Args:
+        source: the recording.
+        poses: None: none; `truth`: the recording's own; else the name of a TUM file of body poses in ENU.
 
     Raises:
         InputError: the recording has no truth, or the file cannot be used.
@@ -50,7 +54,7 @@ def replay(
     tell: Tell = lambda stage, share: None,
     far: TileStore | None = None,
     jobs: Jobs | None = None,
-    prior: Path | None = None,
+    prior: PriorHeights | None = None,
 ) -> RunResult:
     """Run the pipeline over a source.
 
@@ -61,7 +65,7 @@ def replay(
         tell: called with the stage and the share of it that is done.
         far: where the map puts what the flight has left behind; None: memory.
         jobs: who does the work of photos and maps at the end; None: this process.
-        prior: DEM from elsewhere, that the search for heights begins with and the map is compared with.
+        prior: heights from elsewhere, that the search for heights begins with and the map is compared with.
 
     Raises:
         InputError: nothing in the recording can be used.
@@ -78,7 +82,7 @@ def replay(
         schedule=source.schedule,
         imu=source.imu_noise,
         jobs=jobs,
-        prior=_prior(source, settings, prior),
+        prior=prior,
     )
     log.info("%s: %d exposures of %d camera(s)", source.name, source.length, len(source.rig.cameras))
     frames = 0
@@ -99,7 +103,7 @@ def replay(
 
 
 def appearance_of(settings: Settings) -> Model | None:
-    """The model of what ground looks like that the settings ask for.
+    """Read the model of appearance that the settings ask for; None: they ask for none.
 
     Raises:
         InputError: its file is none.
@@ -110,7 +114,17 @@ def appearance_of(settings: Settings) -> Model | None:
     return read_model(None if name == "default" else Path(name))
 
 
-def _prior(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
+def prior_heights(source: Source, settings: Settings, dem: Path | None) -> PriorHeights | None:
+    """Read a DEM from elsewhere for the map of a source.
+
+    Args:
+        source: what the map is made of.
+        settings: of the run; the map is made at its end.
+        dem: file of the raster; None: there is none.
+
+    Raises:
+        InputError: the source or the settings do not allow one, or the file cannot be used.
+    """
     if dem is None:
         return None
     if not source.georeferenced:
@@ -132,7 +146,15 @@ def result_of(
     timings: Mapping[str, Sequence[float]],
     photos: Sequence[PhotoRow] = (),
 ) -> RunResult:
-    """Everything that the output folder and the report are made of."""
+    """Collect everything that the output folder and the report are made of.
+
+    Args:
+        source: the recording, or what the events of a flight came from.
+        settings: all of them.
+        d: the answer.
+        timings: seconds of every step, by stage.
+        photos: what became of each.
+    """
     return RunResult(
         source_name=source.name,
         source_kind=source.kind,
@@ -156,7 +178,7 @@ def result_of(
 
 @dataclass(frozen=True)
 class Find:
-    """How a landing site is found in a recording."""
+    """The wishes of a user for one run over a recording."""
 
     settings: Settings
     poses: str | None = None  # as for `replay`
@@ -184,16 +206,17 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
         raise InputError(f"{option}: is for folders of photos, and {source.name} is none; run without it")
     if how.resume and is_finished(out):
         raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
-    _prior(source, settings, how.prior)  # a wrong one is told before any work
+    given_poses(source, how.poses)  # wrong ones are told before any work
+    prior = prior_heights(source, settings, how.prior)
     prepare_folder(out, how.overwrite)
     with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
         if not digest:
-            return replay(source, settings, how.poses, tell, far, prior=how.prior)
+            return replay(source, settings, how.poses, tell, far, prior=prior)
         given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
         given += [how.prior] if how.prior else []
         work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
         try:
-            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), how.prior)
+            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), prior)
         except KeyboardInterrupt:
             log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
             raise

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 MOST = 1e9  # no length, time or weight of ours is larger: beyond it arithmetic overflows somewhere
 Positive = Annotated[float, Field(ge=1e-9, le=MOST, allow_inf_nan=False)]
@@ -19,6 +20,21 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
 class FrozenModel(BaseModel):
-    """A group of settings: frozen, every default checked, unknown keys refused."""
+    """A group of keys that a person may write: frozen, every default checked, unknown keys refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truth_for_a_number(cls, tree: Any) -> Any:
+        """Refuse `true` where no yes or no is asked for: it would count as 1."""
+        given = tree if isinstance(tree, dict) else {}
+        asked = {
+            name: field.annotation for name, field in cls.model_fields.items() if isinstance(given.get(name), bool)
+        }
+        wrong = [name for name, kind in asked.items() if bool not in (kind, *get_args(kind))]
+        if wrong:
+            said = PydanticCustomError("no_number", "Input should be a number or a word, not true or false")
+            details = [InitErrorDetails(type=said, loc=(name,), input=given[name]) for name in wrong]
+            raise ValidationError.from_exception_data(cls.__name__, details)
+        return tree

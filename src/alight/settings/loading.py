@@ -55,7 +55,7 @@ def _validated(tree: Tree) -> Settings:
 
 def _assign(tree: Tree, assignment: str) -> None:
     key, sep, value = assignment.partition("=")
-    if not sep or not key.strip():
+    if not sep or not all(part.strip() for part in key.split(".")):
         raise ValueError(f"--set takes key=value, got {assignment!r}")
     try:
         _put(tree, key.strip(), parse_yaml(value))

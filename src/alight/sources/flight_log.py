@@ -20,9 +20,20 @@ from alight.sources.images import UNREADABLE, image_size, read_image
 from alight.sources.kalibr import read_camchain
 from alight.sources.sensors import body_from_sensor, load_yaml, numbers, origin, rig_camera
 from alight.sources.source import Findings, RecordedSource, Trajectory
-from alight.sources.streams import Table, imu_samples, nav_samples, read_imu, read_nav, read_trajectory, without_height
+from alight.sources.streams import (
+    Table,
+    imu_samples,
+    median_force,
+    nav_samples,
+    read_imu,
+    read_nav,
+    read_trajectory,
+    without_height,
+)
 from alight.sources.tables import read_names
 
+FASTEST_CAMERA = 400.0  # exposures a second
+WEIGHT = (3.0, 30.0)  # m/s^2, the median force on an aircraft: gravity, and some turns
 NOISE = (1e-9, 1e3)  # of an IMU, in the units of imu0/sensor.yaml
 FARTHEST = (100.0, 10.0)  # km that a flight may be from its origin, across and up: heights are single precision
 
@@ -123,6 +134,11 @@ class FlightLog(CalibratedFolder):
         if self.georeferenced and self._nav is None:
             self._findings.say("nav0 has no usable row: there is no GPS/INS, so the flight's place is not known")
         self._imu = read_imu(self._root, self._body_from_imu, self._findings)
+        if self._imu is not None and not WEIGHT[0] <= (force := median_force(self._imu)) <= WEIGHT[1]:
+            self._findings.say(
+                f"imu0: half of its accelerations are below {force:.3g} m/s^2, and an aircraft measures about 9.8; "
+                "write m/s^2 with gravity in them"
+            )
         self._exposures = self._read_exposures()[settings.sources.skip :: settings.sources.every]
         if not self._exposures:
             raise InputError(f"{root}: no exposure is left; lower sources.skip ({settings.sources.skip})")
@@ -157,10 +173,19 @@ class FlightLog(CalibratedFolder):
     def _read_exposures(self) -> list[Exposure]:
         streams = [self._images(c.name) for c in self.rig.cameras]
         if not streams[0]:
-            raise InputError(f"{self._root / 'cam0'}: no image of data.csv is there; put the images into cam0/data/")
+            why = self._findings.loss("cam0 images") or "it has no row"
+            raise InputError(
+                f"{self._root / 'cam0'}: no image of data.csv is there ({why}); write lines of "
+                "'timestamp [ns],filename', and put the images into cam0/data/"
+            )
         for cam, stream in zip(self.rig.cameras, streams, strict=True):
             self._check_size(cam.name, (cam.camera.width, cam.camera.height), stream)
         stamps = [np.array([t for t, _ in s], dtype=np.int64) for s in streams]
+        if len(stamps[0]) > 1 and (gap := float(np.median(np.diff(stamps[0])))) * FASTEST_CAMERA < 1e9:
+            raise InputError(
+                f"{self._root / 'cam0' / 'data.csv'}: its images are {gap / 1e6:.2g} ms apart, as of no camera; write "
+                "the times of all streams in nanoseconds"
+            )
         for k in range(1, len(streams)):
             if streams[k] and (gap := apart(stamps[k], stamps[0])):
                 self._findings.say(said_apart(self.rig.cameras[k].name, gap, "cam0"))
@@ -186,7 +211,7 @@ class FlightLog(CalibratedFolder):
         """The images of a camera that exist; rows without image at the ends are an excerpt's, and no loss."""
         table, group = self._root / cam / "data.csv", f"{cam} images"
         if not table.is_file():
-            raise InputError(f"{table}: missing; write lines of 'timestamp [ns],filename'")
+            raise InputError(f"{table}: missing, or no plain file; write lines of 'timestamp [ns],filename'")
         rows = read_names(table, group, self._findings)
         there = [(self._root / cam / "data" / name).is_file() for _, name in rows]
         first, last = (there.index(True), len(there) - there[::-1].index(True)) if any(there) else (0, len(rows))
@@ -195,7 +220,8 @@ class FlightLog(CalibratedFolder):
             self._findings.expect(group, self._findings.counts[group] - len(rows) + last - first)
         for (_, name), here in zip(rows[first:last], there[first:last], strict=True):
             if not here:
-                self._findings.lose(group, name, "the file is missing")
+                there_is = (self._root / cam / "data" / name).exists()
+                self._findings.lose(group, name, "it is no plain file" if there_is else "the file is missing")
         return [row for row, here in zip(rows, there, strict=True) if here]
 
     def _check_size(self, cam: str, size: tuple[int, int], stream: list[tuple[int, str]]) -> None:

@@ -16,9 +16,13 @@ UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.De
 def open_image(path: Path) -> Image.Image:
     """Open an image without decoding it; pillow's own warnings are silenced, what it cannot read raises.
 
+    A pipe would be waited for, and a device has no end.
+
     Raises:
         One of `UNREADABLE`.
     """
+    if not path.is_file():
+        raise OSError("it is no plain file, or a link to nothing")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return Image.open(path)
@@ -65,8 +69,6 @@ def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     Raises:
         ValueError: cut off, damaged, or not of the (width, height) that the calibration is for.
     """
-    if not path.is_file():
-        raise ValueError("the file is missing")
     try:
         with open_image(path) as image:
             if image.size != size:

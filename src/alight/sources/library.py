@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.arrays import U8
-from alight.documents import read_bytes
+from alight.documents import DocumentError, read_bytes, read_text
 from alight.learned import arrays_of, table_path
 from alight.records import InputError, Terrain
 from alight.sources.images import UNREADABLE, image_size, read_image
@@ -26,7 +26,7 @@ DEFAULT_MODEL = table_path("appearance")
 PICTURES = {".jpg", ".jpeg", ".png", ".tif", ".tiff"}
 SAMPLING = 0.05  # metres a pixel, where nothing says otherwise
 TILE = 4.8  # metres: larger pictures are cut into tiles of this side
-LARGEST = 64_000_000  # bytes of a model
+LARGEST, LARGEST_INDEX = 64_000_000, 100_000_000  # bytes of a model, of index.csv
 LONGEST_PROVENANCE = 20_000  # characters
 MOST_TILES = 25  # of one picture
 KINDS = {
@@ -57,9 +57,8 @@ def _index(folder: Path) -> dict[str, dict[str, str]]:
     if not path.exists():
         return {}
     try:
-        with path.open(encoding="utf-8", newline="") as f:
-            return {row["file"]: row for row in csv.DictReader(f)}
-    except (OSError, UnicodeDecodeError, csv.Error, KeyError) as e:
+        return {row["file"]: row for row in csv.DictReader(io.StringIO(read_text(path, LARGEST_INDEX), newline=""))}
+    except (OSError, DocumentError, csv.Error, KeyError) as e:
         raise InputError(f"{path}: not a table with the columns file, site, gsd_m; mend it or take it away") from e
 
 
@@ -105,7 +104,7 @@ def read_picture(path: Path) -> U8:
 
 
 def _pictures(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and p.is_file())
+    return sorted(p for p in folder.rglob("*") if p.suffix.lower() in PICTURES and not p.is_dir())
 
 
 def read_library(folder: Path, usual: float = SAMPLING) -> list[LabelledPatch]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 
 from alight.records import Event
+from alight.sources.arrival import as_they_arrive
 
 AHEAD = 64  # events that are read, and their pictures decoded, before they are due
 
@@ -21,7 +19,7 @@ def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = l
         stopped: asked before each event; True ends it.
     """
     begin, first = time.perf_counter(), None
-    for event in read_ahead(events, AHEAD):
+    for event in as_they_arrive(events, most=AHEAD):
         if first is None:
             begin, first = time.perf_counter(), event.t_ns
         while not stopped():
@@ -32,38 +30,3 @@ def paced(events: Iterator[Event], speed: float, stopped: Callable[[], bool] = l
         if stopped():
             return
         yield event
-
-
-def read_ahead(events: Iterator[Event], most: int) -> Iterator[Event]:
-    """Yield the events, read on a thread of its own, at most so many ahead.
-
-    Raises:
-        Exception: what reading them has failed with.
-    """
-    waiting: queue.Queue[Event | BaseException | None] = queue.Queue(most)
-    ended = threading.Event()
-
-    def put(item: Event | BaseException | None) -> None:
-        while not ended.is_set():
-            with suppress(queue.Full):
-                waiting.put(item, timeout=0.2)
-                return
-
-    def read() -> None:
-        try:
-            for event in events:
-                put(event)
-                if ended.is_set():
-                    return
-            put(None)
-        except BaseException as e:
-            put(e)
-
-    threading.Thread(target=read, daemon=True).start()
-    try:
-        while (item := waiting.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-    finally:
-        ended.set()

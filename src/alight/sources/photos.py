@@ -40,7 +40,7 @@ RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 def find_photos(folder: Path) -> list[Path]:
     """Pictures of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
     found = [*folder.iterdir(), *(p for sub in sorted(folder.iterdir()) if sub.is_dir() for p in sub.iterdir())]
-    return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file())
+    return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir())
 
 
 class Photos(RecordedSource):

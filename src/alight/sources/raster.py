@@ -88,6 +88,8 @@ def _metres(crs: CRS) -> float:
 
 
 def _band(path: Path, dataset: Any, band: int) -> F32:
+    if "complex" in dataset.dtypes[band - 1]:
+        raise InputError(f"{path}: holds complex numbers; give heights in metres as float32")
     try:
         values = dataset.read(band, masked=True)
     except RasterioError as e:

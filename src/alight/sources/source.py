@@ -110,8 +110,11 @@ class Findings:
         self._lost.setdefault(group, {}).setdefault(item, why)
         self.counts[f"{group} left out"] = len(self._lost[group])
 
-    def _loss(self, group: str) -> str:
-        lost, total = self._lost[group], self._totals.get(group)
+    def loss(self, group: str) -> str:
+        """How many items of a group could not be used, and the first with its reason; empty: none."""
+        lost, total = self._lost.get(group, {}), self._totals.get(group)
+        if not lost:
+            return ""
         first, why = next(iter(lost.items()))
         of = f" of {total}" if total is not None else ""
         return f"{group}: {len(lost)}{of} left out (first: {first}: {why})"
@@ -119,7 +122,7 @@ class Findings:
     @property
     def warnings(self) -> list[str]:
         """All sentences, losses first."""
-        return [*(self._loss(g) for g in self._lost), *self._sentences]
+        return [*(self.loss(g) for g in self._lost), *self._sentences]
 
 
 class RecordedSource:

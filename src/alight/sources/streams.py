@@ -31,6 +31,8 @@ class Table:
 
 def _read(root: Path, stream: str, columns: tuple[int, ...], findings: Findings) -> tuple[Table, list[int]] | None:
     path = root / stream / "data.csv"
+    if path.exists() and not path.is_file():
+        findings.say(f"{stream}/data.csv is no plain file and is not read; give a file")
     if not path.is_file():
         return None
     t, values, lines = read_numbers(path, columns, f"{stream} rows", findings)
@@ -97,6 +99,11 @@ def usable_imu(table: Table, lines: list[int], body_from_imu: Pose, findings: Fi
         return None
     R = body_from_imu.rotation
     return Table(used.t_ns, np.concatenate([used.values[:, :3] @ R.T, used.values[:, 3:] @ R.T], axis=1))
+
+
+def median_force(imu: Table) -> float:
+    """Of all rows of `imu0`, m/s^2: about gravity."""
+    return float(np.median(np.linalg.norm(imu.values[:, 3:], axis=1)))
 
 
 def read_trajectory(root: Path, findings: Findings) -> Trajectory | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +47,7 @@ def read_tum(path: Path, local: LocalFrame) -> Trajectory:
             continue
         try:
             t, pose = _line(line)
-        except (ValueError, InvalidOperation, OverflowError) as e:
+        except (ValueError, ArithmeticError) as e:
             raise InputError(f"{path}, line {number}: no pose; {HINT}") from e
         if np.abs(pose.translation).max() > FAR:
             origin = f"latitude {local.latitude:g}, longitude {local.longitude:g}"

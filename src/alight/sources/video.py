@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shutil
 import tempfile
@@ -120,6 +121,7 @@ def _opened(path: Path, rows: Sequence[Subtitle], root: Path, settings: Settings
 
 
 def _write_frames(path: Path, rows: Sequence[Subtitle], root: Path) -> Iterator[Path]:
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # or the decoder talks on stderr of what we say ourselves
     film = cv2.VideoCapture(str(path))
     try:
         rate = film.get(cv2.CAP_PROP_FPS) or 30.0

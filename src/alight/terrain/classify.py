@@ -21,7 +21,7 @@ from alight.terrain.model import Model, appearance_evidence, log_softmax
 from alight.terrain.relief import Relief, relief
 from alight.terrain.water import ponds, wetness
 
-KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds, the last of probabilities
+KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of log odds
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
 APART = 3  # cells between those whose likeness to known ground is judged
@@ -111,12 +111,12 @@ def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settin
 
 
 class _Found(NamedTuple):
-    """What `_classified` finds; all (R, C) but the probabilities (8, R, C)."""
+    """What `_classified` finds, (R, C) each."""
 
     label: U8
     landable: F32
     bears: F32
-    probability: F32
+    water: F32
     novelty: F32
     coloured: bool
 
@@ -144,7 +144,7 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     landable = surely(OPEN)
     label = _labels(odds, landable, colours, shape, settings)
     novelty = _novelty(tables.known, some, landable.shape)
-    return _Found(label, landable, surely(BEARS), each[0], novelty, colours.coloured)
+    return _Found(label, landable, surely(BEARS), each[0][Terrain.WATER - 1], novelty, colours.coloured)
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
@@ -202,7 +202,7 @@ def classify(
         elevation.grid,
         np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         np.where(known, found.landable, nothing),
-        np.where(known, found.probability, nothing).astype(np.float16).transpose(1, 2, 0),
+        np.where(known, found.water, nothing),
         shut,
         np.where(known, found.novelty, nothing),
         np.where(known, found.bears, nothing),

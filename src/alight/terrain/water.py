@@ -101,9 +101,8 @@ def open_water(land_cover: TerrainMap) -> Mask:
     bush may be named water. The refusal does not depend on the name; heights are withdrawn only where it is water.
     """
     wet = np.asarray(land_cover.label == Terrain.WATER)
-    if land_cover.probability is None or not wet.any():
+    if land_cover.water is None or not wet.any():
         return wet
     count, patches = cv2.connectedComponents(wet.astype(np.uint8), connectivity=8)
-    likely = land_cover.probability[wet, Terrain.WATER - 1].astype(np.float32)
-    middle = median(likely, patches[wet], np.arange(1, count))
+    middle = median(land_cover.water[wet], patches[wet], np.arange(1, count))
     return np.asarray(np.concatenate([[False], middle >= MIN_MEDIAN])[patches])

@@ -38,6 +38,7 @@ class UdpServer:
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self._stop = Event()
+        self.behind = 0.0  # s by the clock, at the most: a machine that is too slow
         self._thread = Thread(target=self._run, daemon=True)
 
     @property
@@ -60,7 +61,8 @@ class UdpServer:
         pace = self._step / self._speed
         due = time.monotonic() + pace
         while not self._stop.wait(max(0.0, due - time.monotonic())):
-            while due <= (now := time.monotonic()):  # all that is due: its clock is right when it answers
+            while due <= (now := time.monotonic()) and not self._stop.is_set():  # all that is due, before it answers
+                self.behind = max(self.behind, now - due)
                 self.autopilot.step(self._step)
                 self._after_step()
                 due += pace

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,20 +11,20 @@ from typing import Any, Literal
 import numpy as np
 
 from alight.arrays import F64, I64
-from alight.geometry import LocalFrame, Pose, so3_exp
+from alight.geometry import LocalFrame, Pose
 from alight.records import Event, InputError, Rig
 from alight.settings import ImuNoise
 from alight_sim.course import LEAD, ground_at
 from alight_sim.faults import Faults
-from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, NAV_OFFSET_NS, START_NS, WIND
+from alight_sim.flight import IMU_BIAS, IMU_NOISE, NAV, START_NS, WIND, flight_notes
 from alight_sim.point_mass import FlightLimits, PointMass, Wanted
 from alight_sim.scene import Scene
 from alight_sim.sensors import BiasWalk, ImuErrors, ImuStream, Jump, NavErrors, NavStream, Outage, TrueMotion
 from alight_sim.steered.bodies import Body
 from alight_sim.steered.cameras import CameraFault, SteeredCameras
 from alight_sim.steered.ground import GroundBelow
+from alight_sim.steered.sensing import SteeredSensors
 from alight_sim.steered.track import TrueTrack
-from alight_sim.vehicle import UPWARDS
 from alight_sim.world import World, build
 
 NIMBLE = FlightLimits(lag=0.08)
@@ -111,14 +110,16 @@ class SteeredFlight:
         self._cameras = SteeredCameras(
             self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
         )
-        self._nav_errors = nav or self.scene.sensors.nav
         self._imu_errors = imu or self.scene.sensors.imu.model_copy(update={"rate_hz": IMU_RATE_HZ})
-        self._nav = NavStream(self._nav_errors, self._seeds(NAV))
-        self._imu, self._biases = (
+        self._nav = NavStream(nav or self.scene.sensors.nav, self._seeds(NAV))
+        self._track = TrueTrack()
+        self._sensors = SteeredSensors(
             ImuStream(self._imu_errors, self._seeds(IMU_NOISE)),
             BiasWalk(self._imu_errors, self._seeds(IMU_BIAS)),
+            self._nav,
+            self._cameras,
+            self._track,
         )
-        self._imu_lost = [(0.0, -1.0)]
         self._steers_by_nav = steered_by == "navigation"
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
@@ -126,9 +127,8 @@ class SteeredFlight:
         self._below = GroundBelow(self.world)
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
-        self._steps, self._asked_ns, self._nav_rows = 0, 0, 0
+        self._steps, self._asked_ns = 0, 0
         self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
-        self._track, self._queue, self._count = TrueTrack(), list[tuple[int, int, Event]](), 0
         self._believed = np.zeros(3)  # metres: error of the position that the autopilot steers by
 
     def _start_vehicle(self, start: F64, heading: float, limits: FlightLimits, gusts: float) -> None:
@@ -163,17 +163,7 @@ class SteeredFlight:
     @property
     def notes(self) -> dict[str, Any]:
         """Facts for the report."""
-        lens = self.rig.cameras[0].camera
-        return {
-            "cameras": [c.name for c in self.rig.cameras],
-            "image_size": [lens.width, lens.height],
-            "focal_px": [lens.fu, lens.fv],
-            "focal_from": "simulated",
-            "nav": True,
-            "imu": True,
-            "scene": self.world.description,
-            "imu_noise": self._imu_errors.densities,
-        }
+        return flight_notes(self.rig, self.world, self._imu_errors)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -245,10 +235,7 @@ class SteeredFlight:
         self._asked_ns += round(dt * 1e9)
         while (self._steps + 1) / self._imu_errors.rate_hz <= self._asked_ns * 1e-9 + 1e-9:
             self._advance(wanted)
-        out = []
-        while self._queue and self._queue[0][0] <= self.time_ns:
-            out.append(heapq.heappop(self._queue)[2])
-        return out
+        return self._sensors.arrived(self.time_ns)
 
     def _advance(self, wanted: Wanted | None) -> None:
         """One sample of the IMU."""
@@ -270,7 +257,7 @@ class SteeredFlight:
             )
         self._spend(flown is not None and not vehicle.stands, h, float(vehicle.position[2]) - up)
         motion = self._track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
-        self._measure(start, h, motion)
+        self._sensors.measure(start, h, motion, vehicle.velocity)
 
     def _as_believed(self, wanted: Wanted, h: float) -> Wanted:
         """It steers by its estimate: the vehicle is off by the error."""
@@ -288,34 +275,6 @@ class SteeredFlight:
     def _spend(self, flying: bool, h: float, risen: float) -> None:
         cost = (h / self._cost.endurance + max(risen, 0.0) * self._cost.climb) if flying else 0.0
         self.battery = max(0.0, self.battery - cost)
-
-    # -- events
-
-    def _measure(self, start: float, h: float, motion: TrueMotion) -> None:
-        """What the sensors made of a step of `h` seconds."""
-        biases, middle = self._biases.next(), start + 0.5 * h
-        turn = motion.world_from_body @ so3_exp(0.5 * h * motion.angular_velocity_body)
-        force = turn.T @ ((self._vehicle.velocity - motion.velocity_world) / h + UPWARDS)
-        t_ns = START_NS + round(middle * 1e9)
-        sample = self._imu.sample(t_ns, motion.angular_velocity_body, force, biases)
-        if not any(a <= middle < b for a, b in self._imu_lost):
-            self._arrive(t_ns, sample)
-        while (then := self._nav_time()) <= start + h:
-            self._nav_rows += 1
-            row = self._nav.sample(START_NS + round(then * 1e9), then, self._track.at(then - self._nav.errors.latency))
-            if row is not None:
-                self._arrive(row.t_ns, row)
-        while self._cameras.done_at() <= start + h:
-            arrived = self._cameras.expose(self._track.poses)
-            if arrived is not None:
-                self._arrive(*arrived)
-
-    def _nav_time(self) -> float:
-        return self._nav_rows / self._nav.errors.rate_hz - LEAD + NAV_OFFSET_NS * 1e-9
-
-    def _arrive(self, t_ns: int, event: Event) -> None:
-        heapq.heappush(self._queue, (t_ns, self._count, event))
-        self._count += 1
 
     # -- what happens on command, from now on
 
@@ -380,7 +339,7 @@ class SteeredFlight:
 
     def lose_imu(self, seconds: float) -> None:
         """No samples."""
-        self._imu_lost.append((self.seconds, self.seconds + seconds))
+        self._sensors.imu_lost.append((self.seconds, self.seconds + seconds))
 
     def drain(self, share: float) -> None:
         """Take a share of a full battery away."""

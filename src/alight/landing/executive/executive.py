@@ -12,11 +12,11 @@ import math
 import numpy as np
 
 from alight.arrays import F64
+from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import SearchLanes
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
-from alight.landing.route import lowest_clear
 from alight.landing.wind import downwind, ground_speed, is_from_behind
 from alight.records import MotionState, Site
 from alight.records.executive import (
@@ -44,6 +44,7 @@ class Executive:
     def __init__(self, settings: StageSettings) -> None:
         self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
+        self._clear_way = ClearWay(settings)
         self.target: Site | None = None
         self._begun: float | None = None  # s
         self._since = 0.0  # s, in this state
@@ -75,7 +76,7 @@ class Executive:
     # -- the step
 
     def tick(self, now: Situation) -> Order:
-        """What to do now; transitions and looks go into the diary."""
+        """Decide on the order for now; transitions and looks go into `diary`."""
         if self._begun is None:
             self._begun = self._since = now.t
         self._learn(now)
@@ -99,7 +100,7 @@ class Executive:
     # -- what happened
 
     def _event(self, now: Situation) -> tuple[FlightEvent | None, str]:
-        """The most urgent event."""
+        """The most urgent event with its reason in words; None: nothing has happened."""
         if self.state in (S.LANDED, S.HANDED_OVER):
             return None, ""
         if now.pilot:
@@ -141,7 +142,7 @@ class Executive:
         return self._limits(now) if now.holds else None
 
     def _limits(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        """What ends the attempt."""
+        """The limit of wind, battery or time that is exceeded, with its numbers in words; None: none is."""
         k = self._keys
         if now.wind_speed > k.most_wind:
             return E.WIND, f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
@@ -242,7 +243,7 @@ class Executive:
         return E.REFUSED, f"{said.standing.value} from {self._height:.1f} m: {said.why}"
 
     def _opinion(self, now: Situation) -> Opinion | None:
-        """What a new verdict says of the target; None where there is no new one."""
+        """The opinion of a new verdict on the target; None where there is no new one."""
         seen = now.seen
         if seen is None or seen.number <= self._judged or seen.frame_id != self._frame or self.target is None:
             return None
@@ -360,15 +361,14 @@ class Executive:
         return Order("fly", to, speed, sink)
 
     def _clear(self, now: Situation, to: F64) -> F64:
-        """Where to fly next on the way to a point: first up, where something on the map stands in the way."""
+        """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""
         assert now.position is not None
         if now.seen is None or now.seen.frame_id != self._frame:
             return to
         away = float(np.hypot(*(to[:2] - now.position[:2])))
         if away < 2 * self._keys.arrived:
             return to
-        least = lowest_clear(now.position, to, now.seen.elevation, self._route.clearance)
-        level = max(float(to[2]), least)
+        level = max(float(to[2]), self._clear_way.level(now.position, to, now.seen))
         if now.position[2] < level - self._keys.arrived:
             return np.array([*now.position[:2], level])
         return np.array([to[0], to[1], level])

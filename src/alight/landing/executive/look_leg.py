@@ -13,7 +13,7 @@ ABOVE = 0.3  # m, within which the vehicle is straight above the place
 
 @dataclass(frozen=True, eq=False)
 class LookLeg:
-    """A leg across a place."""
+    """A leg across a place, at one height, against the wind where there is one."""
 
     place: F64  # (3,) metres, at the height of the look
     half: float  # metres, half its length

@@ -1,4 +1,4 @@
-"""What a verdict says of one place."""
+"""Look up one place in the verdict on a map."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from alight.records.executive import Seen
 
 
 class Standing(Enum):
-    """How a place stands."""
+    """The verdict on one place."""
 
     SITE = "site"
     CANDIDATE = "candidate"
@@ -25,7 +25,7 @@ class Standing(Enum):
 
 @dataclass(frozen=True)
 class Opinion:
-    """A place as one verdict sees it."""
+    """One place as one verdict judges it."""
 
     standing: Standing
     place: Site  # moved to the listed place that it is taken for
@@ -41,12 +41,14 @@ def opinion(
     least: float = 0.0,
     free: Callable[[Site], bool] = lambda listed: True,
 ) -> Opinion:
-    """What a verdict says of a place.
+    """Look up the verdict on one place.
 
     A listed place near by is taken for it. Of a place that is not listed, the cell tells: it may be good ground that a
     better place a few metres away keeps off the list.
 
     Args:
+        place: in the frame of the verdict's map.
+        seen: the verdict.
         limit: least P(safe) of a site.
         same: metres within which a listed place is the same.
         least: P(safe) below which a place that is only in doubt counts as refused.

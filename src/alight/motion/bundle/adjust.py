@@ -42,12 +42,14 @@ from alight.motion.bundle.summary import (
     FirstPoses,
     Solved,
     bundle_warnings,
+    fixed_attitudes,
     notes_of,
     outcomes_of,
     why_no_motion,
 )
 from alight.records import Frame, InputError, KeyframePosterior, Motion, NavSample, PhotoOutcome, Rig
 from alight.settings import BundleSettings
+from alight.spread import robust_sigma
 
 log = logging.getLogger(__name__)
 
@@ -138,13 +140,14 @@ def solve_bundle(
         state, _ = _round(state, few, priors, *_ROUNDS[-2])
     state, used = _round(state, most, priors, *_ROUNDS[-1])
     tell(0.85)
-    sigma = max(_LEAST_SIGMA, 1.4826 * float(np.median(np.abs(residuals(state, used, priors)))))
+    sigma = max(_LEAST_SIGMA, robust_sigma(residuals(state, used, priors)))
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
     joint = last.covariance(state)
     state, every = retriangulate(state, obs, priors, 4.0, 2.0)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
-    registered = np.intersect1d(photos, np.flatnonzero(seen >= LEAST_SEEN))
+    fixed = fixed_attitudes(joint, len(priors.centres))
+    registered = np.intersect1d(photos, np.flatnonzero((seen >= LEAST_SEEN) & fixed))
     free = priors.sigma_lens > 0
     return Solved(state, registered, every, joint, sigma, first, placed, free)
 

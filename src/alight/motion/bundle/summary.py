@@ -15,6 +15,7 @@ from alight.records import Frame, Motion, PhotoOutcome
 from alight.settings import BundleSettings
 
 LEAST_SEEN = 20  # observations that a registered photo keeps
+WORST_ATTITUDE = 3.0  # rad, 1 sigma of a registered photo's attitude: beyond it, it may look anywhere
 _GPS_FAR = 6.0  # sigmas of GPS residual worth a warning
 
 
@@ -95,6 +96,21 @@ def bundle_warnings(
             f"{_names(frames, far)}: GPS position is off by more than {_GPS_FAR:g} of its sigmas and was weighted down"
         )
     return out
+
+
+def fixed_attitudes(joint: F64, photos: int) -> NDArray[np.bool_]:
+    """Which photos the pictures turn one way (n,): noise that matches noise leaves an attitude of any kind.
+
+    Args:
+        joint: (6 n + k, 6 n + k) covariance of positions and attitudes; of what nothing fixes, the inverse of a matrix
+            that is all but singular: huge, or by rounding even negative.
+        photos: n.
+    """
+    at = 6 * np.arange(photos)[:, None] + np.arange(3, 6)
+    turns = joint[at[:, :, None], at[:, None, :]]
+    known = np.isfinite(turns).all(axis=(1, 2))
+    least, _, most = np.linalg.eigvalsh(np.where(known[:, None, None], turns, 0.0)).T
+    return np.asarray(known & (least >= 0.0) & (most <= WORST_ATTITUDE**2))
 
 
 def outcomes_of(

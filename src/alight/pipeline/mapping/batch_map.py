@@ -9,7 +9,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import I64
 from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
@@ -28,6 +28,7 @@ from alight.pipeline.mapping.size import BYTES_A_CELL, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import ElevationMap, Heights, KeyframePosterior, Pixels, PriorComparison, PriorHeights, View
 from alight.settings import ParallaxSettings
+from alight.spread import nmad
 
 MARGIN = 24  # cells about a tile that are matched with it and thrown away: no seams
 BLOCK = 2  # tiles across that are matched together: a smaller share of what is matched is margin
@@ -74,12 +75,6 @@ def match_block(
         return None
     number = {id(v): k for k, v in enumerate(whole)}
     return MatchedBlock(found.heights, np.array([number[id(v)] for v in found.views], dtype=np.int64))
-
-
-def spread_of(values: F64) -> tuple[float, float]:
-    """Median, and the median deviation from it as 1-sigma of a Gaussian."""
-    middle = float(np.median(values))
-    return middle, 1.4826 * float(np.median(np.abs(values - middle)))
 
 
 def core(heights: Heights, margin: int) -> Heights:
@@ -191,18 +186,18 @@ class BatchMap(GroundMap):
         assert self.prior is not None
         off = self._points[:, 2] - self.prior.at(self._points[:, 0], self._points[:, 1])
         off = off[np.isfinite(off)]
-        return spread_of(off) if len(off) >= ENOUGH else (np.nan, np.nan)
+        return (float(np.median(off)), nmad(off)) if len(off) >= ENOUGH else (np.nan, np.nan)
 
     def against_prior(self) -> PriorComparison | None:
         """The map, where its heights are given out, against the prior; None where they do not meet."""
-        found = GroundMap.snapshot(self)
+        found = self.snapshot()
         if self.prior is None or found is None:
             return None
         off = (found.height - self.prior.over(found.grid))[found.trusted]
         off = off[np.isfinite(off)]
         if len(off) < ENOUGH:
             return None
-        return PriorComparison(self.prior.name, *spread_of(off), len(off) * found.grid.cell**2)
+        return PriorComparison(self.prior.name, float(np.median(off)), nmad(off), len(off) * found.grid.cell**2)
 
     def _seen(self, grid: Grid, searched: tuple[float, float], views: Sequence[View]) -> TileBlock:
         """A grid with the views that it will be matched with, and those of the same moments."""

@@ -1,4 +1,4 @@
-"""What may happen in a landing: how its numbers are drawn, and what it does to the vehicle."""
+"""Faults and events of a landing: the ranges of their numbers, and their effect on the vehicle."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ TURN: Range = (0.0, 2.0 * math.pi)
 
 @dataclass(frozen=True)
 class CampaignFault:
-    """One kind of fault or event."""
+    """A kind of fault or event: the ranges of its numbers, and what it does to the vehicle."""
 
     ranges: Mapping[str, Range]  # its numbers are uniform in them
     act: Callable[[SteeredFlight, Numbers], object]
     is_body: bool = False  # something that comes to where the vehicle is
 
     def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Its numbers."""
+        """Draw each of its numbers, uniform in its range."""
         return {name: float(rng.uniform(*r)) for name, r in self.ranges.items()}
 
 
@@ -94,7 +94,12 @@ class Happenings:
         self.distance = 0.0  # metres
 
     def __call__(self, t: float, state: FlightState) -> None:
-        """A moment of the flight."""
+        """Let happen what is due, and add the way flown since the last call to `distance`.
+
+        Args:
+            t: s of the flight.
+            state: of the executive.
+        """
         at = self._vehicle.true_pose.translation
         self.distance += float(np.linalg.norm(at - self._at))
         self._at = at.copy()
@@ -107,5 +112,5 @@ class Happenings:
 
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
-        """What was planned, with when it happened."""
+        """The planned faults, each with the second of the flight at which it happened; None: it did not."""
         return tuple(f.model_copy(update={"happened": self._happened.get(k)}) for k, f in enumerate(self._planned))

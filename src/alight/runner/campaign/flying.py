@@ -56,7 +56,7 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
 
 
 def failed(conditions: Conditions, error: BaseException) -> Flown:
-    """A landing that raised, or whose process died."""
+    """Return the record of a landing that raised, or whose process died: outcome `failed`, with the error in a line."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
     line = " ".join(f"{type(error).__name__}: {error}".split()) + where

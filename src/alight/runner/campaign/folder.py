@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
+from alight.documents import LARGEST_JSON, LONGEST, DocumentError, parse_json, read_bytes, read_text, validated
 from alight.outputs.atomic_write import output_error, write_whole
 from alight.records import InputError, OutputError
 from alight.records.campaign import CampaignHead, LandingRecord
 
+log = logging.getLogger(__name__)
+
+LARGEST_LINES = 1_000_000_000  # bytes of landings.jsonl
 LINES, HEAD, PAGE = "landings.jsonl", "campaign.json", "campaign.html"
 
 
@@ -27,18 +30,18 @@ class CampaignFolder:
         self.out, self._path = out, out / LINES
 
     def head(self) -> CampaignHead | None:
-        """What makes this campaign; None: the folder holds none.
+        """Read campaign.json; None: the folder holds no campaign.
 
         Raises:
             InputError: campaign.json is none of ours.
         """
+        path = self.out / HEAD
         try:
-            tree = json.loads((self.out / HEAD).read_text(encoding="utf-8"))
-            return CampaignHead(**{name: tree.get(name) for name in CampaignHead.model_fields})
+            return validated(CampaignHead, parse_json(read_text(path, LARGEST_JSON)))
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, AttributeError) as e:
-            raise InputError(f"{self.out / HEAD}: is not a campaign's; choose another folder with --out") from e
+        except (OSError, DocumentError) as e:
+            raise InputError(f"{path}: is not a campaign's ({_why(e)}); name another folder") from e
 
     def begin(self, head: CampaignHead) -> None:
         """Make the folder, or see that it is this campaign's, and mend the last line where it is torn.
@@ -66,35 +69,42 @@ class CampaignFolder:
 
     def _mend(self) -> None:
         """Cut off a last line that was not written whole."""
-        if not self._path.exists():
-            return
-        data = self._path.read_bytes()
-        whole = data[: data.rfind(b"\n") + 1]
-        last = whole[:-1].rpartition(b"\n")[2]
-        if whole and not _is_json(last):
-            whole = whole[: len(whole) - len(last) - 1]
-        if whole != data:
-            write_whole(self._path, whole)
+        *whole, rest = self._lines() or [b""]
+        torn = bool(whole) and not _is_record(whole[-1])
+        if rest or torn:
+            kept = whole[:-1] if torn else whole
+            write_whole(self._path, b"".join(line + b"\n" for line in kept))
+
+    def _lines(self) -> list[bytes]:
+        """The lines of landings.jsonl, and what follows the last of them: nothing where all are whole."""
+        try:
+            data = read_bytes(self._path, LARGEST_LINES)
+        except FileNotFoundError:
+            return []
+        except (OSError, DocumentError) as e:
+            raise InputError(f"{self._path}: cannot be read ({_why(e)}); mend it or name another folder") from e
+        return data.split(b"\n")
 
     def read(self) -> dict[int, LandingRecord]:
         """All landings that ended, by number; a torn last line is left out.
 
         Raises:
-            InputError: a line before the last is damaged.
+            InputError: the file cannot be read, or a line before the last is damaged.
         """
-        if not self._path.exists():
-            return {}
         found: dict[int, LandingRecord] = {}
-        lines = self._path.read_bytes().split(b"\n")
+        lines = self._lines()
         for k, line in enumerate(lines, 1):
             try:
                 if line:
-                    record = LandingRecord.model_validate_json(line)
+                    record = _record(line)
                     found[record.number] = record
-            except ValidationError as e:
+            except DocumentError as e:
                 if k >= len(lines) - 1:
+                    log.warning("%s: its last line is not whole (%s) and left out", self._path, e)
                     continue
-                raise InputError(f"{self._path}: line {k} is damaged; remove it, and its landing is flown again") from e
+                raise InputError(
+                    f"{self._path}: line {k} is damaged ({e}); remove it, and its landing is flown again"
+                ) from e
         return dict(sorted(found.items()))
 
     def append(self, record: LandingRecord, picture: bytes | None = None) -> None:
@@ -114,9 +124,24 @@ class CampaignFolder:
             raise output_error(self._path, e) from e
 
 
-def _is_json(line: bytes) -> bool:
+def _record(line: bytes) -> LandingRecord:
+    """A line of landings.jsonl.
+
+    Raises:
+        DocumentError: it is damaged.
+    """
+    if len(line) > LONGEST:
+        raise DocumentError(f"longer than {LONGEST} characters")
+    return validated(LandingRecord, parse_json(line))
+
+
+def _is_record(line: bytes) -> bool:
     try:
-        json.loads(line)
-    except ValueError:
+        _record(line)
+    except DocumentError:
         return False
     return True
+
+
+def _why(error: OSError | DocumentError) -> str:
+    return str(error) if isinstance(error, DocumentError) else str(error.strerror or error)

@@ -26,7 +26,7 @@ STEP = 0.5  # m between the places that the oracle tries
 
 
 class JudgedLanding(NamedTuple):
-    """An outcome with its reason."""
+    """An outcome with its reason in words."""
 
     outcome: Outcome
     why: str

@@ -1,4 +1,4 @@
-"""What each landing of a campaign is flown in. Landing k depends on the scenes, the seed and k, and on nothing else."""
+"""The conditions of each landing of a campaign. Those of landing k depend on the scenes, the seed and k alone."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AT_STATES = (FlightState.APPROACH, FlightState.LOOK, FlightState.DESCEND, Flight
 
 
 def campaign_world(scene: str) -> CampaignWorld:
-    """The world of a name or of a scene file."""
+    """Return the world of a kind or a built-in scene by name, or of a scene file."""
     return campaign_worlds().get(scene) or CampaignWorld(scene, scene)
 
 
@@ -46,7 +46,13 @@ def scenes_of(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
-    """Draw a landing: scenes take turns, all else is by chance."""
+    """Draw a landing: scenes take turns, all else is by chance.
+
+    Args:
+        scenes: names or files.
+        seed: of the campaign.
+        landing: its number, from 0.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing,)))
     world_seed, flight_seed = (int(s) for s in rng.integers(0, 2**31, 2))
     heading, blows, wind = rng.uniform(0, 2 * math.pi), rng.uniform(0, 2 * math.pi), rng.uniform(0, MOST_WIND)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,21 +11,26 @@ from pathlib import Path
 from typing import NamedTuple
 
 from alight import __version__
+from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
 from alight.records import InputError
-from alight.records.campaign import CampaignHead, LandingRecord
+from alight.records.campaign import MOST_LANDINGS, CampaignHead, LandingRecord
 from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
 from alight.report.canvas import embedded
 from alight.runner.campaign.flying import FlyLanding, fly_conditions
-from alight.runner.campaign.folder import PAGE, CampaignFolder
+from alight.runner.campaign.folder import HEAD, PAGE, CampaignFolder
 from alight.runner.campaign.plan import conditions_of, scenes_of
 from alight.runner.campaign.workers import fly_all
 from alight.runner.landing import fly_landing
-from alight.settings import Settings
+from alight.settings import Settings, settings_of_run
+
+log = logging.getLogger(__name__)
+
+LARGEST_PICTURE = 1_000_000  # bytes: ours have 20,000
 
 
 class Ended(NamedTuple):
-    """Told whenever a landing ends."""
+    """A landing that has ended, and how far the campaign is."""
 
     record: LandingRecord
     done: int
@@ -34,7 +40,7 @@ class Ended(NamedTuple):
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is flown."""
+    """Scenes, number of landings, seed and settings: everything that its results depend on."""
 
     scenes: tuple[str, ...]
     landings: int
@@ -46,13 +52,15 @@ class Campaign:
         """A campaign over scenes by name, files, or `all`.
 
         Raises:
-            InputError: no such scene.
+            InputError: no such scene, or too few or too many landings.
         """
+        if not 1 <= landings <= MOST_LANDINGS:
+            raise InputError(f"a campaign of {landings} landings; give 1 to {MOST_LANDINGS}")
         return cls(scenes_of(scenes), landings, seed, settings)
 
     @property
     def head(self) -> CampaignHead:
-        """What makes it."""
+        """The head of campaign.json, which tells one campaign from another."""
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
             alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings
@@ -67,14 +75,17 @@ def continued(out: Path, landings: int | None = None) -> Campaign:
         landings: how many there are to be; None: as many as it was begun with.
 
     Raises:
-        InputError: the folder holds no campaign.
+        InputError: the folder holds no campaign, or one of scenes or settings that cannot be used any more.
     """
     folder = CampaignFolder(out)
     head = folder.head()
     if head is None:
         raise InputError(f"{out}: holds no campaign; name scenes, or 'all', to begin one")
-    wanted = head.landings if landings is None else landings
-    return Campaign(head.scenes, wanted, head.seed, Settings.model_validate(head.settings))
+    try:
+        settings = settings_of_run(head.settings)
+    except ValueError as e:
+        raise InputError(f"{out / HEAD}: its settings are damaged: {e}") from e
+    return Campaign.of(head.scenes, head.landings if landings is None else landings, head.seed, settings)
 
 
 def fly_campaign(
@@ -131,8 +142,9 @@ def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> 
 
 def _embedded(path: Path) -> str | None:
     try:
-        return embedded(path.read_bytes())
-    except OSError:
+        return embedded(read_bytes(path, LARGEST_PICTURE))
+    except (OSError, DocumentError) as e:
+        log.warning("%s: cannot be read (%s); the report shows no picture of that touchdown", path, e)
         return None
 
 
@@ -155,11 +167,14 @@ def again(
 
     Returns:
         the landing, and the names of the fields that differ: none where it is the same or has no line.
+
+    Raises:
+        InputError: the folder's campaign is damaged; that is said before the flight.
     """
-    record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
     folder = CampaignFolder(out)
     there = folder.head()
     old = folder.read().get(landing) if there is not None and there.differing(campaign.head) is None else None
+    record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
     if old is None:
         return record, []
     one, two = record.repeatable(), old.repeatable()

@@ -9,9 +9,9 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
 from alight import compiled
-from alight.records import InputError, MissingExtraError
 from alight.records.campaign import Conditions
 from alight.runner.campaign.flying import Flown, failed
+from alight.runner.dask_client import dask_client
 
 Job = Callable[[Conditions], Flown]
 TRIES = 2  # of a landing whose process died
@@ -88,17 +88,9 @@ def _pooled(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iterator[t
 
 def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> Iterator[Flown]:
     """Dask flies a landing again, elsewhere, when its worker is lost."""
-    try:
+    with dask_client(scheduler) as client:
         import distributed
-    except ImportError as e:
-        raise MissingExtraError("distributed (Dask)", "cluster") from e
-    try:
-        client = distributed.Client(scheduler, timeout="20s", set_as_default=False)
-    except (OSError, ValueError) as e:
-        raise InputError(
-            f"--scheduler {scheduler}: no Dask scheduler answers there; start one with 'dask scheduler'"
-        ) from e
-    with client:
+
         flying = {client.submit(job, c, pure=False): c for c in conditions}
         for future in distributed.as_completed(list(flying), loop=client.loop):
             error = future.exception()

@@ -25,8 +25,9 @@ from alight.runner.fly.take_off import TakeOff
 from alight.runner.live import FlightHealth, Listener
 from alight.runner.live.live import NAVIGATION
 from alight.runner.live.run import LiveRun
-from alight.runner.live.telemetry import TelemetryFeed, together
+from alight.runner.live.telemetry import TelemetryFeed
 from alight.settings import Settings
+from alight.sources.arrival import as_they_arrive
 from alight.sources.capture import PREFIXES
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource, open_live
@@ -44,7 +45,7 @@ REFUSED = "the checks before the flight found something bad"
 
 @dataclass(frozen=True)
 class FlightRequest:
-    """What is to be flown."""
+    """The wishes of a user for one flown landing."""
 
     link: str  # udp:127.0.0.1:14550
     camera: str  # cameras, or a folder that is being filled
@@ -62,7 +63,7 @@ class FlightRequest:
 
 @dataclass(frozen=True, eq=False)
 class FlightStatus:
-    """How a flight is now."""
+    """A flight at one moment, for a display; None where a part does not exist yet."""
 
     phase: str  # checks, take-off, landing
     checks: Sequence[CheckResult] = ()
@@ -73,7 +74,7 @@ class FlightStatus:
 
 @dataclass(frozen=True, eq=False)
 class FlightOutcome:
-    """What came of it."""
+    """The end of a flight: its checks, the reason in words, and the result where a landing was begun."""
 
     checks: Sequence[CheckResult]
     why: str
@@ -148,7 +149,7 @@ class _Meeting:
         self._plan, self._feed, self._tell, self._refused = plan, feed, tell, ""
 
     def wait(self, machine: Sequence[CheckResult]) -> list[CheckResult]:
-        """The findings when it is there, or when the patience is over."""
+        """Return the findings, those of the machine first, when its position is known or the patience is over."""
         begin, found = time.monotonic(), list[CheckResult]()
         while not self._feed.located and time.monotonic() - begin < PATIENCE:
             found = [*machine, *self._checks()]
@@ -164,7 +165,7 @@ class _Meeting:
 
 
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:
-    """What is to be said of the link and of the autopilot behind it; the feed's lock must be held."""
+    """Check the link and the autopilot behind it; the feed's lock must be held."""
     vehicle = feed.autopilot.vehicle
     found = preflight.judge_link(plan.link, feed.autopilot.counts.messages, vehicle, refused)
     if vehicle is None:
@@ -176,7 +177,7 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
 
 @dataclass
 class _Arrivals:
-    """Exposures as they come."""
+    """Number, times and delay of the exposures that have come."""
 
     times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
     frames: int = 0
@@ -225,7 +226,7 @@ class _Cabin:
     def fly(self) -> FlightOutcome:
         """Check, take off, land."""
         self._run.live.posts[NAVIGATION].worker.wait_until_ready()
-        events = together(self._opened.events, self._feed.events())
+        events = as_they_arrive(self._opened.events, self._feed.events())
         feeder = threading.Thread(target=self._pass_on, args=(events,), daemon=True)
         feeder.start()
         if why := self._refusal():
@@ -253,18 +254,18 @@ class _Cabin:
     # -- what is written and said
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """The vehicle was told something."""
+        """As `LandingLog.order`: recorded."""
         if self._run.recorder is not None:
             self._run.recorder.order(t_ns, state, words)
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """The diary has another entry."""
+        """As `LandingLog.landing`: recorded and said."""
         if self._run.recorder is not None:
             self._run.recorder.landing(t_ns, entry)
         self._say(entry.line)
 
     def note(self, lane: str, words: str) -> None:
-        """Something happened."""
+        """As `LandingLog.note`: recorded and said."""
         if self._run.recorder is not None:
             self._run.recorder.note(lane, words)
         self._say(f"{lane}: {words}")
@@ -276,7 +277,7 @@ class _Cabin:
         self._run.live.judge_now(about)
 
     def _hear(self) -> Telemetry:
-        """Take what the autopilot says."""
+        """Pass new notices to the pilot and record the telemetry; return it."""
         now_ns = time.monotonic_ns()
         with self._feed.lock:
             notices, heard = self._feed.autopilot.notices(), self._vehicle.telemetry
@@ -299,7 +300,7 @@ class _Cabin:
     # -- before the landing
 
     def _refusal(self) -> str:
-        """Check and take off; why no landing is begun, or nothing."""
+        """Check and take off; return why no landing is begun, or an empty string."""
         height = self._plan.take_off
         if not self._well(lambda: self._before(motion=height is None)):
             return REFUSED
@@ -333,7 +334,7 @@ class _Cabin:
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
 
     def _take_off(self, height: float) -> str:
-        """Climb; why it did not work, or nothing."""
+        """Climb to a height, metres above the home; return why it did not work, or an empty string."""
         climb = TakeOff(self._vehicle, self._hand, height, time.monotonic_ns())
         while not climb.done and not climb.failed:
             with self._feed.lock:

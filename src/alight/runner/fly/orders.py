@@ -20,32 +20,41 @@ SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said 
 
 
 class OrderTaker(Protocol):
-    """What takes orders: a `RemoteVehicle`, or `SpokenVehicle`."""
+    """Takes orders: a `RemoteVehicle`, or a `SpokenVehicle`. An order returns the ticket of its answer."""
 
     @property
     def in_control(self) -> bool:
-        """Whether we fly."""
+        """Whether we fly: from our first order to a takeover."""
 
     def set_mode(self, mode: FlightMode) -> int:
         """Fly in this mode from now on; takes control."""
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Fly to a set-point."""
+        """Fly to a set-point, tied to the autopilot's estimate where it has a position; False: not sent."""
 
     def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Report the target of a landing."""
+        """Report the target of a landing.
+
+        Args:
+            t_ns: instant at which this held, our clock.
+            target_world: (3,) metres from the vehicle to the target, world axes.
+            world_from_body: (3, 3) attitude of that instant.
+
+        Returns:
+            False: not sent.
+        """
 
     def change_speed(self, speed: float) -> int:
-        """Fly at so many m/s."""
+        """Fly at so many m/s over the ground."""
 
     def arm(self) -> int:
         """Start the motors."""
 
     def take_off(self, height: float) -> int:
-        """Climb to a height above the home."""
+        """Climb to a height in metres above the home; takes control."""
 
     def release(self) -> None:
-        """Give control away."""
+        """Give control away: nothing is sent any more that moves the vehicle."""
 
 
 class SpokenVehicle:
@@ -108,7 +117,7 @@ class SpokenVehicle:
 
 
 def words_of(place: Place) -> str:
-    """A place as a person reads it."""
+    """Return a place in words: degrees, metres above the sea, and above home where that is known."""
     above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
     return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"
 
@@ -140,7 +149,14 @@ class OrderSender:
         self._held: Place | None = None
 
     def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
-        """Do what the executive wants now; in words, what was done."""
+        """Carry out an order; return in words what was done.
+
+        Args:
+            order: in the frame of the motion.
+            state: of the executive.
+            motion: the newest one; None: not known.
+            now_ns: our clock.
+        """
         if order.what == "nothing":
             self.hand.release()
             return "nothing"

@@ -28,21 +28,21 @@ KEPT = 20_000  # times that are kept for the summary
 
 
 class LandingLog(Protocol):
-    """Where a landing writes what it does; the recorder is one."""
+    """Takes what a landing does, in order; the recorder is one. Times are of our clock, in nanoseconds."""
 
     def order(self, t_ns: int, state: str, words: str) -> None:
-        """The vehicle was told something."""
+        """Write an order in words, with the state that it was given in."""
 
     def landing(self, t_ns: int, entry: Transition | LookRecord) -> None:
-        """The diary has another entry."""
+        """Write a new entry of the diary."""
 
     def note(self, lane: str, words: str) -> None:
-        """Something happened."""
+        """Write something that happened to the cameras, the autopilot or a lane."""
 
 
 @dataclass(frozen=True, eq=False)
 class PilotView:
-    """What a person wants to see of a landing."""
+    """A landing at one moment, for a display."""
 
     t: float  # s since it began
     state: FlightState
@@ -91,23 +91,23 @@ class LandingPilot:
 
     @property
     def state(self) -> FlightState:
-        """Of the executive."""
+        """State of the executive."""
         return self.executive.state
 
     @property
     def diary(self) -> FlightDiary:
-        """What happened, in order."""
+        """Transitions, looks and their pictures so far."""
         return self.executive.diary
 
     @property
     def over(self) -> bool:
-        """Nothing is left to be done."""
+        """Whether the vehicle has landed or was handed over."""
         return self.state in ENDS
 
     # -- what becomes known, from any thread
 
     def saw(self, frame: Frame, now_ns: int) -> Frame | None:
-        """Take an exposure that has come; what of it is new, for the lanes."""
+        """Take an exposure that came at `now_ns`; return it with its new pictures alone, None where there is none."""
         before = self.pictures.stuck
         fresh = self.pictures.fresh(frame, now_ns)
         if (stuck := self.pictures.stuck) != before:
@@ -116,11 +116,16 @@ class LandingPilot:
         return fresh
 
     def moved(self, motion: Motion) -> None:
-        """The motion of an exposure is known."""
+        """Take the motion of the newest tracked exposure."""
         self.motion = motion
 
     def judged(self, verdict: Verdict, t_ns: int) -> None:
-        """There is a verdict on the map that holds an exposure."""
+        """Take a verdict.
+
+        Args:
+            verdict: in the world.
+            t_ns: the newest exposure that its map holds.
+        """
         if self._begin_ns is None:
             return
         self._number += 1
@@ -131,18 +136,18 @@ class LandingPilot:
         self._seen, self._seen_ns, self._waiting = seen, t_ns, True
 
     def noticed(self, notice: Notice) -> None:
-        """Something has happened to the vehicle."""
+        """Take a notice of the autopilot; answers to commands are passed on."""
         if notice.kind in (NoticeKind.COMMAND, NoticeKind.UPLOAD):
             self._sender.answered(notice.ticket, notice.ok, notice.t_ns)
 
     # -- the step
 
     def begin(self, now_ns: int) -> None:
-        """The landing begins with the next tick; so does the time of its diary."""
+        """Begin the landing: the seconds of its diary count from `now_ns`."""
         self._begin_ns, self._starts = now_ns, self._vehicle.starts
 
     def tick(self, now_ns: int) -> PilotView:
-        """Decide ten times a second, report the target of a landing at every call."""
+        """Decide ten times a second; on the last metres, and after a new verdict, at every call."""
         fresh, self._waiting = self._waiting, False  # before the situation: a verdict may come any time
         now = self._situation(now_ns)
         due = self._tick_ns is None or now_ns - self._tick_ns >= TICK_NS or self.state is FlightState.COMMIT
@@ -152,7 +157,7 @@ class LandingPilot:
         return self._view(now)
 
     def stop(self, now_ns: int) -> None:
-        """The user wants no more: the autopilot is told to hold by itself."""
+        """Tell the autopilot to hold by itself: the user wants no more."""
         if self._sender.hand.in_control:
             self._sender.obey(Order("hold"), FlightState.HOLD, None, now_ns)
 

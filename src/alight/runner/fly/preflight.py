@@ -1,4 +1,4 @@
-"""What must hold before a landing begins, each with its evidence and its mend."""
+"""Checks before a landing begins, each with its evidence and its mend."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # withou
 
 @dataclass(frozen=True)
 class CameraFacts:
-    """What the cameras have given so far."""
+    """Counts and rates of the exposures that the cameras have given so far."""
 
     frames: int = 0
     rate: float = 0.0  # exposures a second
@@ -32,19 +32,19 @@ class CameraFacts:
     frozen: int = 0  # in a row that repeat the one before
 
 
-def judge_link(name: str, bytes_heard: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
-    """The link, and who is at its other end.
+def judge_link(name: str, messages: int, vehicle: RemoteVehicle | None, refused: str) -> list[CheckResult]:
+    """Check the link, and who is at its other end.
 
     Args:
         name: of the link.
-        bytes_heard: messages that were read from it.
+        messages: that were read from it.
         vehicle: that was found; None: none.
         refused: why somebody who was heard is not the vehicle; empty: nobody was.
     """
-    if not bytes_heard:
+    if not messages:
         mend = "see that the autopilot sends MAVLink there: port, baud rate, address"
         return [bad("link", f"nothing has come over {name}", mend)]
-    link = good("link", f"{bytes_heard} messages over {name}")
+    link = good("link", f"{messages} messages over {name}")
     if vehicle is None:
         what = refused or "messages come, but no heartbeat of an autopilot"
         return [link, bad("autopilot", what, "fly ArduPilot's Copter or PX4's multicopter (docs/autopilot.md)")]
@@ -60,10 +60,12 @@ def _mode(vehicle: RemoteVehicle) -> str:
 def judge_vehicle(
     vehicle: RemoteVehicle, missing: str, settings: Settings, take_off: bool, dry: bool, home_given: bool
 ) -> list[CheckResult]:
-    """What the autopilot reports.
+    """Check the autopilot by its telemetry: clock, streams, position, home, battery, wind, and whether it flies.
 
     Args:
+        vehicle: that was found.
         missing: why it gives no GPS/INS; empty: it does.
+        settings: limits of battery and wind.
         take_off: it is to take off first.
         dry: nothing will be sent to it.
         home_given: the user has named the home.
@@ -146,7 +148,7 @@ def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
 
 
 def judge_cameras(facts: CameraFacts) -> CheckResult:
-    """Whether pictures come, often enough, new, and stamped by the right clock."""
+    """Check that pictures come, often enough, new ones, and stamped by the right clock."""
     if not facts.frames:
         return bad("pictures", "not one has come", "see that the camera gives pictures, or that the folder is filled")
     seen = f"{facts.rate:.1f} exposures a second, {facts.delay:.2f} s old when they come"
@@ -162,11 +164,15 @@ def judge_cameras(facts: CameraFacts) -> CheckResult:
 
 
 def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, record: bool) -> list[CheckResult]:
-    """Compiled loops, and room for the recording.
+    """Check that the loops are compiled, and that the disk has room for the recording.
 
     Args:
+        warm: all loops are compiled.
+        out: folder of the results.
+        rig: the cameras.
         rate: exposures a second that are expected.
         seconds: of flight that are expected.
+        record: a recording is wanted.
     """
     mend = "run 'alight warmup' once; it takes minutes"
     loops = good("loops", "compiled") if warm else bad("loops", "not compiled on this machine yet", mend)
@@ -185,9 +191,10 @@ def judge_machine(warm: bool, out: Path, rig: Rig, rate: float, seconds: float, 
 
 
 def judge_motion(motion: Motion | None, age: float) -> CheckResult:
-    """Whether the motion is known.
+    """Check that the motion is known.
 
     Args:
+        motion: the newest; None: none yet.
         age: s of its exposure.
     """
     if motion is None or age > MOST_AGE:

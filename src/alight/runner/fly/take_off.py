@@ -12,7 +12,7 @@ LONGEST_NS = 120_000_000_000
 
 
 class TakeOff:
-    """Tick it until `done` or `failed`.
+    """A take-off. Call `tick` until `done`, or until `failed` gives the reason in words.
 
     Args:
         vehicle: what the autopilot reports.

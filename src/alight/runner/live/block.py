@@ -29,7 +29,7 @@ class Parcel:
 
     @property
     def end(self) -> int:
-        """The bytes of the block that it needs."""
+        """The number of bytes of the block that it takes."""
         return max((first + size for first, size in self.spans), default=0)
 
 

@@ -19,7 +19,7 @@ class EffortControl:
         self.effort = 0  # 0: all of it
 
     def took(self, seconds: float) -> bool:
-        """A step took so long; whether the effort is another one now."""
+        """Take the seconds of a step of the map; return whether `effort` has changed."""
         before = self.effort
         self._calm = self._calm + 1 if seconds < 0.5 * self._deadline else 0
         if seconds > self._deadline:

@@ -1,4 +1,4 @@
-"""How the lanes are, and what was left out: for the status line, the recording and `run.json`."""
+"""State, times and counts of the lanes: for the status line, the recording and `run.json`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ARRIVALS = 1000  # exposures whose arrival is remembered
 
 
 class LaneState(Enum):
-    """How a lane is."""
+    """The state of a lane's process."""
 
     WAITING = "waiting"  # for work
     BUSY = "busy"
@@ -27,7 +27,7 @@ class LaneState(Enum):
 
 @dataclass(frozen=True)
 class FlightHealth:
-    """The lanes at one moment."""
+    """State, rates and counts of the lanes at one moment."""
 
     lanes: Mapping[str, LaneState]
     restarts: Mapping[str, int]
@@ -63,14 +63,14 @@ class Watch:
         self.restarts: Counter[str] = Counter()
 
     def arrived(self, t_ns: int) -> None:
-        """An exposure is there."""
+        """Note the time at which an exposure arrived."""
         with self._lock:
             self._arrived[t_ns] = time.perf_counter()
             if len(self._arrived) > ARRIVALS:
                 self._arrived.popitem(last=False)
 
     def known(self, what: str, t_ns: int) -> None:
-        """Something is known of an exposure: how long that took since its arrival."""
+        """Take the time since an exposure arrived, under the name `what`; a pose counts for the rate as well."""
         now = time.perf_counter()
         with self._lock:
             if (then := self._arrived.get(t_ns)) is not None:
@@ -80,7 +80,7 @@ class Watch:
 
     @contextmanager
     def work(self, lane: str, what: str = "") -> Iterator[None]:
-        """A lane is busy; `what` it does is timed."""
+        """Count a lane as busy meanwhile, and take the time under the name `what`, if given; a failure is not timed."""
         begin = time.perf_counter()
         self._since[lane], self._state[lane] = begin, LaneState.BUSY
         try:
@@ -97,18 +97,23 @@ class Watch:
             self._since[lane] = None
 
     def gave_up(self, lane: str) -> None:
-        """A lane is lost for good."""
+        """Count a lane as lost for the rest of the flight."""
         self._state[lane] = LaneState.LOST
 
     def state(self, lane: str) -> LaneState:
-        """How a lane is now."""
+        """The state of a lane now; busy for longer than `LATE` seconds is late."""
         since, state = self._since[lane], self._state[lane]
         if state is LaneState.BUSY and since is not None and time.perf_counter() - since > LATE:
             return LaneState.LATE
         return state
 
     def health(self, effort: int, frame_id: int | None) -> FlightHealth:
-        """How everything is now."""
+        """Sum up all lanes.
+
+        Args:
+            effort: of mapping.
+            frame_id: of the newest motion; None: none is known.
+        """
         now = time.perf_counter()
         with self._lock:
             recent = [t for t in self._motions if now - t < 3.0]
@@ -121,7 +126,7 @@ class Watch:
         )  # fmt: skip
 
     def took(self, what: str, seconds: float) -> None:
-        """Something took so long."""
+        """Take the seconds of a step under the name `what`."""
         with self._lock:
             self._step(what, seconds)
 

@@ -1,4 +1,4 @@
-"""What a live run is given by its caller: who listens, how much may wait, and where it writes what it does."""
+"""The parts of a live run that its caller gives: the listener, the capacity and the diary."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from alight.records.schedule import Spot
 
 @dataclass(frozen=True)
 class Listener:
-    """Who is told of results as soon as they are known, each on its lane's thread."""
+    """Functions that are called with results as soon as they are known, each on its lane's thread."""
 
     motion: Callable[[Motion], None] = lambda motion: None
     verdict: Callable[[Verdict, int], None] = lambda verdict, t_ns: None  # with the stamp of its newest exposure
@@ -25,7 +25,7 @@ SILENT = Listener()
 
 @dataclass(frozen=True)
 class Capacity:
-    """What waits for a busy lane.
+    """Number of items that may wait for a busy lane.
 
     `drop`: with a mailbox full, leave out the oldest exposure (flight) instead of waiting (recordings).
     """
@@ -40,26 +40,33 @@ IN_FLIGHT = Capacity()
 
 
 class Diary(Protocol):
-    """Where a live run writes what it does; the recorder is one."""
+    """Takes what a live run does, from all its threads; the recorder is one."""
 
     def event(self, event: Event) -> None:
-        """Something came in."""
+        """Write an event that came in."""
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """A lane used an exposure: `kind` is a field of `Schedule`, `about` a place that a judged map showed too."""
+        """Write that a lane used an exposure.
+
+        Args:
+            kind: a field of `Schedule`.
+            t_ns: of the exposure.
+            value: effort of mapping.
+            about: east, north, metres in the map's frame: a place that a judged map showed too.
+        """
 
     def note(self, lane: str, words: str) -> None:
-        """Something happened to a lane."""
+        """Write in words what happened to a lane."""
 
 
 class NoDiary:
-    """Nothing is written."""
+    """A diary that writes nothing."""
 
     def event(self, event: Event) -> None:
-        """Something came in."""
+        """As `Diary`."""
 
     def entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        """A lane used an exposure."""
+        """As `Diary`."""
 
     def note(self, lane: str, words: str) -> None:
-        """Something happened to a lane."""
+        """As `Diary`."""

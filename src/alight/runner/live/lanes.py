@@ -28,7 +28,7 @@ Stages = Mapping[str, Sequence[float]]  # seconds of every step, by stage
 
 
 class NavigationProcess:
-    """Tracker and filter."""
+    """The navigation lane in its process: tracker and filter, one batch after the other."""
 
     def __init__(self, rig: Rig, settings: StageSettings, frame_id: int) -> None:
         self._lane = FilterLane(rig, settings, history=False, frame_id=frame_id)
@@ -41,12 +41,12 @@ class NavigationProcess:
         return None if found is None else replace(found, frame=Frame(found.frame.t_ns, ()))
 
     def finish(self) -> Trajectory:
-        """The last motion, and what went wrong on the way."""
+        """Return the last motion, and warnings of what went wrong."""
         return self._lane.finish(lambda share: None)
 
 
 class MappingProcess:
-    """The recursive map.
+    """The mapping lane in its process: the recursive map.
 
     Args:
         clock: seconds.
@@ -59,7 +59,7 @@ class MappingProcess:
         self._lane = RecursiveMapper(rig, settings, FileStore(folder), self._timings, history=False)
 
     def feed(self, navigation: Navigation, effort: int) -> MapUpdate | None:
-        """Improve the map."""
+        """Take an exposure with its motion into the map, with an effort: 0 all of it, higher numbers less."""
         return self._lane.feed(navigation, effort)
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
@@ -71,12 +71,12 @@ class MappingProcess:
         return self._lane.finish(trajectory, lambda share: None)
 
     def timings(self) -> Stages:
-        """How long the stages took."""
+        """Seconds of the last steps, by stage."""
         return self._timings.stages
 
 
 class JudgingProcess:
-    """Land cover, hazards, sites."""
+    """The judging lane in its process: land cover, hazards, sites."""
 
     def __init__(
         self, settings: StageSettings, clock: Clock, appearance: terrain.Model | None, memory: JudgingMemory
@@ -86,15 +86,15 @@ class JudgingProcess:
         self._lane = JudgingLane(settings, appearance, self._timings, memory)
 
     def judge(self, seen: MapSnapshot) -> tuple[Verdict, JudgingMemory]:
-        """Judge a map."""
+        """Judge a map; return the verdict, and what the lane must remember should its process be lost."""
         return self._lane.judge(seen), self._lane.memory
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """What a run's notes say of a verdict."""
+        """As `JudgingLane.notes`."""
         return self._lane.notes(found)
 
     def timings(self) -> Stages:
-        """How long the stages took."""
+        """Seconds of the last steps, by stage."""
         return self._timings.stages
 
 
@@ -151,7 +151,7 @@ class Post:
 
 
 class RemoteNavigation:
-    """The navigation lane in its process; frame numbers go on when the process is replaced."""
+    """The navigation lane as the flight calls it; frame numbers go on when its process is replaced."""
 
     def __init__(self) -> None:
         self.post: Post | None = None
@@ -177,20 +177,24 @@ class RemoteNavigation:
         raise NotImplementedError("a flight feeds batches")
 
     def finish(self, progress: Callable[[float], None]) -> Trajectory:
-        """The last motion."""
+        """Return the last motion, and warnings of what went wrong.
+
+        Raises:
+            LaneLost: the process is gone.
+        """
         assert self.post is not None
         found: Trajectory = self.post.call("finish")
         return found
 
 
 class RemoteMapping:
-    """The mapping lane in its process."""
+    """The mapping lane as the flight calls it: each call goes to its process."""
 
     def __init__(self, post: Post) -> None:
         self.post = post
 
     def feed(self, navigation: Navigation, effort: int = 0) -> MapUpdate | None:
-        """Improve the map.
+        """Take an exposure with its motion into the map, with an effort: 0 all of it, higher numbers less.
 
         Raises:
             LaneLost: the map is gone; the next exposure begins another one.
@@ -199,18 +203,29 @@ class RemoteMapping:
         return found
 
     def snapshot(self, about: F64 | None = None) -> MapSnapshot | None:
-        """The map under the newest keyframe, and about a place, (2,) metres in the map's frame."""
+        """Return the map under the newest keyframe.
+
+        Args:
+            about: (2,) metres in the map's frame, a place that it is to show too.
+
+        Raises:
+            LaneLost: the map is gone.
+        """
         found: MapSnapshot | None = self.post.call("snapshot", about)
         return found
 
     def finish(self, trajectory: Trajectory, progress: Callable[[float], None]) -> FinishedMap:
-        """The map of the whole flight."""
+        """Return the map of the whole flight.
+
+        Raises:
+            LaneLost: the map is gone.
+        """
         found: FinishedMap = self.post.call("finish", trajectory)
         return found
 
 
 class RemoteJudging:
-    """The judging lane in its process; what it knows of earlier maps outlives the process."""
+    """The judging lane as the flight calls it; what it remembers of earlier maps outlives its process."""
 
     def __init__(self) -> None:
         self.post: Post | None = None
@@ -223,11 +238,11 @@ class RemoteJudging:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What became of the sites where the motion began anew."""
+        """Sites that were kept or lost where the motion began anew, in words."""
         return self.memory.warnings
 
     def judge(self, seen: MapSnapshot) -> Verdict:
-        """Judge a map.
+        """Judge a map, and remember what the lane must know should its process be lost.
 
         Raises:
             LaneLost: this map is not judged.
@@ -238,7 +253,11 @@ class RemoteJudging:
         return verdict
 
     def notes(self, found: Verdict) -> dict[str, object]:
-        """What a run's notes say of a verdict."""
+        """As `JudgingLane.notes`.
+
+        Raises:
+            LaneLost: the process is gone.
+        """
         assert self.post is not None
         notes: dict[str, object] = self.post.call("notes", found)
         return notes

@@ -12,9 +12,8 @@ import os
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Thread
 from typing import Any, NamedTuple
@@ -26,7 +25,6 @@ from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.navigation import FrameBatch, Navigation
 from alight.pipeline.navigation.filter_lane import EventBatcher
 from alight.records import AlightError, Event, Frame, Motion, Rig, Schedule, SettingsError
-from alight.records.schedule import Spot
 from alight.runner.live import lanes as processes
 from alight.runner.live.effort import EffortControl
 from alight.runner.live.health import POSE, STEP, VERDICT, FlightHealth, Watch
@@ -34,6 +32,7 @@ from alight.runner.live.interface import IN_FLIGHT, SILENT, Capacity, Diary, Lis
 from alight.runner.live.lanes import Post, RemoteJudging, RemoteMapping, RemoteNavigation
 from alight.runner.live.mailbox import Closed, Mailbox
 from alight.runner.live.nursery import Nursery
+from alight.runner.live.schedule_log import ScheduleLog
 from alight.runner.live.stream_clock import Clocks
 from alight.runner.live.worker import LaneLost, Spec
 from alight.settings import ImuNoise, Settings
@@ -45,20 +44,6 @@ PATIENCE = {NAVIGATION: 0.9, MAPPING: 15.0, JUDGING: 30.0}  # s without an answe
 NICENESS = {NAVIGATION: 0, MAPPING: 5, JUDGING: 6}  # navigation never waits for mapping, nor mapping for judging
 AT_END = 120.0  # s that the last judgement may take, of all that was seen
 SPARE = 2  # processors that mapping leaves to the other lanes
-
-
-@dataclass
-class _Entries:
-    """The schedule as it grows."""
-
-    most: int | None
-
-    def __post_init__(self) -> None:
-        self.kinds = {k: deque[Any](maxlen=self.most) for k in Schedule.__dataclass_fields__}
-
-    @property
-    def schedule(self) -> Schedule:
-        return Schedule(**{k: tuple(v) for k, v in self.kinds.items()})
 
 
 class _Shown(NamedTuple):
@@ -108,7 +93,7 @@ class Live:
         self._diary: Diary = diary or NoDiary()
         self.watch, self.warnings = Watch(LANES), list[str]()
         self._clocks = clocks(self._warn) if clocks else None
-        self._batcher, self._entries = EventBatcher(), _Entries(capacity.schedule)
+        self._batcher, self._used = EventBatcher(), ScheduleLog(capacity.schedule, self._diary)
         drop = capacity.drop
         self._batches = Mailbox[FrameBatch](capacity.tracking, self._later_batch if drop else None)
         self._exposures = Mailbox[Navigation](capacity.mapping, self._later_exposure if drop else None)
@@ -167,17 +152,17 @@ class Live:
 
     @property
     def schedule(self) -> Schedule:
-        """What each lane has used so far; complete after `finish`, where all of it was kept."""
-        return self._entries.schedule
+        """The exposures that each lane has used so far; complete after `finish`, where all of it was kept."""
+        return self._used.schedule
 
     @property
     def health(self) -> FlightHealth:
-        """How the lanes are now."""
+        """State, rates and counts of the lanes at this moment."""
         return self.watch.health(self._pace.effort, self._newest.frame_id if self._newest is not None else None)
 
     @property
     def counts(self) -> dict[str, int]:
-        """Exposures used and left out, by lane and reason; processes that were lost; loops compiled in flight."""
+        """Exposures used and left out, by lane and reason; restarts of each lane; loops compiled in flight."""
         late = self._clocks.late if self._clocks else {}
         self.watch.counts |= {f"{name} that came late": n for name, n in late.items() if n}
         restarts = {f"{name}: restarted": n for name, n in self.watch.restarts.items()}
@@ -185,7 +170,7 @@ class Live:
 
     @property
     def compiled(self) -> list[str]:
-        """The loops that were compiled in flight."""
+        """Names of the loops that were compiled in flight; they should be none."""
         return sorted(set[str]().union(*(p.compiled for p in self.posts.values())))
 
     def feed(self, event: Event) -> None:
@@ -237,11 +222,11 @@ class Live:
             self.close()
 
     def timings(self) -> dict[str, Sequence[float]]:
-        """Seconds of every step, by stage."""
+        """Seconds of the last steps, by stage."""
         return dict(self.watch.times)
 
     def close(self) -> None:
-        """End all lanes."""
+        """End all lanes, whatever they do; `finish` does it too."""
         for box in (self._batches, self._exposures, self._maps):
             box.close()
         self._judge_waits.set()
@@ -281,10 +266,6 @@ class Live:
             self.warnings.append(f"live: the {lane} lane was lost more than 3 times; the counts say how often")
         self._diary.note(lane, why)
         self._listener.lost(lane, why)
-
-    def _entry(self, kind: str, t_ns: int, value: int = 0, about: Spot | None = None) -> None:
-        self._entries.kinds[kind].append(t_ns)
-        self._diary.entry(kind, t_ns, value, about)
 
     def _stepped(self, seconds: float) -> None:
         """A step of the map is done: more or less effort for the next one."""
@@ -335,9 +316,9 @@ class Live:
             if t_ns is None:
                 continue
             if anew:
-                self._entry("navigation_anew", t_ns)
+                self._used.anew(NAVIGATION, t_ns)
                 anew = False
-            self._entry("tracked", t_ns)
+            self._used.tracked(t_ns)
             self.watch.counts["frames used"] += 1
             if found is not None:
                 self._exposures.put(found)
@@ -365,10 +346,9 @@ class Live:
                     raise Closed from None
                 continue
             if anew:
-                self._entry("mapping_anew", t_ns)
+                self._used.anew(MAPPING, t_ns)
                 anew = False
-            self._entry("mapped", t_ns, effort)
-            self._entries.kinds["effort"].append(effort)
+            self._used.mapped(t_ns, effort)
             since += 0 if update is None else update.steps
             due = self._asked.is_set() or (self._every and since >= self._every)
             if due and (self._judge_waits.is_set() or not self._capacity.drop):
@@ -397,8 +377,6 @@ class Live:
                 if self.posts[JUDGING].given_up:
                     raise Closed from None
                 continue
-            place = None if shown.about is None else (float(shown.about[0]), float(shown.about[1]))
-            self._entry("judged", shown.t_ns, about=place)
-            self._entries.kinds["about"].append(place)
+            self._used.judged(shown.t_ns, shown.about)
             self.watch.known(VERDICT, shown.t_ns)
             self._listener.verdict(verdict, shown.t_ns)

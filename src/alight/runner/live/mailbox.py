@@ -1,4 +1,4 @@
-"""What goes between threads: boxes that hold little."""
+"""Mailboxes between threads, which hold few items."""
 
 from __future__ import annotations
 

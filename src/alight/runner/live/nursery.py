@@ -20,7 +20,7 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")  # o
 
 
 class Nursery:
-    """The handle on it.
+    """A handle on the process from which lanes are forked.
 
     Args:
         threads: the most that compiled loops of a lane may use.

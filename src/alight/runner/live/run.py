@@ -114,7 +114,7 @@ class LiveRun:
         return replace(result, counts=counts)
 
     def close(self) -> None:
-        """End the lanes and the recording."""
+        """End the lanes and the recording; more than once does no harm."""
         self.live.close()
         if self.recorder is not None:
             self.recorder.close()

@@ -38,9 +38,10 @@ class StreamClock:
     _behind: list[tuple[float, float]] = field(default_factory=list)  # arrivals that were late, and by how much
 
     def stamp(self, t_ns: int, arrival: float) -> int | None:
-        """The stamp with all jumps taken out; None: the event is late and to be left out.
+        """Return a stamp with all jumps taken out; None: the event is late and to be left out.
 
         Args:
+            t_ns: as the event bears it.
             arrival: s of a clock that goes on steadily.
         """
         ahead = 1e-9 * (t_ns + self._shift_ns) - arrival
@@ -78,7 +79,12 @@ class Clocks:
         self.streams = {kind: StreamClock(name, say) for kind, name in STREAMS.items()}
 
     def stamped(self, event: Event, arrival: float) -> Event | None:
-        """The event with a stamp that can be relied on; None: it is late and to be left out."""
+        """Return an event with a stamp that can be relied on; None: it is late and to be left out.
+
+        Args:
+            event: as it came.
+            arrival: s of a clock that goes on steadily.
+        """
         t_ns = self.streams[type(event)].stamp(event.t_ns, arrival)
         if t_ns is None:
             return None
@@ -86,5 +92,5 @@ class Clocks:
 
     @property
     def late(self) -> dict[str, int]:
-        """How many events of each stream were left out."""
+        """Number of events that were left out, by stream."""
         return {c.name: c.late for c in self.streams.values()}

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping
 from alight.autopilot import Autopilot, TelemetryEvents, open_link
 from alight.geometry import LocalFrame
 from alight.records import Event, InputError, NavSample
+from alight.sources.arrival import as_they_arrive
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource
 
@@ -45,10 +46,10 @@ class TelemetryFeed:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def wait_for_position(self) -> LocalFrame:
-        """Wait until the autopilot knows where it is; the world.
+        """Wait until the autopilot knows where it is; return the world that begins there.
 
         Raises:
-            InputError: it does not, with the reason.
+            InputError: it does not know within `PATIENCE` seconds, with the reason.
         """
         end = time.monotonic() + PATIENCE
         while not self.located:
@@ -67,7 +68,7 @@ class TelemetryFeed:
         return self._located and self.events_of.local is not None
 
     def flush(self) -> None:
-        """Send what waits to be sent."""
+        """Send the datagrams that the protocol has ready."""
         with self._sending:
             with self.lock:
                 out = self.autopilot.pending()
@@ -102,37 +103,6 @@ class TelemetryFeed:
                     self._samples.put(sample)
 
 
-def together(cameras: Iterator[Event], telemetry: Iterator[Event]) -> Iterator[Event]:
-    """Events of both in the order of their arrival; the end of the cameras ends it.
-
-    Raises:
-        Exception: what the cameras have failed with.
-    """
-    arrived: queue.Queue[Event | BaseException | None] = queue.Queue()
-    over = threading.Event()
-
-    def pass_on(events: Iterator[Event], last: bool) -> None:
-        try:
-            for event in events:
-                if over.is_set():
-                    return
-                arrived.put(event)
-            if last:
-                arrived.put(None)
-        except BaseException as e:
-            arrived.put(e)
-
-    threading.Thread(target=pass_on, args=(telemetry, False), daemon=True).start()
-    threading.Thread(target=pass_on, args=(cameras, True), daemon=True).start()
-    try:
-        while (event := arrived.get()) is not None:
-            if isinstance(event, BaseException):
-                raise event
-            yield event
-    finally:
-        over.set()
-
-
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:
     """Pictures with an autopilot's GPS/INS; the world begins where the autopilot is.
 
@@ -151,7 +121,7 @@ def with_telemetry(opened: LiveSource, link: str, separation: float | None = Non
 
     def events() -> Iterator[Event]:
         try:
-            yield from together(opened.events, feed.events())
+            yield from as_they_arrive(opened.events, feed.events())
         finally:
             feed.close()
 

@@ -37,7 +37,7 @@ class LaneLost(Exception):  # noqa: N818  (an event of the flight; the flight go
 
 @dataclass(frozen=True)
 class Spec:
-    """How a lane is made in its process: `make(*given)` gives the object whose methods are called."""
+    """A lane that is to be made: `make(*given)`, in its process, gives the object whose methods are called."""
 
     name: str
     make: Any
@@ -48,7 +48,7 @@ class Spec:
 
 @dataclass(frozen=True)
 class Reply:
-    """What a call gave, or what it failed with, as text."""
+    """The result of a call, or its failure as text."""
 
     parcel: Parcel | None
     failure: str = ""
@@ -137,7 +137,7 @@ class Worker:
 
 @dataclass(frozen=True)
 class Activity:
-    """What a process has been doing."""
+    """The processor time of a process so far, and whether it wants more."""
 
     seconds: float  # of processor time
     wants_to_run: bool  # it runs, or waits for a processor or the disk

@@ -15,20 +15,23 @@ from threadpoolctl import threadpool_limits
 
 from alight import __version__, compiled
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task, resolved
-from alight.records import InputError, MissingExtraError
+from alight.records import InputError
+from alight.runner.dask_client import WAIT, dask_client
 
 log = logging.getLogger(__name__)
 
 AHEAD = 2  # tasks a thread of the cluster that are sent before their turn
 TRIES = 4  # of a task whose worker or whose arguments were lost
 MOST_SENT = 2_000_000_000  # bytes of arguments that the cluster is asked to hold
-WAIT = "20s"  # for the scheduler, and for its first worker
 _here = threading.local()  # of a worker's thread: what it keeps from task to task
 
 
 @contextmanager
 def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
-    """Who does the work: the cluster of a scheduler such as tcp://host:8786, or without one this process.
+    """Connect to a cluster that does the work; without a scheduler it is done in this process.
+
+    Args:
+        scheduler: address such as tcp://host:8786; None: there is none.
 
     Raises:
         MissingExtraError: Dask is not installed.
@@ -37,17 +40,7 @@ def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
     if scheduler is None:
         yield InTurn()
         return
-    try:
-        import distributed
-    except ImportError as e:
-        raise MissingExtraError("distributed (Dask)", "cluster") from e
-    try:
-        client = distributed.Client(scheduler, timeout=WAIT, set_as_default=False)
-    except (OSError, ValueError) as e:
-        raise InputError(
-            f"--scheduler {scheduler}: no Dask scheduler answers there; start one with 'dask scheduler'"
-        ) from e
-    with client:
+    with dask_client(scheduler) as client:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as e:
@@ -59,7 +52,7 @@ def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
 
 
 def alight_version() -> str:
-    """The version of Alight on a worker."""
+    """Return the version of Alight where this runs: on a worker."""
     return __version__
 
 
@@ -102,7 +95,7 @@ class ClusterJobs:
         return self._client.submit(do_here, self._client.id, task.do, *arguments, pure=False, retries=TRIES)
 
     def _finished(self, task: Task, future: Any) -> Any:
-        """What a task gave; one whose arguments were lost with a worker is sent again."""
+        """Wait for the result of a task; one whose arguments were lost with a worker is sent again."""
         from distributed import KilledWorker
         from distributed.client import FutureCancelledError
 

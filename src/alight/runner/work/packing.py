@@ -1,4 +1,4 @@
-"""What a task gives as bytes, and back to the bit. Nothing but numbers, text and known records comes out of it."""
+"""Results of tasks as bytes, and back to the bit: numbers, text and known records, and nothing that could be run."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alight.documents import parse_json
 from alight.geometry import Camera, Grid, Pose
 from alight.motion.bundle.matching import Pair, PhotoFeatures
 from alight.pipeline.mapping.batch_map import MatchedBlock
@@ -32,7 +33,12 @@ DTYPES = frozenset(["<f4", "<f8", "<i8", "<i4", "<u2", "|u1", "|b1"])
 
 
 def pack_result(value: Any, about: str) -> bytes:
-    """A value, and what else it rests on, as bytes."""
+    """Pack the result of a task.
+
+    Args:
+        value: records that are listed here, arrays, numbers and text, in tuples, lists and mappings.
+        about: what else it rests on; goes into the digest alone.
+    """
     arrays = list[NDArray[Any]]()
     plain = _plain(value, arrays)
     tree = json.dumps({"value": plain, "arrays": [(a.dtype.str, a.shape) for a in arrays]}).encode()
@@ -41,12 +47,12 @@ def pack_result(value: Any, about: str) -> bytes:
 
 
 def is_whole(data: bytes, about: str) -> bool:
-    """Whether bytes are as they were packed, and rest on the same."""
+    """Whether bytes are undamaged and were packed with the same `about`."""
     return len(data) > _HEAD.size and _HEAD.unpack_from(data)[0] == _digest(about.encode(), data[_HEAD.size :])
 
 
 def unpack_result(data: bytes) -> Any:
-    """The way back.
+    """Return the value that was packed, equal to the bit.
 
     Raises:
         ValueError: the bytes are none that were packed.
@@ -54,7 +60,7 @@ def unpack_result(data: bytes) -> Any:
     try:
         size = _HEAD.unpack_from(data)[1]
         body = data[_HEAD.size :]
-        head, raw, at, arrays = json.loads(body[:size]), zlib.decompress(body[size:]), 0, list[NDArray[Any]]()
+        head, raw, at, arrays = parse_json(body[:size]), zlib.decompress(body[size:]), 0, list[NDArray[Any]]()
         for dtype, shape in head["arrays"]:
             if dtype not in DTYPES:
                 raise ValueError(f"an array of {dtype}")
@@ -62,7 +68,7 @@ def unpack_result(data: bytes) -> Any:
             arrays.append(np.frombuffer(raw, dtype, count, at).reshape(shape).copy())
             at += arrays[-1].nbytes
         return _whole(head["value"], arrays)
-    except (KeyError, TypeError, IndexError, struct.error, zlib.error) as e:
+    except (KeyError, TypeError, IndexError, AttributeError, struct.error, zlib.error) as e:
         raise ValueError(f"damaged ({e})") from e
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from alight import __version__
 from alight.jobs import Jobs, Task
+from alight.records import InputError
 from alight.runner.work.packing import is_whole, pack_result, unpack_result
 from alight.settings import Settings
 from alight.sources import Source
@@ -47,13 +48,22 @@ class SavedJobs:
         yield from self._known(drawn)
 
     def _known(self, drawn: deque[tuple[Task, bool]]) -> Iterator[Any]:
-        """Yield what is saved, up to the next task that is not."""
+        """Yield what is saved, up to the next task that is not.
+
+        Raises:
+            InputError: a piece is whole and yet none of ours.
+        """
         while drawn and drawn[0][1]:
-            yield unpack_result(self._saved[drawn.popleft()[0].name])
+            name = drawn.popleft()[0].name
+            try:
+                value = unpack_result(self._saved[name])
+            except ValueError as e:
+                raise InputError(f"the saved work {name} is damaged; run without --resume to begin anew") from e
+            yield value
 
 
 def work_key(source: Source, digest: str, settings: Settings, *files: Path) -> dict[str, Any]:
-    """What the work of a run rests on.
+    """Return what the work of a run rests on: saved work of another key is not used.
 
     Args:
         source: the photos.

@@ -40,4 +40,8 @@ class ExecutiveTuning(FrozenModel):
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
     abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
+    long_way: Positive = Field(
+        10.0, description="Ways longer than this over unmapped ground are flown at the height of the search, m"
+    )
+    unmapped: Fraction = Field(0.05, description="Share of the ground below a way that may be unmapped")
     arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")

@@ -1,0 +1,20 @@
+"""The spread of a sample by its median absolute deviation, which outliers hardly change."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+SIGMA_OF_MAD = 1.4826  # sigma of a Gaussian over its median absolute deviation
+
+
+def robust_sigma(deviations: ArrayLike) -> float:
+    """1-sigma of a Gaussian about zero with the same median absolute value; NaN of none."""
+    d = np.asarray(deviations, dtype=np.float64)
+    return float(SIGMA_OF_MAD * np.median(np.abs(d))) if d.size else float("nan")
+
+
+def nmad(values: ArrayLike) -> float:
+    """Normalised median absolute deviation: `robust_sigma` about the median of the values; NaN of none."""
+    v = np.asarray(values, dtype=np.float64)
+    return robust_sigma(v - np.median(v)) if v.size else float("nan")
