@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
+import garbage
 import numpy as np
-import pytest
 from some_run import some_run
 
 from alight.outputs import read_run, write_run
@@ -20,27 +18,15 @@ ROOT = Path(__file__).parents[1]
 BENCH = ROOT / "bench" / "garbage.py"
 
 
-@pytest.fixture(scope="module")
-def bench() -> ModuleType:
-    """The benchmark as a module."""
-    spec = importlib.util.spec_from_file_location("garbage", BENCH)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["garbage"] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_a_site_is_supported_where_the_other_run_is_sure(bench: ModuleType, tmp_path: Path) -> None:
+def test_a_site_is_supported_where_the_other_run_is_sure(tmp_path: Path) -> None:
     write_run(some_run(), tmp_path / "run")
     found = read_run(tmp_path / "run")
     assert found.info["answer"]["sites"]
     assert found.safe is not None
     sure, unsure = (replace(found, safe=np.full_like(found.safe, p)) for p in (1.0, 0.5))
-    assert bench.unsupported(found, sure) == []
-    assert len(bench.unsupported(found, unsure)) == len(found.info["answer"]["sites"])
-    assert len(bench.unsupported(found, replace(found, safe=None))) == len(found.info["answer"]["sites"])
+    assert garbage.unsupported(found, sure) == []
+    assert len(garbage.unsupported(found, unsure)) == len(found.info["answer"]["sites"])
+    assert len(garbage.unsupported(found, replace(found, safe=None))) == len(found.info["answer"]["sites"])
 
 
 def test_noise_in_nine_of_ten_images_makes_no_site(tmp_path: Path) -> None:

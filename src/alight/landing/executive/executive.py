@@ -234,6 +234,8 @@ class Executive:
             return E.CONFIRMED, f"P(safe) {said.p_safe:.3f} from {self._height:.1f} m"
         if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
+        if said.standing is Standing.CANDIDATE and self._height > self._keys.nearest * 1.05:
+            return E.LOWER, f"in doubt, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         self._doubts += 1
         if said.standing is Standing.CANDIDATE and self._doubts < self._keys.patience:
             self._across, self._leg_done = self._leg(now).end, None  # once more, from the other side
@@ -295,7 +297,8 @@ class Executive:
         if after is S.APPROACH:
             self._begin_place(now)
         elif after is S.DESCEND:
-            self._height = max(self._keys.commit_height, self._height * self._keys.lower)
+            least = self._keys.commit_height if self._height > self._keys.commit_height * 1.05 else self._keys.nearest
+            self._height = min(self._height, max(least, self._height * self._keys.lower))
             self._way = self._leg(now).start
         elif after is S.LOOK:
             self._across = self._leg(now).end

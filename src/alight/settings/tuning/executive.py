@@ -25,6 +25,9 @@ class ExecutiveTuning(FrozenModel):
     )
     fallen: Fraction = Field(0.9, description="P(safe) below which one verdict breaks a landing off")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
+    nearest: Positive = Field(
+        4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
+    )
     sure: int = Field(
         2, ge=1, description="Verdicts in a row that refuse a place before it is dropped, or a landing is broken off"
     )
