@@ -22,7 +22,8 @@ from alight.motion.bundle.matching import (
     tracks,
     verify,
 )
-from alight.motion.bundle.priors import make_priors
+from alight.motion.bundle.priors import make_priors, rolling_priors
+from alight.motion.bundle.rolling import velocities
 from alight.motion.bundle.solver import (
     Adjustment,
     BundleState,
@@ -275,16 +276,25 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
     """The gradient of the linearised system is that of the cost, for every kind of unknown."""
     priors = told(exact, mounting=np.array([0.01, -0.02, 0.01]))
     rng = np.random.default_rng(2)
+    priors = rolling_priors(priors, exact.centres, BETWEEN * np.arange(len(exact.centres)))
+    priors = replace(priors, sigma_turn=0.01)
     obs = select(exact.observations, 30)
-    start = triangulate_bundle(
-        exact.centres, exact.body @ LOOKS_FORWARD, PhotoLenses.one(CAMERA, len(exact.centres)), obs
+    true = BundleState(
+        exact.centres,
+        exact.body @ LOOKS_FORWARD,
+        np.empty((0, 3)),
+        np.zeros(9),
+        np.zeros(3),
+        np.zeros_like(exact.centres),
     )
+    start = triangulate_bundle(true, PhotoLenses.one(CAMERA, len(exact.centres)), priors.velocity, obs)
     state = BundleState(
         exact.centres + rng.normal(0, 0.05, exact.centres.shape),
         np.array([so3_exp(rng.normal(0, 2e-3, 3)) @ B @ LOOKS_FORWARD for B in exact.body]),
         start,
-        np.array([0, 0, 1.0, -1.0, 0.003, 0.002, 1e-4, -1e-4]),
+        np.array([0, 0, 1.0, -1.0, 0.003, 0.002, 1e-4, -1e-4, 0.03]),
         np.array([0.003, 0.001, -0.002]),
+        rng.normal(0, 0.005, exact.centres.shape),
     )
     system = Adjustment(obs, priors, 1.0, 3.0)
     system.linearise(state)
@@ -307,14 +317,15 @@ def test_jacobians_agree_with_differences(exact: Scene) -> None:
         return rotations
 
     for axis in range(3):
-        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * system.b[30 + axis], rel=1e-3, abs=0.5)
+        assert slope("centres", (5, axis), 1e-5) == pytest.approx(-2 * system.b[45 + axis], rel=1e-3, abs=0.5)
         rotation = (cost(rotations=turned(1, axis)) - cost(rotations=turned(-1, axis))) / 2e-6
-        assert rotation == pytest.approx(-2 * system.b[33 + axis], rel=1e-2, abs=5.0)
+        assert rotation == pytest.approx(-2 * system.b[48 + axis], rel=1e-2, abs=5.0)
+        assert slope("turns", (5, axis), 1e-6) == pytest.approx(-2 * system.b[51 + axis], rel=1e-2, abs=1.0)
         assert slope("points", (7, axis), 1e-5) == pytest.approx(-2 * points.gradient[7, axis], rel=1e-3, abs=0.5)
         mounting = slope("mounting", (axis,), 1e-6)
         assert mounting == pytest.approx(-2 * system.b[len(system.b) - 3 + axis], rel=2e-2, abs=5.0)
     for k, number in enumerate(system.free):
-        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[6 * n + k], rel=1e-2, abs=1.0)
+        assert slope("lens", (int(number),), 1e-6) == pytest.approx(-2 * system.b[9 * n + k], rel=1e-2, abs=1.0)
 
 
 def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None:
@@ -381,3 +392,84 @@ def test_photos_without_position_are_paired_in_time() -> None:
     centres = np.array([[5.0 * k, 0.0, 40.0] for k in range(9)])
     centres[4] = np.nan
     assert {(2, 4), (3, 4), (4, 5), (4, 6)} <= set(neighbours(centres, 2))
+
+
+# -- rolling shutter
+
+READOUT = 0.08  # s
+BETWEEN = 1.2  # s from photo to photo: 5 m/s, 10 px of way while a photo is read out
+
+
+def rolled(s: Scene, way: F64, turn: F64, noise: float = 0.3) -> Scene:
+    """The same photos, each camera moving by its way (n, 3) m and turning by (n, 3) rad while it is read out."""
+    rng = np.random.default_rng(2)
+    features = []
+    for i, f in enumerate(s.features):
+        R, points, t = s.body[i] @ LOOKS_FORWARD, s.points[s.ids[i]], np.zeros(len(s.ids[i]))
+        for _ in range(8):
+            px = np.array(
+                [
+                    CAMERA.project(so3_exp(turn[i] * k).T @ R.T @ (X - s.centres[i] - way[i] * k))
+                    for X, k in zip(points, t, strict=True)
+                ]
+            )
+            t = (px[:, 1] + 0.5) / CAMERA.height - 0.5
+        features.append(PhotoFeatures(px + rng.normal(0, noise, px.shape), f.descriptors))
+    return replace(s, features=features, observations=tracks(features, s.pairs))
+
+
+def velocity_of(s: Scene, seconds: F64) -> F64:
+    return velocities(s.centres, seconds, np.zeros(len(seconds), np.int64))
+
+
+@pytest.fixture(scope="module")
+def survey() -> Scene:
+    return scene(strips=3, photos=7)
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.03])
+def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float) -> None:
+    """The readout is found, with it the poses; by one that turns as well, too. At once, they are far off."""
+    seconds = BETWEEN * np.arange(len(survey.centres))
+    turn = np.random.default_rng(3).normal(0, turning, (len(seconds), 3))
+    seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
+    settings = BundleSettings.model_validate({"lens": "free"})
+    by_rows, at_once = (
+        solve_bundle(seen.observations, seen.pairs, told(seen, sigma=0.1), settings, seconds=s) for s in (seconds, None)
+    )
+    assert by_rows is not None
+    assert at_once is not None
+    readout = by_rows.priors.lenses.moved(by_rows.state.lens).readouts[0]
+    assert abs(readout - READOUT) < (0.2 if turning else 0.1) * READOUT
+    assert (by_rows.priors.sigma_turn > 0) == (turning > 0)
+    assert by_rows.pixel_sigma < 0.45
+    assert at_once.pixel_sigma > 1.1 * by_rows.pixel_sigma
+    assert errors(seen, by_rows)[1] < 0.5 * errors(seen, at_once)[1]
+
+
+def test_rows_that_are_exposed_at_once_stay_so(survey: Scene) -> None:
+    """A readout of noise is not believed, and nothing turns."""
+    seconds = BETWEEN * np.arange(len(survey.centres))
+    none = np.zeros((len(seconds), 3))
+    seen = rolled(survey, none, none)
+    out = solve_bundle(
+        seen.observations, seen.pairs, told(seen, sigma=0.1), BundleSettings.model_validate({"lens": "free"}),
+        seconds=seconds,
+    )  # fmt: skip
+    assert out is not None
+    assert not any(out.priors.lenses.moved(out.state.lens).readouts)
+    assert not out.state.turns.any()
+    assert out.priors.sigma_turn == 0
+
+
+def test_velocity_is_told_by_the_photos_of_the_same_strip() -> None:
+    """Of two ways that lead elsewhere the quicker tells; long pauses, other cameras and hovering tell nothing."""
+    centres = np.array([[0, 0, 9], [4, 0, 9], [8, 0, 9], [8, 3, 9], [4, 3, 9], [4, 3, 9]], float)
+    seconds = np.array([0.0, 2, 4, 10, 12, 14])
+    one = np.zeros(6, np.int64)
+    np.testing.assert_allclose(
+        velocities(centres, seconds, one)[:, :2], [[2, 0], [2, 0], [2, 0], [-2, 0], [-2, 0], [0, 0]], atol=1e-12
+    )
+    np.testing.assert_allclose(velocities(centres, 100 * seconds, one), 0)
+    np.testing.assert_allclose(velocities(centres, seconds, np.arange(6)), 0)
+    np.testing.assert_allclose(velocities(centres, np.full(6, np.nan), one), 0)

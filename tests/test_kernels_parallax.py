@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import cv2
@@ -471,14 +471,17 @@ def test_visibility(kind: str) -> None:
 DOWN = so3_exp([0.2, -0.1, 0.7]) @ np.diag([1.0, -1.0, -1.0])  # a camera that looks down, a little askew
 
 
-def run_project(camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose) -> tuple[np.ndarray, ...]:
+def run_project(
+    camera: Camera, h: np.ndarray, grid: Grid, world_from_cam: Pose, rolling: Sequence[float] = ()
+) -> tuple[np.ndarray, ...]:
     xs, ys = grid.xy()
     H, b = ground_projection(camera, world_from_cam)
     intrinsics = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     maps = tuple(np.full(h.shape, -9, np.float32) for _ in range(2))
     size = float(camera.width), float(camera.height)
+    rolls = np.array(rolling, dtype=np.float64)
     projection.project_grid(
-        H, b, intrinsics, camera.coefficients, camera.code, radius2_limit(camera), *size, xs, ys, h, *maps
+        H, b, intrinsics, camera.coefficients, camera.code, radius2_limit(camera), *size, rolls, xs, ys, h, *maps
     )  # fmt: skip
     return maps
 
@@ -501,6 +504,30 @@ def test_project_is_the_camera(camera: Camera) -> None:
     assert_allclose(np.stack([mx, my], -1)[inside], uv[inside], atol=1e-3)
     assert (mx[~inside] == projection.OUTSIDE).all()
     assert (my[~inside] == projection.OUTSIDE).all()
+
+
+@each_lens
+def test_project_sees_each_row_from_where_the_camera_was(camera: Camera) -> None:
+    """Against the fixed point of: project from the pose at the exposure of the row where the projection falls."""
+    grid, rolling = Grid(-12.0, 13.0, 0.9, 24, 26), np.array([0.5, -0.4, 0.1, 0.02, -0.015, 0.03])
+    h = np.random.default_rng(0).uniform(-2, 3, grid.shape).astype(np.float32)
+    at = Pose(DOWN, np.array([1.0, 2.0, 30.0]))
+    maps = np.stack(run_project(camera, h, grid, at, rolling), axis=-1)
+    x, y = np.meshgrid(*grid.xy())
+    points, t = np.stack([x, y, h], axis=-1), np.zeros(grid.shape)
+    still = camera.project(at.inverse.apply(points))
+    for _ in range(6):
+        p = at.inverse.apply(points) - t[..., None] * rolling[:3]
+        p = np.einsum("...ij,...i->...j", so3_exp(t[..., None] * rolling[3:]), p)
+        uv = camera.project(p)
+        t = (uv[..., 1] + 0.5) / camera.height - 0.5
+    inside = (np.minimum(uv, still) > 3).all(-1) & (np.maximum(uv, still) < [camera.width - 4, camera.height - 4]).all(
+        -1
+    )
+    assert inside.sum() > 50
+    size = np.linalg.norm((still - uv)[inside], axis=-1).max()
+    assert size > 4
+    assert np.abs(maps - uv)[inside].max() < 0.01 * size
 
 
 @each_lens

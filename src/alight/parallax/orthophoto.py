@@ -15,7 +15,15 @@ import numpy as np
 from alight.arrays import F32, U8
 from alight.geometry import Grid, box_of, ground_projection
 from alight.parallax.orthophoto_kernels import add_view, exposure_gains, sees
-from alight.parallax.views import ground_sampling, may_see, pixels_on_ground, project_cells, radius2_limit, rgb_of
+from alight.parallax.views import (
+    ground_sampling,
+    may_see,
+    pixels_on_ground,
+    project_cells,
+    radius2_limit,
+    rgb_of,
+    rolling_of,
+)
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
@@ -50,7 +58,8 @@ def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[
         camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
         mapx, mapy = np.empty((2, *part.shape), np.float32)
         H, b = ground_projection(camera, view.world_from_cam)
-        project_cells(camera, radius2_limit(camera), H, b, *part.xy(), np.ascontiguousarray(height[at]), (mapx, mapy))
+        level_of, maps = np.ascontiguousarray(height[at]), (mapx, mapy)
+        project_cells(camera, radius2_limit(camera), H, b, *part.xy(), level_of, maps, rolling_of(view))
         pixel = pixels_on_ground(view.centre, camera.fu, part, np.float32(level))
         use = sees(mapx, pixel, wants[at], finest[at], np.float32(COARSER))
         if not use.any():

@@ -18,7 +18,7 @@ from alight.arrays import F32, F64, I32, I64, Mask
 from alight.geometry import Grid, box_of
 from alight.parallax import sweep_kernels as kernels
 from alight.parallax.sorting_kernels import network
-from alight.parallax.views import Prepared, centres_of, maps, sample
+from alight.parallax.views import Prepared, centres_of, maps, sample, when_exposed
 from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
@@ -223,6 +223,7 @@ def sweep(
         heights (R, C), NaN where the reference or all others see nothing, and best/second cost (R, C), near 1 where a
         second one fits.
     """
+    pyramid = [[when_exposed(p, grid, ground) for p in views] for views in pyramid]
     about = pyramid[0][reference].centre
     lowest = float(centres_of(pyramid[0])[:, 2].min())
     if lowest <= searched[0]:

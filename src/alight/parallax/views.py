@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
 from alight.records import Pixels, View
 
+AT_ONCE = np.empty(0)
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
 GLANCE = 1e-6  # rad: rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
@@ -35,6 +36,7 @@ class Prepared:
     centre: F64  # (3,) metres
     r2_max: float  # largest ideal radius^2 inside the image: beyond it the lens polynomial folds back
     ratio: float  # pixels a cell spans
+    rolling: F64 = field(default_factory=lambda: AT_ONCE)  # as `rolling_of` gives it
 
 
 def rgb_of(image: Pixels) -> NDArray[np.uint8]:
@@ -96,7 +98,12 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
     grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
     H, b = ground_projection(camera, view.world_from_cam)
     norm = _normalised(grey, ratio)
-    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio)
+    return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio, rolling_of(view))
+
+
+def rolling_of(view: View) -> F64:
+    """(6,) way and turn of the camera while its rows were exposed; (0,): all at once."""
+    return AT_ONCE if view.rolling is None else view.rolling
 
 
 def _normalised(grey: F32, ratio: float) -> F32:
@@ -150,6 +157,17 @@ def centres_of(prepared: list[Prepared]) -> F64:
     return np.array([p.centre for p in prepared])
 
 
+def when_exposed(p: Prepared, grid: Grid, height: float) -> Prepared:
+    """The view with its centre where it was when the middle of a grid at `height` (metres) was exposed."""
+    if not p.rolling.size:
+        return p
+    x, y = (float(v.mean()) for v in grid.xy())
+    row = float(maps_at(p, np.array([x]), np.array([y]), np.full((1, 1), height, np.float32))[1][0, 0])
+    share = (row + 0.5) / p.camera.height - 0.5 if row >= 0 else 0.0
+    way = np.array([p.H[:, 0], p.H[:, 1], p.b]) @ p.rolling[:3]  # the columns of H and b are the world's axes
+    return replace(p, centre=p.centre + share * way)
+
+
 def maps(p: Prepared, grid: Grid, h: F32, buffers: Buffers | None = None) -> tuple[F32, F32]:
     """Pixel coordinates (R, C) of every cell at height `h` (eqs. 1 to 3)."""
     return maps_at(p, *grid.xy(), h, buffers)
@@ -159,18 +177,19 @@ def maps_at(p: Prepared, xs: F64, ys: F64, h: F32, buffers: Buffers | None = Non
     """Image coordinates for columns evenly spaced at `xs` and rows at any `ys`."""
     held = buffers or Buffers()
     out = held.get("mapx", h.shape), held.get("mapy", h.shape)
-    project_cells(p.camera, p.r2_max, p.H, p.b, xs, ys, h, out)
+    project_cells(p.camera, p.r2_max, p.H, p.b, xs, ys, h, out, p.rolling)
     return out
 
 
 def project_cells(
-    camera: Camera, r2_max: float, H: F64, b: F64, xs: F64, ys: F64, h: F32, out: tuple[F32, F32]
-) -> None:
+    camera: Camera, r2_max: float, H: F64, b: F64, xs: F64, ys: F64, h: F32, out: tuple[F32, F32],
+    rolling: F64 = AT_ONCE,
+) -> None:  # fmt: skip
     """Fill `out` with the pixel coordinates of cells at height `h`; -1 outside of the picture."""
     lens = np.array([camera.fu, camera.fv, camera.cu, camera.cv])
     project_grid(
         H, b, lens, camera.coefficients, camera.code, r2_max,
-        float(camera.width), float(camera.height), xs, ys, h, *out,
+        float(camera.width), float(camera.height), rolling, xs, ys, h, *out,
     )  # fmt: skip
 
 

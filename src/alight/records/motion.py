@@ -39,6 +39,7 @@ class Motion:
     offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
     why: str = ""  # it is not GOOD
     frame_id: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
+    rolling: F64 | None = None  # (6,) way [m] and turn [rad] of the camera, in its axes, from its first row to its last
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +71,8 @@ class View:
     cam: int  # index in the rig
     image: Pixels  # (H, W) grey or (H, W, 3) RGB
     camera: Camera
-    world_from_cam: Pose
+    world_from_cam: Pose  # when the middle row was exposed
+    rolling: F64 | None = None  # (6,) way [m] and turn [rad] of the camera, in its axes, from its first row to its last
 
     @property
     def centre(self) -> F64:
@@ -80,4 +82,5 @@ class View:
     @property
     def key(self) -> tuple[int, int, bytes]:
         """The same of all views of one image from one pose."""
-        return self.t_ns, self.cam, self.world_from_cam.matrix.tobytes()
+        rolling = b"" if self.rolling is None else self.rolling.tobytes()
+        return self.t_ns, self.cam, self.world_from_cam.matrix.tobytes() + rolling

@@ -14,6 +14,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
 from alight.jobs import InTurn, Jobs
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import (
     BundleObservations,
     Pair,
@@ -27,15 +28,13 @@ from alight.motion.bundle.matching import (
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
 from alight.motion.bundle.priors import corrected_priors, levelled, make_priors, observable_lens
-from alight.motion.bundle.resection import misplaced, resect, without_photos
+from alight.motion.bundle.resection import resect, without_photos
+from alight.motion.bundle.rounds import ROUNDS, coarse_rounds, one_round, retriangulate
 from alight.motion.bundle.solver import (
     Adjustment,
     BundleState,
     Priors,
-    intersection_angle,
-    project_points,
     residuals,
-    triangulate_bundle,
 )
 from alight.motion.bundle.summary import (
     LEAST_SEEN,
@@ -53,15 +52,11 @@ from alight.spread import robust_sigma
 
 log = logging.getLogger(__name__)
 
-_ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  # px: Cauchy scale, cut; of 1 px sigma
-_LENS_ROUND = 2  # from here on the lens is free: earlier it would take up the errors of the first poses
-_SET_ASIDE_ROUND = 2  # before it photos that lost most of their observations are set aside
 _LEAST_SIGMA = 0.3  # px; below it errors of features are correlated
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
 _LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
 _COARSE = 300  # observations a photo in all rounds but the last
-_MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +103,8 @@ def adjust(
     for n, matched in enumerate(match_pairs(priors.lenses, frames, features, wanted, settings, jobs), 1):
         pairs += matched
         tell(0.35 + 0.35 * n / len(frames))
-    solved = solve_bundle(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f))
+    seconds = np.array([f.t_ns * 1e-9 for f in frames])
+    solved = solve_bundle(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f), seconds)
     tell(1.0)
     return _result(frames, features, rig, priors, solved, settings)
 
@@ -119,8 +115,12 @@ def solve_bundle(
     priors: Priors,
     settings: BundleSettings,
     tell: Callable[[float], None] = lambda _: None,
+    seconds: F64 | None = None,
 ) -> Solved | None:
-    """First poses, then rounds of triangulation, selection and adjustment; None when no two photos are connected."""
+    """First poses, then rounds of triangulation, selection and adjustment; None when no two photos are connected.
+
+    `seconds` (n,) says when the photos were taken; None: rows count as exposed at once.
+    """
     first = first_poses(pairs, priors)
     if first is None:
         return None
@@ -128,17 +128,20 @@ def solve_bundle(
     priors = levelled(priors) if first.climbs else priors
     priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), photos)
     obs, _ = obs.keep(np.isin(obs.photo, photos))
-    state = BundleState(first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3))
+    state = BundleState(
+        first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3),
+        np.zeros_like(first.centres),
+    )  # fmt: skip
     few, most = select(obs, min(_COARSE, settings.observations)), select(obs, settings.observations)
-    state, aside = _coarse_rounds(state, few, priors, first.jumped, tell)
+    state, priors, aside = coarse_rounds(state, few, priors, first.jumped, tell, seconds)
     placed = np.empty(0, dtype=np.int64)
     if len(aside):
         state, priors, placed = resect(state, most, aside, priors)
         lost = np.setdiff1d(aside, placed)
         few, most, obs = (without_photos(o, lost)[0] for o in (few, most, obs))
         photos = np.setdiff1d(photos, lost)
-        state, _ = _round(state, few, priors, *_ROUNDS[-2])
-    state, used = _round(state, most, priors, *_ROUNDS[-1])
+        state, _ = one_round(state, few, priors, *ROUNDS[-2])
+    state, used = one_round(state, most, priors, *ROUNDS[-1])
     tell(0.85)
     sigma = max(_LEAST_SIGMA, robust_sigma(residuals(state, used, priors)))
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
@@ -149,36 +152,8 @@ def solve_bundle(
     fixed = fixed_attitudes(joint, len(priors.centres))
     registered = np.intersect1d(photos, np.flatnonzero((seen >= LEAST_SEEN) & fixed))
     free = priors.sigma_lens > 0
-    return Solved(state, registered, every, joint, sigma, first, placed, free)
-
-
-def _coarse_rounds(
-    state: BundleState, few: BundleObservations, priors: Priors, aside: I64, tell: Callable[[float], None]
-) -> tuple[BundleState, I64]:
-    """Coarse rounds without the photos that jumped; photos that prove misplaced are set aside, too."""
-    held = replace(priors, sigma_lens=np.zeros_like(priors.sigma_lens))
-    few = without_photos(few, aside)[0]
-    for k, (loss, cut) in enumerate(_ROUNDS[:-1]):
-        if k == _SET_ASIDE_ROUND:
-            more = misplaced(few, retriangulate(state, few, priors, cut, loss)[1], len(priors.centres))
-            if len(more):
-                aside, few = np.union1d(aside, more), without_photos(few, more)[0]
-                state, _ = _round(state, few, held, *_ROUNDS[k - 1])
-        state, _ = _round(state, few, priors if k >= _LENS_ROUND else held, loss, cut)
-        tell(0.15 * (k + 1))
-    return state, aside
-
-
-def _round(
-    state: BundleState, obs: BundleObservations, priors: Priors, loss: float, cut: float
-) -> tuple[BundleState, BundleObservations]:
-    """Triangulate, remove outliers, adjust; return the state and the observations used."""
-    state, used = retriangulate(state, obs, priors, cut, loss)
-    if len(used.photo):
-        state = Adjustment(used, priors, 1.0, loss).solve(state, 15, 1e-4)
-        left = float(np.median(np.abs(residuals(state, used, priors))))
-        log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
-    return state, used
+    free[priors.lenses.readout_numbers] = False
+    return Solved(state, registered, every, joint, sigma, first, placed, free, priors)
 
 
 def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
@@ -245,23 +220,6 @@ def select(obs: BundleObservations, cap: int) -> BundleObservations:
     return obs.keep(take[obs.point])[0]
 
 
-def retriangulate(
-    state: BundleState, obs: BundleObservations, priors: Priors, cut: float, scale: float
-) -> tuple[BundleState, BundleObservations]:
-    """Triangulate all tracks; remove observations with a residual above `cut` px and points with small angles."""
-    lenses = priors.lenses.moved(state.lens)
-    for _ in range(2):
-        points = triangulate_bundle(state.centres, state.rotations, lenses, obs, scale_px=scale)
-        state = replace(state, points=points)
-        pixels, in_cam = project_points(state, obs, lenses)
-        residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
-        wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
-        good = (in_cam[:, 2] > 0) & wide[obs.point]
-        obs, old = obs.keep(good & (residual < cut) if np.isfinite(cut) else good)
-        state = replace(state, points=points[old])
-    return state, obs
-
-
 def _result(
     frames: Sequence[Frame],
     features: Sequence[PhotoFeatures | None],
@@ -275,8 +233,7 @@ def _result(
             [None] * len(frames), rig, np.empty((0, 3)), [why_no_motion(features, priors)], {"registered": 0}
         )
     state, obs = solved.state, solved.observations
-    tagged = priors
-    priors = levelled(priors) if solved.first.climbs else priors
+    tagged, priors = priors, solved.priors
     lenses = priors.lenses.moved(state.lens)
     seen = np.bincount(obs.photo, minlength=len(frames))
     motions: list[Motion | None] = [None] * len(frames)
@@ -284,7 +241,14 @@ def _result(
         world_from_cam = Pose(state.rotations[i], state.centres[i])
         body = world_from_cam @ rig.cameras[lenses.of[i]].body_from_cam.inverse
         cams = tuple(world_from_cam if k == lenses.of[i] else body @ c.body_from_cam for k, c in enumerate(rig.cameras))
-        motions[i] = Motion(frames[i].t_ns, body, cams, solved.covariance[i], tracks=int(seen[i]))
+        motions[i] = Motion(
+            frames[i].t_ns,
+            body,
+            cams,
+            solved.covariance[i],
+            tracks=int(seen[i]),
+            rolling=_rolling(i, state, lenses, priors),
+        )
     refined = Rig(tuple(replace(c, camera=lens) for c, lens in zip(rig.cameras, lenses.cameras, strict=True)))
     use = np.isin(obs.photo, solved.registered)
     kept, old = obs.keep(use)
@@ -294,6 +258,13 @@ def _result(
     joint = joint_of([m for m in motions if m is not None], priors, solved)
     photos = outcomes_of(frames, features, motions, tagged, solved)
     return BundleResult(motions, refined, state.points[old], warnings, notes, photos, joint)
+
+
+def _rolling(photo: int, state: BundleState, lenses: PhotoLenses, priors: Priors) -> F64 | None:
+    """(6,) way in metres and turn of a photo's camera while it was read out, in its own axes; None: at once."""
+    readout = float(lenses.readout(np.array([photo]))[0])
+    way = state.rotations[photo].T @ priors.velocity[photo] * readout
+    return np.concatenate([way, state.turns[photo]]) if way.any() or state.turns[photo].any() else None
 
 
 def _climbing(priors: Priors, solved: Solved) -> list[str]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from alight.arrays import F64, I64
 from alight.geometry import Camera
+from alight.motion.bundle.rolling import row_time
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +19,7 @@ class PhotoLenses:
 
     cameras: tuple[Camera, ...]
     of: I64  # (n,) number of the camera of each photo
+    readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
 
     @classmethod
     def one(cls, camera: Camera, photos: int) -> PhotoLenses:
@@ -30,14 +32,27 @@ class PhotoLenses:
 
     @property
     def parts(self) -> list[slice]:
-        """Where the numbers of each camera stand among all lens numbers: scale aspect cu cv distortion..."""
-        ends = np.cumsum([0] + [4 + len(c.distortion) for c in self.cameras])
+        """Where the numbers of each camera stand among all lens numbers: scale aspect cu cv distortion... readout."""
+        ends = np.cumsum([0] + [5 + len(c.distortion) for c in self.cameras])
         return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
     def moved(self, lens: F64) -> PhotoLenses:
         """The cameras moved by lens offsets (k,) (eq. 3)."""
         moved = tuple(lens_camera(c, lens[part]) for c, part in zip(self.cameras, self.parts, strict=True))
-        return replace(self, cameras=moved)
+        return replace(self, cameras=moved, readouts=tuple(float(lens[part.stop - 1]) for part in self.parts))
+
+    @property
+    def readout_numbers(self) -> list[int]:
+        """Where the readouts stand among all lens numbers."""
+        return [part.stop - 1 for part in self.parts]
+
+    def readout(self, photo: I64) -> F64:
+        """(N,) seconds from the first row to the last of photos (N,)."""
+        return np.array(self.readouts or (0.0,) * len(self.cameras))[self.of[photo]]
+
+    def row_time(self, photo: I64, pixels: F64) -> F64:
+        """(N,) when pixels (N, 2) were exposed, in readouts from the middle of their photos."""
+        return row_time(pixels[:, 1], np.array([float(c.height) for c in self.cameras])[self.of[photo]])
 
     def project(self, photo: I64, points: F64) -> F64:
         """(N, 2) pixels of (N, 3) points in the optical frames of their photos (N,)."""
@@ -73,6 +88,6 @@ class PhotoLenses:
 def lens_camera(prior: Camera, lens: F64) -> Camera:
     """Return the prior camera moved by lens offsets (k,) (eq. 3)."""
     s, a, du, dv = lens[:4]
-    d = tuple(float(x) for x in np.add(prior.distortion, lens[4:])) if prior.distortion else ()
+    d = tuple(float(x) for x in np.add(prior.distortion, lens[4:-1])) if prior.distortion else ()
     fv = prior.fv * (1 + s)
     return replace(prior, fu=prior.fu * (1 + s) * (1 + a), fv=fv, cu=prior.cu + du, cv=prior.cv + dv, distortion=d)

@@ -11,6 +11,7 @@ from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.orientation import HALF_TURN
+from alight.motion.bundle.rolling import velocities
 from alight.motion.bundle.solver import Priors
 from alight.records import NavSample, Rig
 from alight.settings import BundleSettings
@@ -21,6 +22,8 @@ _SIGMA_LENS = {
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
 _SIGMA_FOCAL = 0.02  # relative, where it is free
+SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
+_SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms
 _LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
 
 
@@ -29,7 +32,8 @@ def make_priors(
 ) -> Priors:
     """Collect positions, attitudes and calibration; sigmas are those of the settings where a photo has none.
 
-    `cameras` (n,) says which camera of the rig took each photo; None: the first one. All sit alike in the body.
+    `cameras` (n,) says which camera of the rig took each photo; None: the first one. All sit alike in the body. Rows
+    count as exposed at once until `rolling_priors` says otherwise.
     """
     n = len(nav)
     centres, sigma = np.full((n, 3), np.nan), np.full((n, 3), settings.position_sigma)
@@ -55,17 +59,18 @@ def make_priors(
     found = [_lens(c.camera, settings) for c in rig.cameras]
     lenses, sigma_lens = PhotoLenses(tuple(c for c, _ in found), of), np.concatenate([s for _, s in found])
     return Priors(
-        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, lenses, sigma_lens
-    )
+        centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, lenses, sigma_lens,
+        np.zeros((n, 3)),
+    )  # fmt: skip
 
 
 def _lens(camera: Camera, settings: BundleSettings) -> tuple[Camera, F64]:
     """Return the initial camera and the sigmas of its numbers; a free lens without distortion gets a model."""
     if settings.lens == "free" and camera.model == "none":
         camera = replace(camera, model="radial-tangential", distortion=(0.0,) * 4)
-    sigma = np.zeros(4 + len(camera.distortion))
+    sigma = np.zeros(5 + len(camera.distortion))
     if settings.lens == "free":
-        sigma[:] = _SIGMA_LENS[camera.model][: len(sigma)]
+        sigma[:-1] = _SIGMA_LENS[camera.model][: len(sigma) - 1]
     sigma[0] = _SIGMA_FOCAL if settings.focal == "free" else 0.0
     return camera, sigma
 
@@ -93,7 +98,35 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
         if (priors.lenses.of[photos] == k).sum() < _LENS_PHOTOS:
             its = sigma[part]  # a view
             decentring = its[6:8].copy()
-            its[4:] = 0.0
+            its[4:-1] = 0.0
             if camera.model == "radial-tangential":
                 its[6:8] = decentring
     return replace(priors, sigma_lens=sigma)
+
+
+def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
+    """Let rows be exposed one after the other: the readout free where velocities are known.
+
+    Args:
+        priors: of all photos.
+        centres: (n, 3) metres, as adjusted so far.
+        seconds: (n,) when each photo was taken.
+    """
+    velocity = velocities(centres, seconds, priors.lenses.of)
+    sigma = priors.sigma_lens.copy()
+    for k, number in enumerate(priors.lenses.readout_numbers):
+        known = velocity[priors.lenses.of == k].any(axis=1)
+        sigma[number] = _SIGMA_READOUT if known.sum() >= _LENS_PHOTOS else 0.0
+    return replace(priors, sigma_lens=sigma, velocity=velocity)
+
+
+def turning_priors(priors: Priors, readouts: tuple[float, ...]) -> Priors:
+    """Let the photos turn while they are read out, and hold the readouts (s, of each camera)."""
+    return replace(at_once(priors), sigma_turn=SIGMA_RATE * max(abs(r) for r in readouts))
+
+
+def at_once(priors: Priors) -> Priors:
+    """Hold the readouts, and let nothing turn meanwhile."""
+    sigma = priors.sigma_lens.copy()
+    sigma[priors.lenses.readout_numbers] = 0.0
+    return replace(priors, sigma_lens=sigma, sigma_turn=0.0)

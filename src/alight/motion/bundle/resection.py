@@ -39,7 +39,7 @@ def resect(state: BundleState, obs: BundleObservations, photos: I64, priors: Pri
     others, old = without_photos(obs, photos)
     lenses = priors.lenses.moved(state.lens)
     points = np.full((obs.points, 3), np.nan)
-    points[old] = triangulate_bundle(state.centres, state.rotations, lenses, others)
+    points[old] = triangulate_bundle(state, lenses, priors.velocity, others)
     centres, rotations, placed = state.centres.copy(), state.rotations.copy(), []
     for i in photos:
         rows = (obs.photo == i) & np.isfinite(points[obs.point]).all(axis=1)

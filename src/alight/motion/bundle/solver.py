@@ -39,7 +39,9 @@ class Priors:
     body_from_cam: F64  # (3, 3)
     sigma_mounting: float  # rad; 0 holds it
     lenses: PhotoLenses
-    sigma_lens: F64  # (k,) of scale, aspect, cu, cv, distortion... of each camera in turn; 0 holds one
+    sigma_lens: F64  # (k,) of scale, aspect, cu, cv, distortion..., readout of each camera in turn; 0 holds one
+    velocity: F64  # (n, 3) m/s when the photos were taken; 0: not known
+    sigma_turn: float = 0.0  # rad, by which a photo may turn while it is read out; 0: rows are exposed at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +53,29 @@ class BundleState:
     points: F64  # (m, 3) metres
     lens: F64  # (k,) offsets from the prior cameras, one after the other: scale and aspect relative, px, coefficients
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
+    turns: F64  # (n, 3) rotation vector in the camera, from the first row's exposure to the last one's
+
+    def exposed(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64, F64]:
+        """Rotation (N, 3, 3) and centre (N, 3) when each observed row was exposed, and when, in readouts (eq. 10)."""
+        R, C = self.rotations[obs.photo], self.centres[obs.photo]
+        t = lenses.row_time(obs.photo, obs.pixels)
+        if any(lenses.readouts):
+            C = C + velocity[obs.photo] * (lenses.readout(obs.photo) * t)[:, None]
+        if self.turns.any():
+            R = R @ so3_exp(self.turns[obs.photo] * t[:, None])
+        return R, C, t
 
 
-def project_points(state: BundleState, obs: BundleObservations, lenses: PhotoLenses) -> tuple[F64, F64]:
+def project_points(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64]:
     """Return (N, 2) predicted pixels and (N, 3) points in the cameras' frames (eq. 1)."""
-    p = in_camera(state.rotations[obs.photo], state.centres[obs.photo], _CAMERA, state.points[obs.point])
+    R, C, _ = state.exposed(obs, lenses, velocity)
+    p = in_camera(R, C, _CAMERA, state.points[obs.point])
     return lenses.project(obs.photo, p), p
 
 
 def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
     """Return (N, 2) pixels, predicted less observed; a point behind the camera has a large residual."""
-    r = project_points(state, obs, priors.lenses.moved(state.lens))[0] - obs.pixels
+    r = project_points(state, obs, priors.lenses.moved(state.lens), priors.velocity)[0] - obs.pixels
     return np.nan_to_num(np.clip(r, -1e4, 1e4), nan=1e4)
 
 
@@ -84,6 +98,8 @@ def prior_cost(state: BundleState, priors: Priors) -> float:
     cost += huber(((a / priors.sigma_rotation[who]) ** 2).sum(axis=1), _PRIOR_LOSS)[1]
     free = priors.sigma_lens > 0
     cost += float(((state.lens[free] / priors.sigma_lens[free]) ** 2).sum())
+    if priors.sigma_turn > 0:
+        cost += float(((state.turns / priors.sigma_turn) ** 2).sum())
     return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
 
 
@@ -94,10 +110,13 @@ def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixe
 
 
 def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> tuple[F64, F64, F64, F64]:
-    """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2)."""
+    """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2).
+
+    A photo that may turn while it is read out has three unknowns more, (N, 2, 9) (eq. 11).
+    """
     lenses = priors.lenses.moved(state.lens)
     x = state.points[obs.point]
-    R, C = state.rotations[obs.photo], state.centres[obs.photo]
+    R, C, t = state.exposed(obs, lenses, priors.velocity)
     p = in_camera(R, C, _CAMERA, x)
     xy = p[:, :2] / np.maximum(p[:, 2:], MIN_DEPTH)
     by_pose, by_point = jacobians(R, C, _CAMERA, x)
@@ -112,10 +131,13 @@ def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> t
     )
     lens = by_xy * f[:, :, None]  # pixels by normalised coordinates
     pose, point = lens @ by_pose[:, :, POSITION_FIRST], lens @ by_point
-    return residuals(state, obs, priors), pose, point, _by_lens(state, xy, obs.photo, priors)
+    by_readout = np.einsum("nki,ni->nk", point, -priors.velocity[obs.photo] * t[:, None])
+    if priors.sigma_turn > 0:
+        pose = np.concatenate([pose, pose[:, :, 3:] @ (state.rotations[obs.photo] * t[:, None, None])], axis=2)
+    return residuals(state, obs, priors), pose, point, _by_lens(state, xy, obs.photo, priors, by_readout)
 
 
-def _by_lens(state: BundleState, xy: F64, photo: NDArray[np.int64], priors: Priors) -> F64:
+def _by_lens(state: BundleState, xy: F64, photo: NDArray[np.int64], priors: Priors, by_readout: F64) -> F64:
     """Return the (N, 2, k) derivative of pixels at normalised coordinates by the free lens numbers."""
     columns = []
     for c, camera, rows in priors.lenses.by_camera(photo):
@@ -123,10 +145,13 @@ def _by_lens(state: BundleState, xy: F64, photo: NDArray[np.int64], priors: Prio
         for k in np.flatnonzero(priors.sigma_lens[part] > 0):
             step = np.zeros(part.stop - part.start)
             step[k] = 1e-5
-            ends = (lens_camera(camera, state.lens[part] + s * step) for s in (1, -1))
-            plus, minus = (e.distort(at) * [e.fu, e.fv] + [e.cu, e.cv] for e in ends)
             column = np.zeros((len(xy), 2))
-            column[rows] = (plus - minus) / 2e-5
+            if k == len(step) - 1:
+                column[rows] = by_readout[rows]
+            else:
+                ends = (lens_camera(camera, state.lens[part] + s * step) for s in (1, -1))
+                plus, minus = (e.distort(at) * [e.fu, e.fv] + [e.cu, e.cv] for e in ends)
+                column[rows] = (plus - minus) / 2e-5
             columns.append(column)
     return np.stack(columns, axis=2) if columns else np.zeros((len(xy), 2, 0))
 
@@ -139,7 +164,8 @@ class Adjustment:
         self.photos = len(priors.centres)
         self.free = np.flatnonzero(priors.sigma_lens > 0)
         self.mounted = priors.sigma_mounting > 0
-        self.size = 6 * self.photos + len(self.free) + 3 * self.mounted
+        self.each = 9 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turn
+        self.size = self.each * self.photos + len(self.free) + 3 * self.mounted
         self._starts = np.append(obs.starts, len(obs.point))
 
     def cost(self, state: BundleState) -> float:
@@ -148,7 +174,7 @@ class Adjustment:
 
     def linearise(self, state: BundleState) -> None:
         """Build the blocks of the normal equations (eq. 7)."""
-        obs, n6 = self.obs, 6 * self.photos
+        obs, each, n6 = self.obs, self.each, self.each * self.photos
         r, A, B, L = _jacobians(state, obs, self.priors)
         w = np.sqrt(cauchy((r**2).sum(axis=1) / self.pixel_sigma**2, self.loss)[0]) / self.pixel_sigma
         r, A, B, L = r * w[:, None], A * w[:, None, None], B * w[:, None, None], L * w[:, None, None]
@@ -156,7 +182,7 @@ class Adjustment:
         AT = np.swapaxes(A, 1, 2)
         pose = _sum_by(obs.photo, AT @ A, self.photos)
         for i in range(self.photos):
-            U[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] += pose[i]
+            U[each * i : each * (i + 1), each * i : each * (i + 1)] += pose[i]
         b[:n6] -= _sum_by(obs.photo, np.einsum("nki,nk->ni", A, r), self.photos).ravel()
         lens = slice(n6, n6 + len(self.free))
         cross = _sum_by(obs.photo, AT @ L, self.photos).reshape(n6, -1)
@@ -174,7 +200,7 @@ class Adjustment:
         U, b = np.zeros((self.size, self.size)), np.zeros(self.size)
         g = np.nan_to_num((state.centres - pr.centres) / pr.sigma_centres)
         w = huber((g**2).sum(axis=1), _PRIOR_LOSS)[0][:, None] * np.isfinite(pr.centres) / pr.sigma_centres**2
-        at = 6 * np.arange(n)[:, None] + np.arange(3)
+        at = self.each * np.arange(n)[:, None] + np.arange(3)
         U[at, at] += w
         b[at] -= w * np.nan_to_num(state.centres - pr.centres)
         who, r, by_mounting = _attitude(state, pr)
@@ -183,7 +209,10 @@ class Adjustment:
         rows = at[who] + 3
         U[rows, rows] += w
         b[rows] -= w * r
-        k = np.arange(len(self.free)) + 6 * n
+        if pr.sigma_turn > 0:
+            U[at + 6, at + 6] += pr.sigma_turn**-2
+            b[at + 6] -= state.turns / pr.sigma_turn**2
+        k = np.arange(len(self.free)) + self.each * n
         U[k, k] += 1.0 / pr.sigma_lens[self.free] ** 2
         b[k] -= state.lens[self.free] / pr.sigma_lens[self.free] ** 2
         if self.mounted:
@@ -198,7 +227,7 @@ class Adjustment:
     def reduce(self, damping: float) -> tuple[F64, F64, EliminatedPoints]:
         """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,), and the eliminated points."""
         points = eliminate_points(self._starts, *self.rows, _POINT_PRIOR, damping)
-        n6, k, m = 6 * self.photos, len(self.free), len(points.root)
+        n6, k, m = self.each * self.photos, len(self.free), len(points.root)
         pose = np.ascontiguousarray(np.swapaxes(points.coupling, 1, 2))
         GT = sparse.bsr_array((pose, self.obs.photo, self._starts), shape=(3 * m, n6))
         lens = np.swapaxes(self.lens_coupling @ points.root, 1, 2).reshape(3 * m, k)
@@ -218,17 +247,18 @@ class Adjustment:
         """Return the state after one damped step."""
         S, rhs, points = self.reduce(damping)
         x = solved_steps(S + 1e-12 * np.eye(len(S)), rhs)
-        n6, k = 6 * self.photos, len(self.free)
-        pose, lens, mount = x[:n6].reshape(-1, 6), x[n6 : n6 + k], x[n6 + k :]
+        n6, k = self.each * self.photos, len(self.free)
+        pose, lens, mount = x[:n6].reshape(-1, self.each), x[n6 : n6 + k], x[n6 + k :]
         predicted = np.einsum("nki,ni->nk", self.rows[1], pose[self.obs.photo]) + self.by_lens @ lens
         offsets = state.lens.copy()
         offsets[self.free] += lens
         return BundleState(
             state.centres + pose[:, :3],
-            so3_exp(pose[:, 3:]) @ state.rotations,
+            so3_exp(pose[:, 3:6]) @ state.rotations,
             state.points + points.point_step(predicted),
             offsets,
             state.mounting + mount if self.mounted else state.mounting,
+            state.turns + pose[:, 6:] if self.each > 6 else state.turns,
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:
@@ -256,13 +286,15 @@ class Adjustment:
     def covariance(self, state: BundleState) -> F64:
         """Return (6 n + k, 6 n + k) of poses (position, rotation) and free lens numbers (eq. 9).
 
-        Mounting and points are marginalised.
+        Mounting, points, turns and readouts are marginalised.
         """
         self.linearise(state)
         S = self.reduce(0.0)[0]
         C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
-        stop = 6 * self.photos + len(self.free)
-        return np.asarray(C[:stop, :stop])
+        poses = (self.each * np.arange(self.photos)[:, None] + np.arange(6)).ravel()
+        lens = self.each * self.photos + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
+        of = np.concatenate([poses, lens])
+        return np.asarray(C[np.ix_(of, of)])
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
@@ -291,12 +323,18 @@ def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:
 
 
 def triangulate_bundle(
-    centres: F64, rotations: F64, lenses: PhotoLenses, obs: BundleObservations, rounds: int = 4, scale_px: float = 3.0
+    state: BundleState,
+    lenses: PhotoLenses,
+    velocity: F64,
+    obs: BundleObservations,
+    rounds: int = 4,
+    scale_px: float = 3.0,
 ) -> F64:
     """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights."""
     ray = lenses.rays(obs.photo, obs.pixels)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    ray, C = np.einsum("nij,nj->ni", rotations[obs.photo], ray), centres[obs.photo]
+    R, C, _ = state.exposed(obs, lenses, velocity)
+    ray = np.einsum("nij,nj->ni", R, ray)
     starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))
     points, focal = np.empty((obs.points, 3)), lenses.focal(obs.photo)[:, 0]
     for _ in range(rounds):

@@ -44,7 +44,8 @@ class Solved:
     pixel_sigma: float
     first: FirstPoses
     placed: I64  # photos whose GPS was ignored and which were placed by resection
-    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...
+    free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are not told
+    priors: Priors  # as the images corrected them
 
     @property
     def covariance(self) -> F64:
@@ -173,6 +174,8 @@ def notes_of(
         "lens_free": _free_names(solved.free, priors),
         "principal_point_px": [float(camera.cu), float(camera.cv)],
         "distortion": [float(d) for d in camera.distortion],
+        "readout_ms": [1000 * r for r in priors.lenses.moved(state.lens).readouts],
+        "turn_while_read_mrad": float(1000 * np.median(np.linalg.norm(state.turns[solved.registered], axis=1))),
         "mounting": [float(m) for m in state.mounting],
         "gps_rms": [float(g) for g in np.sqrt((gps**2).mean(axis=0))],
         "sigma_position": [float(s) for s in np.median(sigma[:, :3], axis=0)],
@@ -187,6 +190,6 @@ def _free_names(free: NDArray[np.bool_], priors: Priors) -> list[str]:
     out = []
     for c, part in enumerate(priors.lenses.parts):
         of = f"camera {c + 1}: " if len(priors.lenses.cameras) > 1 else ""
-        names = ("focal", "aspect", "cu", "cv", *(f"distortion {k + 1}" for k in range(part.stop - part.start - 4)))
-        out += [of + name for name, is_free in zip(names, free[part], strict=True) if is_free]
+        names = ("focal", "aspect", "cu", "cv", *(f"distortion {k + 1}" for k in range(part.stop - part.start - 5)))
+        out += [of + name for name, is_free in zip(names, free[part][:-1], strict=True) if is_free]
     return out

@@ -85,7 +85,8 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
         motion = k.motion if newer is None else newer.get(k.frame.t_ns, k.motion)
         for i, image in enumerate(k.frame.images):
             if motion is not None and image is not None:
-                out.append(View(k.frame.t_ns, i, image, rig.cameras[i].camera, motion.world_from_cams[i]))
+                at = motion.world_from_cams[i]
+                out.append(View(k.frame.t_ns, i, image, rig.cameras[i].camera, at, motion.rolling))
     return out
 
 

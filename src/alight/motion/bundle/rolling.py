@@ -1,0 +1,54 @@
+"""Rolling shutter: the rows of a photo are exposed one after the other, and the camera moves on meanwhile.
+
+Over the readout a camera moves by its velocity times the readout and turns by a small angle. The readout is one number
+of each camera, the turn three of each photo (eqs. 10 and 11 in docs/method/bundle.md). Cheap drones read a picture in
+20 to 160 ms: 0.2 to 2 m of flight.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.arrays import F64, I64
+
+LONGEST = 60.0  # s between two photos that tell the velocity of one of them
+SAME_WAY = 0.8  # cosine between the ways from the photo before and to the next, where both tell
+LEAST_WAY = 1.0  # m between them
+
+
+def row_time(rows: F64, height: F64 | float) -> F64:
+    """When pixel rows are exposed, -0.5 at the first to 0.5 at the last, in readouts from the middle of the photo."""
+    return np.asarray((rows + 0.5) / height - 0.5)
+
+
+def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
+    """(n, 3) m/s at every photo, from where and when the photos before and after it were taken; 0 where nothing tells.
+
+    Of two ways that lead elsewhere, at the end of a strip, the quicker one tells: turns take time.
+
+    Args:
+        centres: (n, 3) metres.
+        seconds: (n,) when each photo was taken; NaN: not known.
+        camera: (n,) which camera took each: photos of one are compared.
+    """
+    out = np.zeros_like(centres)
+    for one in np.unique(camera):
+        who = np.flatnonzero((camera == one) & np.isfinite(seconds))
+        who = who[np.argsort(seconds[who], kind="stable")]
+        way, time = np.diff(centres[who], axis=0), np.diff(seconds[who])
+        good = (time > 0) & (time <= LONGEST) & (np.linalg.norm(way, axis=1) > LEAST_WAY)
+        for k, i in enumerate(who):
+            out[i] = _between(k - 1, k, way, time, good)
+    return out
+
+
+def _between(before: int, after: int, way: F64, time: F64, good: np.ndarray) -> F64:
+    """The velocity at the photo between two ways."""
+    told = [k for k in (before, after) if 0 <= k < len(good) and good[k]]
+    speed = [way[k] / time[k] for k in told]
+    if len(told) == 2:
+        a, b = (v / np.linalg.norm(v) for v in speed)
+        if float(a @ b) > SAME_WAY:
+            return np.asarray((way[told[0]] + way[told[1]]) / (time[told[0]] + time[told[1]]))
+        return np.asarray(speed[int(np.argmax([np.linalg.norm(v) for v in speed]))])
+    return np.asarray(speed[0]) if speed else np.zeros(3)
