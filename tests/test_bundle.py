@@ -22,6 +22,7 @@ from alight.motion.bundle.matching import (
     tracks,
     verify,
 )
+from alight.motion.bundle.points import confirmed
 from alight.motion.bundle.priors import make_priors, rolling_priors
 from alight.motion.bundle.rolling import velocities
 from alight.motion.bundle.solver import (
@@ -473,3 +474,17 @@ def test_velocity_is_told_by_the_photos_of_the_same_strip() -> None:
     np.testing.assert_allclose(velocities(centres, 100 * seconds, one), 0)
     np.testing.assert_allclose(velocities(centres, seconds, np.arange(6)), 0)
     np.testing.assert_allclose(velocities(centres, np.full(6, np.nan), one), 0)
+
+
+def test_points_of_two_photos_count_only_beside_surer_ones() -> None:
+    """A hundred wrong matches of two photos, all 30 m above the ground, say nothing; with few sure points all count."""
+    rng = np.random.default_rng(4)
+    ground = np.c_[rng.uniform(0, 100, (400, 2)), rng.normal(0, 1, 400)]
+    wrong = np.c_[rng.uniform(40, 44, (100, 2)), rng.normal(30, 1, 100)]
+    tree = np.array([[50.0, 50.0, 7.0]])
+    points, photos = np.concatenate([ground, wrong, tree]), np.r_[np.tile([2, 3], 200), np.full(101, 2)]
+    kept = confirmed(points, photos, 100.0)
+    assert kept[:400].all()
+    assert not kept[400:500].any()
+    assert kept[500]
+    assert confirmed(points[200:], photos[200:] // 2 + 1, 100.0).all()

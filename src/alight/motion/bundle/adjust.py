@@ -27,6 +27,7 @@ from alight.motion.bundle.matching import (
     tracks,
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
+from alight.motion.bundle.points import confirmed
 from alight.motion.bundle.priors import corrected_priors, levelled, make_priors, observable_lens
 from alight.motion.bundle.resection import resect, without_photos
 from alight.motion.bundle.rounds import ROUNDS, coarse_rounds, one_round, retriangulate
@@ -65,7 +66,7 @@ class BundleResult:
 
     motions: list[Motion | None]  # one a frame; None: the photo could not be registered, a warning says why
     rig: Rig  # the lens as refined; mounting as given
-    points_world: F64  # (N, 3) metres
+    points_world: F64  # (N, 3) metres, those that say how high the ground is
     warnings: list[str]
     notes: dict[str, object]
     photos: tuple[PhotoOutcome, ...] = ()  # what became of the tags of each
@@ -257,7 +258,10 @@ def _result(
     notes = notes_of(replace(state, points=state.points[old]), kept, priors, solved, settings)
     joint = joint_of([m for m in motions if m is not None], priors, solved)
     photos = outcomes_of(frames, features, motions, tagged, solved)
-    return BundleResult(motions, refined, state.points[old], warnings, notes, photos, joint)
+    points = state.points[old]
+    above = float(np.median(state.centres[solved.registered, 2]) - np.median(points[:, 2])) if len(points) else 0.0
+    points = points[confirmed(points, np.bincount(kept.point), above)]
+    return BundleResult(motions, refined, points, warnings, notes, photos, joint)
 
 
 def _rolling(photo: int, state: BundleState, lenses: PhotoLenses, priors: Priors) -> F64 | None:
