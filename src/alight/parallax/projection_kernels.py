@@ -8,6 +8,7 @@ from alight.compiled import kernel, parallel_kernel, pixelwise, prange
 ZERO, HALF, ONE, TWO = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2)
 NEAR = np.float32(1e-3)  # metres before the camera
 ROLLS = 3  # times that the row is looked up: each leaves a tenth of the error or less
+TWELFTH = np.float32(1 / 12)
 OUTSIDE = np.float32(-1e4)  # map coordinate of a cell that a camera cannot see; remap fills the border value there
 
 
@@ -22,16 +23,16 @@ def _ideal_row(p: F32, step: F32, b: F32, h: F32, x: F32, y: F32, z: F32) -> Non
 
 
 @kernel
-def _roll_row(rolling: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32) -> None:
+def _roll_row(r: F32, height: np.float32, mapy: F32, ideal: F32, x: F32, y: F32) -> None:
     """Bring ideal coordinates to the exposure of their pixel row: the camera has moved and turned since (eq. 4b)."""
     for c in range(x.size):
         u, v, inverse = ideal[0, c], ideal[1, c], ONE / ideal[2, c]
         t = (mapy[c] + HALF) / height - HALF
         t = t if (t > -ONE) & (t < ONE) else ZERO
-        du = rolling[0] * inverse + rolling[4] - rolling[5] * v
-        dv = rolling[1] * inverse + rolling[5] * u - rolling[3]
-        dz = ONE / (ONE - t * (rolling[2] * inverse + rolling[3] * v - rolling[4] * u))
-        x[c], y[c] = (u - t * du) * dz, (v - t * dv) * dz
+        way, bent = t * inverse, t * t - TWELFTH
+        wx, wy, wz = t * r[3] + bent * r[6], t * r[4] + bent * r[7], t * r[5] + bent * r[8]
+        scale = ONE / (ONE - r[2] * way - wx * v + wy * u)
+        x[c], y[c] = (u - r[0] * way - wy + wz * v) * scale, (v - r[1] * way - wz * u + wx) * scale
 
 
 @pixelwise
@@ -102,7 +103,7 @@ def project_grid(
 
     Row by row in short loops without branches, which the compiler turns into vector code: 8 times faster than one loop.
     Where a row begins is computed in double precision, its cells in single: 0.0001 px of 1000. `rolling`: way (metres)
-    and turn (rad) of the camera from the first row to the last (6,), or nothing (0,).
+    and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
     """
     rows, cols = h.shape
     b32, k32, limit = b.astype(np.float32), k.astype(np.float32), np.float32(r2_max)

@@ -102,7 +102,7 @@ def prepare_view(view: View, cell: float, height: float) -> Prepared:
 
 
 def rolling_of(view: View) -> F64:
-    """(6,) way and turn of the camera while its rows were exposed; (0,): all at once."""
+    """(9,) way and turns of the camera while its rows were exposed; (0,): all at once."""
     return AT_ONCE if view.rolling is None else view.rolling
 
 

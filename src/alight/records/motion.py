@@ -39,7 +39,9 @@ class Motion:
     offset_world: F64 | None = None  # (3,) m to add to the positions for the best guess of where the world has them
     why: str = ""  # it is not GOOD
     frame_id: int = 0  # poses of one number belong together; a new one after the estimator had to start anew
-    rolling: F64 | None = None  # (6,) way [m] and turn [rad] of the camera, in its axes, from its first row to its last
+    rolling: F64 | None = (
+        None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,9 @@ class View:
     image: Pixels  # (H, W) grey or (H, W, 3) RGB
     camera: Camera
     world_from_cam: Pose  # when the middle row was exposed
-    rolling: F64 | None = None  # (6,) way [m] and turn [rad] of the camera, in its axes, from its first row to its last
+    rolling: F64 | None = (
+        None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
+    )
 
     @property
     def centre(self) -> F64:

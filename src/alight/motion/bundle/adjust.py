@@ -131,7 +131,7 @@ def solve_bundle(
     obs, _ = obs.keep(np.isin(obs.photo, photos))
     state = BundleState(
         first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3),
-        np.zeros_like(first.centres),
+        np.zeros((len(first.centres), 2, 3)),
     )  # fmt: skip
     few, most = select(obs, min(_COARSE, settings.observations)), select(obs, settings.observations)
     state, priors, aside = coarse_rounds(state, few, priors, first.jumped, tell, seconds)
@@ -265,10 +265,10 @@ def _result(
 
 
 def _rolling(photo: int, state: BundleState, lenses: PhotoLenses, priors: Priors) -> F64 | None:
-    """(6,) way in metres and turn of a photo's camera while it was read out, in its own axes; None: at once."""
+    """(9,) way in metres and turns of a photo's camera while it was read out, in its own axes; None: at once."""
     readout = float(lenses.readout(np.array([photo]))[0])
     way = state.rotations[photo].T @ priors.velocity[photo] * readout
-    return np.concatenate([way, state.turns[photo]]) if way.any() or state.turns[photo].any() else None
+    return np.concatenate([way, *state.turns[photo]]) if way.any() or state.turns[photo].any() else None
 
 
 def _climbing(priors: Priors, solved: Solved) -> list[str]:

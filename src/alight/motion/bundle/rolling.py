@@ -1,7 +1,7 @@
 """Rolling shutter: the rows of a photo are exposed one after the other, and the camera moves on meanwhile.
 
 Over the readout a camera moves by its velocity times the readout and turns by a small angle. The readout is one number
-of each camera, the turn three of each photo (eqs. 10 and 11 in docs/method/bundle.md). Cheap drones read a picture in
+of each camera, the turn six of each photo (eqs. 10 and 11 in docs/method/bundle.md). Cheap drones read a picture in
 20 to 160 ms: 0.2 to 2 m of flight.
 """
 
@@ -19,6 +19,11 @@ LEAST_WAY = 1.0  # m between them
 def row_time(rows: F64, height: F64 | float) -> F64:
     """When pixel rows are exposed, -0.5 at the first to 0.5 at the last, in readouts from the middle of the photo."""
     return np.asarray((rows + 0.5) / height - 0.5)
+
+
+def turning(t: F64) -> F64:
+    """(N, 2) what the even turn and the bent one of a photo count for at times `t` (N,) of `row_time` (eq. 10)."""
+    return np.stack([t, t**2 - 1.0 / 12.0], axis=1)
 
 
 def velocities(centres: F64, seconds: F64, camera: I64) -> F64:

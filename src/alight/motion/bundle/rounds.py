@@ -29,7 +29,7 @@ ROUNDS = ((100.0, np.inf), (20.0, 100.0), (5.0, 25.0), (2.0, 8.0), (2.0, 4.0))  
 _LENS_ROUND = 2  # from here on the lens is free: earlier it would take up the errors of the first poses
 _ROLLS = 1.0  # px from the first row to the last, median of the photos: below it rows count as exposed at once
 _MIN_ANGLE = np.radians(1.0)  # least angle between the rays of a point
-_GAIN = 12.0  # of cost, a photo, for its three numbers of turning
+_GAIN = 25.0  # of cost, a photo, for its six numbers of turning
 
 
 def coarse_rounds(

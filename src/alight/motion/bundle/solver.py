@@ -17,6 +17,7 @@ from alight.arrays import F64
 from alight.geometry import Pose, so3_exp, so3_log
 from alight.motion.bundle.lenses import PhotoLenses, lens_camera
 from alight.motion.bundle.matching import BundleObservations
+from alight.motion.bundle.rolling import turning
 from alight.motion.elimination import EliminatedPoints, eliminate_points, sum_by_point
 from alight.motion.projection import MIN_DEPTH, POSITION_FIRST, in_camera, jacobians
 from alight.motion.robust import cauchy, huber
@@ -53,7 +54,7 @@ class BundleState:
     points: F64  # (m, 3) metres
     lens: F64  # (k,) offsets from the prior cameras, one after the other: scale and aspect relative, px, coefficients
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
-    turns: F64  # (n, 3) rotation vector in the camera, from the first row's exposure to the last one's
+    turns: F64  # (n, 2, 3) rotation vectors in the camera while its rows are exposed: even, and bent in time
 
     def exposed(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64, F64]:
         """Rotation (N, 3, 3) and centre (N, 3) when each observed row was exposed, and when, in readouts (eq. 10)."""
@@ -62,7 +63,7 @@ class BundleState:
         if any(lenses.readouts):
             C = C + velocity[obs.photo] * (lenses.readout(obs.photo) * t)[:, None]
         if self.turns.any():
-            R = R @ so3_exp(self.turns[obs.photo] * t[:, None])
+            R = R @ so3_exp(np.einsum("nk,nki->ni", turning(t), self.turns[obs.photo]))
         return R, C, t
 
 
@@ -112,7 +113,7 @@ def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixe
 def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> tuple[F64, F64, F64, F64]:
     """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2).
 
-    A photo that may turn while it is read out has three unknowns more, (N, 2, 9) (eq. 11).
+    A photo that may turn while it is read out has six unknowns more, (N, 2, 12) (eq. 11).
     """
     lenses = priors.lenses.moved(state.lens)
     x = state.points[obs.point]
@@ -133,7 +134,8 @@ def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> t
     pose, point = lens @ by_pose[:, :, POSITION_FIRST], lens @ by_point
     by_readout = np.einsum("nki,ni->nk", point, -priors.velocity[obs.photo] * t[:, None])
     if priors.sigma_turn > 0:
-        pose = np.concatenate([pose, pose[:, :, 3:] @ (state.rotations[obs.photo] * t[:, None, None])], axis=2)
+        by_turn = pose[:, :, 3:] @ state.rotations[obs.photo]
+        pose = np.concatenate([pose, *(by_turn * of[:, None, None] for of in turning(t).T)], axis=2)
     return residuals(state, obs, priors), pose, point, _by_lens(state, xy, obs.photo, priors, by_readout)
 
 
@@ -164,7 +166,7 @@ class Adjustment:
         self.photos = len(priors.centres)
         self.free = np.flatnonzero(priors.sigma_lens > 0)
         self.mounted = priors.sigma_mounting > 0
-        self.each = 9 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turn
+        self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turns
         self.size = self.each * self.photos + len(self.free) + 3 * self.mounted
         self._starts = np.append(obs.starts, len(obs.point))
 
@@ -210,8 +212,9 @@ class Adjustment:
         U[rows, rows] += w
         b[rows] -= w * r
         if pr.sigma_turn > 0:
-            U[at + 6, at + 6] += pr.sigma_turn**-2
-            b[at + 6] -= state.turns / pr.sigma_turn**2
+            turns = self.each * np.arange(n)[:, None] + np.arange(6, 12)
+            U[turns, turns] += pr.sigma_turn**-2
+            b[turns] -= state.turns.reshape(n, 6) / pr.sigma_turn**2
         k = np.arange(len(self.free)) + self.each * n
         U[k, k] += 1.0 / pr.sigma_lens[self.free] ** 2
         b[k] -= state.lens[self.free] / pr.sigma_lens[self.free] ** 2
@@ -258,7 +261,7 @@ class Adjustment:
             state.points + points.point_step(predicted),
             offsets,
             state.mounting + mount if self.mounted else state.mounting,
-            state.turns + pose[:, 6:] if self.each > 6 else state.turns,
+            state.turns + pose[:, 6:].reshape(-1, 2, 3) if self.each > 6 else state.turns,
         )
 
     def solve(self, state: BundleState, iterations: int, tolerance: float = 1e-7) -> BundleState:

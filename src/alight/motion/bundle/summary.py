@@ -175,7 +175,7 @@ def notes_of(
         "principal_point_px": [float(camera.cu), float(camera.cv)],
         "distortion": [float(d) for d in camera.distortion],
         "readout_ms": [1000 * r for r in priors.lenses.moved(state.lens).readouts],
-        "turn_while_read_mrad": float(1000 * np.median(np.linalg.norm(state.turns[solved.registered], axis=1))),
+        "turn_while_read_mrad": float(1000 * np.median(np.linalg.norm(state.turns[solved.registered, 0], axis=1))),
         "mounting": [float(m) for m in state.mounting],
         "gps_rms": [float(g) for g in np.sqrt((gps**2).mean(axis=0))],
         "sigma_position": [float(s) for s in np.median(sigma[:, :3], axis=0)],
