@@ -238,7 +238,29 @@ def test_a_candidate_that_stays_one_is_not_landed_on() -> None:
     f = Flight(Ground({(10.0, 5.0): lambda h: 0.8}), Executive(settings()))
     assert f.fly() is S.RETURN
     assert S.COMMIT not in f.states
-    assert sum(x.height == pytest.approx(6.0) for x in f.executive.diary.looks) == 2
+    heights = [round(x.height) for x in f.executive.diary.looks]
+    assert heights.count(6) == 1
+    assert heights.count(4) == 2
+
+
+def test_a_place_in_doubt_from_the_lowest_look_is_looked_at_from_lower_still() -> None:
+    f = Flight(Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.9}), Executive(settings()))
+    assert f.fly() is S.LANDED
+    assert [round(x.height) for x in f.executive.diary.looks][-2:] == [6, 4]
+    high = Flight(Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.9}), Executive(settings("tuning.executive.nearest=6")))
+    assert high.fly() is S.RETURN
+
+
+def test_a_place_in_doubt_is_left_for_a_clearly_better_one() -> None:
+    """The first is not gone down to; the other one is, and a slightly better one is not worth it."""
+    for other, looks in ((0.88, 1), (0.7, 4)):
+        ground = Ground(
+            {(10.0, 5.0): lambda h: 0.9 if h > 12.0 else 0.6, (-12.0, 0.0): lambda h, p=other: p if h > 9 else 0.97}
+        )  # type: ignore[misc]
+        f = Flight(ground, Executive(settings()))
+        f.fly()
+        first = [x for x in f.executive.diary.looks if x.place[0] > 0.0]
+        assert len(first) == looks
 
 
 def test_without_looking_again_the_first_site_is_taken() -> None:

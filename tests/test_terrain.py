@@ -13,7 +13,9 @@ from alight.geometry import Grid
 from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain import classify, open_water
+from alight.terrain.appearance import appearance
 from alight.terrain.relief import ground_under, open_to_rim, standing_water
+from alight.terrain.water import flooded, wetness
 
 SHAPE = (240, 240)
 SETTINGS = TerrainSettings()
@@ -199,3 +201,18 @@ def test_only_unknown_ground_that_reaches_the_rim_is_outside() -> None:
     unknown = np.zeros((9, 9), bool)
     unknown[4, 4] = unknown[0:3, 7] = True
     assert (open_to_rim(unknown) == (unknown & (C[:9, :9] == 7))).all()
+
+
+def test_a_car_park_on_a_slope_is_no_pond() -> None:
+    """It looks like water, but water would run down the meadow below. On the level, or where it moves, it may be."""
+    slab = (np.abs(R - 120) < 30) & (np.abs(C - 120) < 30)
+    seed = np.where(np.hypot(R - 120, C - 120) < 20, 2.0, -2.0).astype(np.float32)
+
+    def water(slope: float, moving: float) -> np.ndarray:
+        e = scene(noise(0.02) + slope * 0.1 * (SHAPE[0] - R), slab, POND, 0.02)
+        wet = wetness(e, appearance(e))
+        return flooded(seed, wet, np.full(SHAPE, moving, np.float32), e.height.astype(np.float32), 0.1, 0.2)
+
+    assert not water(0.08, moving=0.1).any()
+    assert water(0.0, moving=0.1)[slab].mean() > 0.5
+    assert water(0.08, moving=0.8)[slab].mean() > 0.5

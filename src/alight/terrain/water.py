@@ -13,6 +13,10 @@ from alight.settings import TerrainSettings
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.relief import Relief
 
+DRY = 0.2  # likeness to water below which ground is dry
+CONTRADICTED = 2.0  # times the area of a pond, of dry ground that lies lower and is not shut off from it
+LOWER = 0.5  # metres, by which it must lie lower: more than heights are off
+RESTLESS = 0.5  # share of a pond that moves, from which heights say nothing of where it drains
 MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
 
 
@@ -54,16 +58,17 @@ def _grown(seed: Mask, into: Mask) -> Mask:
     return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
 
 
-def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> Mask:
+def flooded(odds: F32, wet: F32, moving: F32, bed: F32, cell: float, least_share: float) -> Mask:
     """Grow water over the ground that must be wet too (G15).
 
     First over connected cells that look like water; then over connected cells that lie lower, because the surface of a
     pond is level: this closes the gaps where the bed looks like the shore. Where the second step would more than double
-    the water, it is left out.
+    the water, it is left out. A patch that stands still and would run out over dry ground is no water at all.
 
     Args:
         odds: (R, C) log odds of water.
         wet: (R, C) likeness to water, 0 to 1.
+        moving: (R, C) share of the cells near by that move.
         bed: (R, C) metres, smoothed heights, NaN = unknown.
         cell: metres.
         least_share: of a patch that looks like water, that is water by itself: a slab looks like water, too.
@@ -81,17 +86,27 @@ def flooded(odds: F32, wet: F32, bed: F32, cell: float, least_share: float) -> M
         if not known.any():
             out |= pond
             continue
+        if moving[pond].mean() < RESTLESS and _drains(known, wet, bed):
+            continue
         lower = _grown(pond, bed <= np.percentile(bed[known], 95))
         out |= lower if lower.sum() <= 2 * pond.sum() else pond
     return out
 
 
+def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
+    """Whether half of a patch lies above much connected dry ground: a car park on a slope, shade on a plain."""
+    level = np.median(bed[pond])
+    dry = _grown(pond & (bed <= level), bed <= level) & ~pond & (wet < DRY) & (bed < level - LOWER)
+    return bool(dry.sum() > CONTRADICTED * pond.sum())
+
+
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
     """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
     cell = elevation.grid.cell
-    odds = water_odds(colours, shape, _moving(elevation), settings)
+    moving = _moving(elevation)
+    odds = water_odds(colours, shape, moving, settings)
     near = masked_gaussian(odds, seen(elevation).astype(np.float32), 0.2 / cell)
-    return flooded(near, wet, shape.level - shape.depth, cell, settings.pond_share)
+    return flooded(near, wet, moving, shape.level - shape.depth, cell, settings.pond_share)
 
 
 def open_water(land_cover: TerrainMap) -> Mask:

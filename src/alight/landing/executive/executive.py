@@ -13,6 +13,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
+from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import SearchLanes
@@ -25,7 +26,6 @@ from alight.records.executive import (
     FlightState,
     LookRecord,
     Order,
-    Seen,
     Situation,
     Transition,
 )
@@ -59,9 +59,7 @@ class Executive:
         self._across: F64 | None = None  # where the look leg leads
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
-        self._banned: list[tuple[float, float]] = []
-        self._noted: list[Site] = []  # places that the search has seen, as seen last
-        self._noted_by = 0  # verdict
+        self._places = KnownPlaces(settings)
 
     @property
     def about(self) -> F64 | None:
@@ -95,7 +93,7 @@ class Executive:
             self._left = float(now.position[2]) - self.target.up
         if now.seen is not None and now.seen.frame_id == self._frame:
             self._ground = now.seen.ground
-            self._note(now.seen)
+            self._places.note(now.seen)
 
     # -- what happened
 
@@ -165,8 +163,8 @@ class Executive:
         return None, ""
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
-        found = self._best()
-        if found is not None and (found.kind == "site" or (found.p_safe >= self._keys.at_once and not self._banned)):
+        found = self._places.best()
+        if found is not None and self._places.worth_a_visit(found):
             return self._found(found)
         assert self._home is not None
         lanes = self._lanes = self._lanes or SearchLanes(self._home, self._keys)
@@ -180,7 +178,7 @@ class Executive:
         return None, ""
 
     def _searched_words(self) -> str:
-        refused = f"; {len(self._banned)} places were refused from near by" if self._banned else ""
+        refused = f"; {self._places.refused} places were refused from near by" if self._places.refused else ""
         unseen = "" if self._ground is not None else "; no height could be measured"
         return f"within {self._keys.search_side:.0f} m{refused}{unseen}"
 
@@ -229,6 +227,8 @@ class Executive:
             waited = now.t - (self._leg_done or self._since)
             return (E.WAITED, "verdicts on it do not come") if waited > self._keys.wait else (None, "")
         self._note_look(now, said)
+        if said.standing is Standing.CANDIDATE and (better := self._places.better(said.place)) is not None:
+            return E.REFUSED, f"P(safe) {said.p_safe:.2f} from {self._height:.1f} m, and {better.p_safe:.2f} elsewhere"
         lowest = self._height <= self._keys.commit_height * 1.05
         if said.standing is Standing.SITE and lowest:
             return E.CONFIRMED, f"P(safe) {said.p_safe:.3f} from {self._height:.1f} m"
@@ -253,34 +253,9 @@ class Executive:
         low = self.state is S.COMMIT
         same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
         least = self._limit if low else self._keys.hopeless
-        said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._is_banned(s))
+        said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._places.is_refused(s))
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said
-
-    def _note(self, seen: Seen) -> None:
-        """Remember the listed places of a new verdict, in place of what earlier ones said of the same ground."""
-        if seen.number <= self._noted_by:
-            return
-        self._noted_by = seen.number
-        listed = seen.sites.listed if self._keys.look_again else seen.sites.sites
-        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + list(listed)
-
-    def _judged_in(self, place: Site, seen: Seen) -> bool:
-        """Whether a verdict has an opinion of its own on a place."""
-        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
-
-    def _best(self) -> Site | None:
-        """The best place known that was not refused before: sites first, then candidates by their P(safe).
-
-        After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
-        succession). When that is small they are worth neither the time nor the battery.
-        """
-        hopeless = len(self._banned) >= self._keys.visits
-        free = [p for p in self._noted if not self._is_banned(p) and (p.kind == "site" or not hopeless)]
-        return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
-
-    def _is_banned(self, place: Site) -> bool:
-        return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._banned)
 
     # -- changes of state
 
@@ -291,7 +266,7 @@ class Executive:
             Transition(now.t, self.state, event, after, why or event.value, place, None if t is None else t.p_safe)
         )
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
-            self._ban()
+            self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
         self._way, self._across, self._leg_done = None, None, None
         if after is S.APPROACH:
@@ -320,10 +295,6 @@ class Executive:
         self._height = self._keys.commit_height
         self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
 
-    def _ban(self) -> None:
-        if self.target is not None:
-            self._banned.append((self.target.east, self.target.north))
-
     def _climb(self, now: Situation) -> None:
         if now.position is None:
             self._way = None
@@ -336,8 +307,7 @@ class Executive:
         assert now.position is not None
         self._frame, self._lanes, self._ground = now.frame_id, None, None
         self._home = now.position.copy()
-        self._banned.clear()
-        self._noted.clear()
+        self._places.forget()
         self._judged = 0 if now.seen is None else now.seen.number
 
     # -- where to fly

@@ -1,0 +1,77 @@
+"""The places that a search has seen and that near looks have refused: which one to visit next."""
+
+from __future__ import annotations
+
+import math
+
+from alight.landing.executive.opinion import Standing, opinion
+from alight.records import Site
+from alight.records.executive import Seen
+from alight.settings import StageSettings
+
+
+class KnownPlaces:
+    """Listed places as they were seen last, without those that were refused.
+
+    Args:
+        settings: of all stages; `executive` and `hazards.p_safe` are used.
+    """
+
+    def __init__(self, settings: StageSettings) -> None:
+        self._keys, self._limit = settings.executive, settings.hazards.p_safe
+        self._noted: list[Site] = []
+        self._noted_by = 0  # verdict
+        self._refused: list[tuple[float, float]] = []
+
+    @property
+    def refused(self) -> int:
+        """How many places were refused from near by."""
+        return len(self._refused)
+
+    def note(self, seen: Seen) -> None:
+        """Remember the listed places of a new verdict, in place of what earlier ones said of the same ground."""
+        if seen.number <= self._noted_by:
+            return
+        self._noted_by = seen.number
+        listed = seen.sites.listed if self._keys.look_again else seen.sites.sites
+        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + list(listed)
+
+    def refuse(self, place: Site | None) -> None:
+        """Never visit a place again."""
+        if place is not None:
+            self._refused.append((place.east, place.north))
+
+    def is_refused(self, place: Site) -> bool:
+        """Whether it is, or lies beside, a place that was refused."""
+        return any(math.hypot(place.east - e, place.north - n) < self._keys.banned for e, n in self._refused)
+
+    def forget(self) -> None:
+        """Forget all places."""
+        self._refused.clear()
+        self._noted.clear()
+
+    def best(self) -> Site | None:
+        """The best place known that was not refused before: sites first, then candidates by their P(safe).
+
+        After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
+        succession). When that is small they are worth neither the time nor the battery.
+        """
+        hopeless = self.refused >= self._keys.visits
+        free = [p for p in self._noted if not self.is_refused(p) and (p.kind == "site" or not hopeless)]
+        return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
+
+    def worth_a_visit(self, place: Site) -> bool:
+        """Whether the search is broken off for a place: a site, or a good candidate as long as few were refused."""
+        few = self.refused < self._keys.tries_at_once
+        return place.kind == "site" or (few and place.p_safe >= self._keys.at_once)
+
+    def better(self, place: Site) -> Site | None:
+        """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
+        others = [p for p in self._noted if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned]
+        free = [p for p in others if not self.is_refused(p) and self.worth_a_visit(p)]
+        best = max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
+        return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
+
+    def _judged_in(self, place: Site, seen: Seen) -> bool:
+        """Whether a verdict has an opinion of its own on a place."""
+        return opinion(place, seen, self._limit, self._keys.same_place).standing is not Standing.NOT_SEEN
