@@ -14,7 +14,7 @@ demo: $(MADE)  ## a simulated vehicle looks for a site and lands; the report: ou
 	$(BIN)/alight demo --out out/demo
 
 test: $(MADE)  ## all tests, the import contracts among them
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 check: $(MADE)  ## format, lint, types, imports; seconds
 	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports
