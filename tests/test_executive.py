@@ -17,9 +17,10 @@ from some_run import site as some_site
 
 from alight.geometry import Grid
 from alight.landing.executive import TABLE, Executive, as_markdown
+from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.search import square_spiral
 from alight.landing.route import lowest_clear, standing
-from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites
+from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
 from alight.settings import load_settings
 
@@ -247,7 +248,9 @@ def test_a_place_in_doubt_from_the_lowest_look_is_looked_at_from_lower_still() -
     f = Flight(Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.9}), Executive(settings()))
     assert f.fly() is S.LANDED
     assert [round(x.height) for x in f.executive.diary.looks][-2:] == [6, 4]
-    high = Flight(Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.9}), Executive(settings("tuning.executive.nearest=6")))
+    high = Flight(
+        Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.9}), Executive(settings("tuning.executive.nearest=6"))
+    )
     assert high.fly() is S.RETURN
 
 
@@ -735,3 +738,24 @@ def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: flo
     f.fly()
     assert began
     assert (S.ABORT in f.states) is aborted
+
+
+def test_of_places_alike_the_plain_one_is_visited_first() -> None:
+    """Near looks settle paved ground and leave most grass in doubt; a site comes before both."""
+    one = some_site()
+    grass, paved, site = (
+        replace(one, east=20.0 * k, kind=kind, p_safe=p, terrain=of)
+        for k, kind, p, of in (
+            (1, "candidate", 0.91, Terrain.SHORT_GRASS), (2, "candidate", 0.87, Terrain.PAVED), (3, "site", 0.95, Terrain.SHORT_GRASS),
+        )
+    )  # fmt: skip
+    for listed, first in (
+        ((grass, paved), paved),
+        ((grass, paved, site), site),
+        ((replace(grass, p_safe=0.98), paved), None),
+    ):
+        places = KnownPlaces(settings())
+        seen = Ground({}).seen(1, 0.0, AWAY)
+        sites = tuple(s for s in listed if s.kind == "site")
+        places.note(replace(seen, sites=Sites(sites, "", 0, tuple(s for s in listed if s.kind != "site"))))
+        assert places.best() == (first or replace(grass, p_safe=0.98))

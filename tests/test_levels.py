@@ -119,7 +119,7 @@ def test_the_cell_follows_the_height() -> None:
 def test_no_step_where_the_cell_changes() -> None:
     """The same place before and after, at the same cell size: apart by less than sigma says.
 
-    Of honest sigmas 0.3 % lie beyond three; 0.8 to 1.2 % were measured, by how the machine rounds.
+    Of independent heights 5 % would lie beyond two; 0.8 to 1.2 % were measured, by how the machine rounds.
     """
     _, _, jumps = flown()
     for middle, beyond in jumps:

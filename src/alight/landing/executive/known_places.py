@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 
 from alight.landing.executive.opinion import Standing, opinion
-from alight.records import Site
+from alight.records import Site, Terrain
 from alight.records.executive import Seen
 from alight.settings import StageSettings
+
+PLAIN = (Terrain.BARE, Terrain.PAVED)
 
 
 class KnownPlaces:
@@ -51,14 +53,18 @@ class KnownPlaces:
         self._noted.clear()
 
     def best(self) -> Site | None:
-        """The best place known that was not refused before: sites first, then candidates by their P(safe).
+        """The best place known that was not refused before: sites first, then candidates by their promise.
 
         After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
         succession). When that is small they are worth neither the time nor the battery.
         """
         hopeless = self.refused >= self._keys.visits
         free = [p for p in self._noted if not self.is_refused(p) and (p.kind == "site" or not hopeless)]
-        return max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
+        return max(free, key=self._rank, default=None)
+
+    def _rank(self, place: Site) -> tuple[bool, float]:
+        """Sites before candidates; bare and paved ground counts more: near looks settle it, and leave grass in doubt."""
+        return place.kind == "site", place.p_safe + (self._keys.plain if place.terrain in PLAIN else 0.0)
 
     def worth_a_visit(self, place: Site) -> bool:
         """Whether the search is broken off for a place: a site, or a good candidate as long as few were refused."""
@@ -69,7 +75,7 @@ class KnownPlaces:
         """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
         others = [p for p in self._noted if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned]
         free = [p for p in others if not self.is_refused(p) and self.worth_a_visit(p)]
-        best = max(free, key=lambda p: (p.kind == "site", p.p_safe), default=None)
+        best = max(free, key=self._rank, default=None)
         return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
 
     def _judged_in(self, place: Site, seen: Seen) -> bool:

@@ -29,6 +29,9 @@ class ExecutiveTuning(FrozenModel):
     )
     fallen: Fraction = Field(0.9, description="P(safe) below which one verdict breaks a landing off")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
+    plain: Fraction = Field(
+        0.1, description="P(safe) that bare and paved ground counts more when the next place is chosen"
+    )
     nearest: Positive = Field(
         4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
     )
