@@ -742,20 +742,13 @@ def test_motion_that_is_degraded_for_a_moment_breaks_no_landing_off(lasting: flo
 
 def test_of_places_alike_the_plain_one_is_visited_first() -> None:
     """Near looks settle paved ground and leave most grass in doubt; a site comes before both."""
-    one = some_site()
-    grass, paved, site = (
-        replace(one, east=20.0 * k, kind=kind, p_safe=p, terrain=of)
-        for k, kind, p, of in (
-            (1, "candidate", 0.91, Terrain.SHORT_GRASS), (2, "candidate", 0.87, Terrain.PAVED), (3, "site", 0.95, Terrain.SHORT_GRASS),
-        )
-    )  # fmt: skip
-    for listed, first in (
-        ((grass, paved), paved),
-        ((grass, paved, site), site),
-        ((replace(grass, p_safe=0.98), paved), None),
-    ):
+    grass = replace(some_site(), east=20.0, kind="candidate", p_safe=0.91, terrain=Terrain.SHORT_GRASS)
+    paved = replace(grass, east=40.0, p_safe=0.87, terrain=Terrain.PAVED)
+    site = replace(grass, east=60.0, p_safe=0.95, kind="site")
+    sure = replace(grass, p_safe=0.98)
+    for listed, first in (((grass, paved), paved), ((grass, paved, site), site), ((sure, paved), sure)):
         places = KnownPlaces(settings())
         seen = Ground({}).seen(1, 0.0, AWAY)
         sites = tuple(s for s in listed if s.kind == "site")
         places.note(replace(seen, sites=Sites(sites, "", 0, tuple(s for s in listed if s.kind != "site"))))
-        assert places.best() == (first or replace(grass, p_safe=0.98))
+        assert places.best() == first

@@ -63,7 +63,7 @@ class KnownPlaces:
         return max(free, key=self._rank, default=None)
 
     def _rank(self, place: Site) -> tuple[bool, float]:
-        """Sites before candidates; bare and paved ground counts more: near looks settle it, and leave grass in doubt."""
+        """Sites before candidates; bare and paved ground counts more: near looks settle it, not grass."""
         return place.kind == "site", place.p_safe + (self._keys.plain if place.terrain in PLAIN else 0.0)
 
     def worth_a_visit(self, place: Site) -> bool:
