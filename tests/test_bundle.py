@@ -476,6 +476,7 @@ def test_velocity_is_told_by_the_photos_of_the_same_strip() -> None:
         velocities(centres, seconds, one)[:, :2], [[2, 0], [2, 0], [2, 0], [-2, 0], [-2, 0], [0, 0]], atol=1e-12
     )
     np.testing.assert_allclose(velocities(centres, 100 * seconds, one), 0)
+    np.testing.assert_allclose(velocities(centres, seconds / 1000, one), 0)
     np.testing.assert_allclose(velocities(centres, seconds, np.arange(6)), 0)
     np.testing.assert_allclose(velocities(centres, np.full(6, np.nan), one), 0)
 

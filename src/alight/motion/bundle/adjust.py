@@ -234,7 +234,8 @@ def _result(
             [None] * len(frames), rig, np.empty((0, 3)), [why_no_motion(features, priors)], {"registered": 0}
         )
     state, obs = solved.state, solved.observations
-    tagged, priors = priors, solved.priors
+    tagged = priors
+    priors = replace(levelled(priors) if solved.first.climbs else priors, velocity=solved.priors.velocity)
     lenses = priors.lenses.moved(state.lens)
     seen = np.bincount(obs.photo, minlength=len(frames))
     motions: list[Motion | None] = [None] * len(frames)

@@ -14,6 +14,7 @@ from alight.arrays import F64, I64
 LONGEST = 60.0  # s between two photos that tell the velocity of one of them
 SAME_WAY = 0.8  # cosine between the ways from the photo before and to the next, where both tell
 LEAST_WAY = 1.0  # m between them
+FASTEST = 60.0  # m/s; what is faster is a wrong tag
 
 
 def row_time(rows: F64, height: F64 | float) -> F64:
@@ -41,7 +42,8 @@ def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
         who = np.flatnonzero((camera == one) & np.isfinite(seconds))
         who = who[np.argsort(seconds[who], kind="stable")]
         way, time = np.diff(centres[who], axis=0), np.diff(seconds[who])
-        good = (time > 0) & (time <= LONGEST) & (np.linalg.norm(way, axis=1) > LEAST_WAY)
+        long = np.linalg.norm(way, axis=1)
+        good = (time > 0) & (time <= LONGEST) & (long > LEAST_WAY) & (long <= FASTEST * time)
         for k, i in enumerate(who):
             out[i] = _between(k - 1, k, way, time, good)
     return out

@@ -54,7 +54,9 @@ def coarse_rounds(
     if seconds is None or not priors.sigma_lens.any():
         state = _lens_rounds(state, few, priors)
     else:
-        state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, seconds))
+        told = seconds.copy()
+        told[aside] = np.nan  # their place is not known yet
+        state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, told))
     tell(0.6)
     return state, priors, aside
 
