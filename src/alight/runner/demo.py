@@ -22,7 +22,7 @@ from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
 from alight_sim.steered.touchdown import judge_contact
 
-START = (-10.0, -20.0, 30.0)  # metres east and north, and above the ground there
+START = (-4.0, -12.0, 30.0)  # metres east and north, and above the ground there
 SHARE = {  # of a landing that is done, about
     FlightState.SEARCH: 0.05, FlightState.APPROACH: 0.2, FlightState.LOOK: 0.5, FlightState.DESCEND: 0.6,
     FlightState.COMMIT: 0.8,
