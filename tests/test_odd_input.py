@@ -177,12 +177,24 @@ def test_a_library_with_a_pipe_in_it(name: str, tmp_path: Path, capsys: Told) ->
     refused(capsys, f"{name}: not a ")
 
 
-def test_a_video_that_is_none_is_told_by_us_alone(tmp_path: Path, capfd: Told) -> None:
+def test_a_video_that_is_none_is_told_by_us_alone(tmp_path: Path) -> None:
+    """In a process of its own: the decoder asks once a process how much it may say."""
     (tmp_path / "v.mp4").write_text("no video")
     place = "[latitude: 45.0] [longitude: 7.6] [abs_alt: 350]"
     (tmp_path / "v.srt").write_text(f"1\n00:00:00,000 --> 00:00:01,000\n{place}\n")
-    assert ran(tmp_path / "v.mp4") == 2
-    refused(capfd, "v.mp4: not one frame could be decoded")
+    command = [
+        sys.executable,
+        "-c",
+        "from alight.cli import main; main()",
+        "run",
+        str(tmp_path / "v.mp4"),
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert "v.mp4: not one frame could be decoded" in done.stderr
 
 
 # -- rasters, runs
