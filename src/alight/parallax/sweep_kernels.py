@@ -4,7 +4,7 @@ import numpy as np
 
 from alight.arrays import F32, F64, I32, I64
 from alight.compiled import inline, kernel, minimum_kernel, parallel_kernel, prange
-from alight.parallax.sorting_kernels import NOTHING, fill_row, median_row, sort_rows
+from alight.parallax.sorting_kernels import fill_row, sort_rows
 
 Four = tuple[np.float32, np.float32, np.float32, np.float32]
 
@@ -14,37 +14,63 @@ NEAR = 8  # cells between runs that are computed as one
 
 
 @kernel
-def _deviate_row(row: F32, median: F32) -> None:
+def _middle_row(one: F32, other: F32, median: F32) -> None:
+    half = np.float32(0.5)
+    for c in range(median.size):
+        median[c] = half * one[c] + half * other[c]
+
+
+@kernel
+def _deviate_row(row: F32, median: F32, truncation: np.float32) -> None:
     for c in range(row.size):
-        s = row[c]
-        row[c] = abs(s - median[c]) if s < NOTHING else NOTHING
+        d = abs(row[c] - median[c])
+        row[c] = d if d < truncation else truncation
 
 
 @kernel
-def _quota_row(count: F32, keep: np.float32, out: F32) -> None:
-    two = np.float32(2)
-    for c in range(count.size):
-        k = np.ceil(keep * count[c])
-        out[c] = k if k > two else two
-
-
-@kernel
-def _add_row(row: F32, index: np.float32, quota: F32, truncation: np.float32, total: F32) -> None:
+def _add_row(row: F32, total: F32) -> None:
     for c in range(row.size):
-        d = row[c] if row[c] < truncation else truncation
-        total[c] += d if index < quota[c] else np.float32(0)
+        total[c] += row[c]
 
 
 @kernel
-def _cost_row(total: F32, quota: F32, seen: F32, truncation: np.float32, cost: F32, count: I32) -> None:
-    # two views: |s - median| is half their difference, N views approach the mean deviation: same scale for all
-    one = np.float32(1)
+def _slide_row(leaves: F32, enters: F32, total: F32, least: F32) -> None:
     for c in range(total.size):
-        k = seen[c]
-        many = k if k > one else np.float32(2)
-        value = total[c] / quota[c] * np.sqrt(many / (many - one))
-        cost[c] = value if k > one else truncation
-        count[c] = np.int32(k)
+        t = total[c] + (enters[c] - leaves[c])
+        total[c] = t
+        least[c] = t if t < least[c] else least[c]
+
+
+@kernel
+def _times(row: F32, factor: np.float32, out: F32) -> None:
+    for c in range(row.size):
+        out[c] = factor * row[c]
+
+
+@kernel
+def _cost_row(
+    views: F32, a: int, z: int, seen: int, keep: float, truncation: np.float32, scratch: F32, cost: F32
+) -> None:  # fmt: skip
+    """Eq. 6 of cells a to z, which `seen` views see; their samples `views` (N, C) are sorted and get lost.
+
+    Those nearest to the median lie side by side among the sorted ones: the best of a few windows.
+    """
+    if seen < 2:
+        cost[:] = truncation
+        return
+    median, total, least = scratch[0, a:z], scratch[1, a:z], scratch[2, a:z]
+    _middle_row(views[(seen - 1) // 2, a:z], views[seen // 2, a:z], median)
+    for i in range(seen):
+        _deviate_row(views[i, a:z], median, truncation)
+    m = max(2, int(np.ceil(np.float32(keep) * np.float32(seen))))
+    total[:] = views[0, a:z]
+    for i in range(1, m):
+        _add_row(views[i, a:z], total)
+    least[:] = total
+    for i in range(m, seen):
+        _slide_row(views[i - m, a:z], views[i, a:z], total, least)
+    # two views: |s - median| is half their difference, N views approach the mean deviation: same scale for all
+    _times(least, np.float32(np.sqrt(seen / (seen - 1.0)) / m), cost)
 
 
 @inline
@@ -70,22 +96,40 @@ def _between(rows: F32, taps: Four, out: F32) -> None:
 
 
 @kernel
-def _along(row: F32, first: I32, taps: F32, start: int, out: F32) -> None:
+def _weigh_row(row: F32, first: F32, second: F32, third: F32, fourth: F32, out: F32) -> None:
+    """The weighted sum of four neighbours; `row` is three longer than `out`."""
     for c in range(out.size):
-        k = first[start + c]
-        a, b = taps[0, start + c] * row[k], taps[1, start + c] * row[k + 1]
-        out[c] = a + b + taps[2, start + c] * row[k + 2] + taps[3, start + c] * row[k + 3]
+        a, b = first[c] * row[c], second[c] * row[c + 1]
+        out[c] = a + b + third[c] * row[c + 2] + fourth[c] * row[c + 3]
 
 
 @kernel
-def _columns(scale: float, shift: float, size: int, first: I32, taps: F32) -> None:
-    """The first of the four pixels about each column in a row of `size`, and their weights; NaN outside."""
-    for c in range(first.size):
+def _along(row: F32, first: I32, until: I32, taps: F32, start: int, out: F32) -> None:
+    """Sample a row at columns from `start` on, in runs whose pixels lie side by side: a gather costs ten times that."""
+    c, stop = start, start + out.size
+    while c < stop:
+        end, k = min(int(until[c]), stop), int(first[c])
+        near, part = row[k : k + end - c + 3], out[c - start : end - start]
+        _weigh_row(near, taps[0, c:end], taps[1, c:end], taps[2, c:end], taps[3, c:end], part)
+        c = end
+
+
+@kernel
+def _columns(scale: float, shift: float, size: int, first: I32, until: I32, taps: F32) -> None:
+    """The first of the four pixels about each column in a row of `size`, and their weights; NaN outside.
+
+    `until`: the end of the run of columns whose first pixels lie side by side.
+    """
+    cols = first.size
+    for c in range(cols):
         x = scale * c + shift
         k = np.floor(x)
         inside = (k >= 1.0) & (k + 2.0 < size)
-        first[c] = np.int32(k - 1.0) if inside else np.int32(0)
+        first[c] = np.int32(min(max(k - 1.0, 0.0), size - 4.0))
         taps[0, c], taps[1, c], taps[2, c], taps[3, c] = _taps(x - k if inside else np.nan)
+    until[cols - 1] = cols
+    for c in range(cols - 2, -1, -1):
+        until[c] = until[c + 1] if first[c + 1] == first[c] + 1 else c + 1
 
 
 @kernel
@@ -116,9 +160,10 @@ def sweep_cost(
     """
     n, height, width = pictures.shape
     rows, cols = cost.shape
-    first, taps = np.empty((n, cols), np.int32), np.empty((n, 4, cols), np.float32)
+    first, until = np.empty((n, cols), np.int32), np.empty((n, cols), np.int32)
+    taps = np.empty((n, 4, cols), np.float32)
     for i in range(n):
-        _columns(scale[i], shift[i, 1], width, first[i], taps[i])
+        _columns(scale[i], shift[i, 1], width, first[i], until[i], taps[i])
     for band in prange((rows + BAND - 1) // BAND):
         held, row = np.empty((n + 5) * cols, np.float32), np.empty(width, np.float32)
         for r in range(band * BAND, min(rows, band * BAND + BAND)):
@@ -126,28 +171,29 @@ def sweep_cost(
             while start < stop:
                 m = stop - start
                 views, rest = held[: n * m].reshape((n, m)), held[n * m : (n + 5) * m].reshape((5, m))
-                seen, median, quota, total, samples = rest[0], rest[1], rest[2], rest[3], rest[4]
-                seen[:] = total[:] = np.float32(0)
+                seen, samples, scratch = rest[0], rest[1], rest[2:]
+                seen[:] = np.float32(0)
                 for i in range(n):
                     y = scale[i] * r + shift[i, 0]
                     k = int(np.floor(y))
-                    left = min(max(int(np.floor(scale[i] * start + shift[i, 1])) - 1, 0), width)
-                    right = min(max(int(np.floor(scale[i] * (stop - 1) + shift[i, 1])) + 3, left), width)
                     if 1 <= k < height - 2:
+                        left, right = int(first[i, start]), int(first[i, stop - 1]) + 4
                         _between(pictures[i, k - 1 : k + 3, left:right], _taps(y - k), row[left:right])
-                        _along(row, first[i], taps[i], start, samples)
+                        _along(row, first[i], until[i], taps[i], start, samples)
                     else:
                         samples[:] = np.float32(np.nan)
                     fill_row(samples, views[i], seen)
                 sort_rows(views, pairs)
-                median_row(views, seen, median)
-                for i in range(n):
-                    _deviate_row(views[i], median)
-                sort_rows(views, pairs)
-                _quota_row(seen, np.float32(keep), quota)
-                for i in range(n):
-                    _add_row(views[i], np.float32(i), quota, np.float32(truncation), total)
-                _cost_row(total, quota, seen, np.float32(truncation), cost[r, start:stop], count[r, start:stop])
+                a = 0
+                while a < m:
+                    z = a + 1
+                    while z < m and seen[z] == seen[a]:
+                        z += 1
+                    number = int(seen[a])
+                    count[r, start + a : start + z] = number
+                    values = cost[r, start + a : start + z]
+                    _cost_row(views, a, z, number, keep, np.float32(truncation), scratch, values)
+                    a = z
                 start, stop = _next_run(low[r], high[r], plane, stop)
 
 

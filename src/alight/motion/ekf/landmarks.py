@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose
@@ -40,7 +40,7 @@ class Gate:
         """Return the largest squared distances that pass (chi-square)."""
         most = int(rows.max(initial=0))
         if most >= len(self._limits):
-            self._limits = np.append(0.0, chi2.ppf(self._probability, np.arange(1, most + 16)))
+            self._limits = np.append(0.0, 2.0 * gammaincinv(0.5 * np.arange(1, most + 16), self._probability))
         return np.asarray(self._limits[rows])
 
     def limit(self, rows: int) -> float:
