@@ -156,6 +156,21 @@ def test_every_fault_happens_once_at_its_state(what: str, tmp_path: Path) -> Non
     assert [f.happened for f in happenings.faults] == [52.5, None]
 
 
+@pytest.mark.parametrize("what", ["car", "person"])
+def test_what_comes_stands_there_while_a_landing_can_be_broken_off(what: str, tmp_path: Path) -> None:
+    numbers = {"direction": 1.0, "from": 30.0, "speed": 7.0}
+    fault = FaultRecord(what=what, after=0.0, state="commit", numbers=numbers)
+    high, low = (SteeredFlight(scene(tmp_path), size=(64, 48), stereo=False, start=(0.0, 0.0, h)) for h in (5.5, 1.5))
+    happenings = [Happenings(v, (fault,)) for v in (high, low)]
+    for h in happenings:
+        h(1.0, S.COMMIT)
+    (body,) = high.world.bodies
+    assert body.goal == pytest.approx((0.0, 0.0), abs=0.01)
+    assert 1.0 < body.arrives - high.seconds <= 3.05
+    assert not low.world.bodies  # too low: nothing could be done
+    assert happenings[1].faults[0].happened is None
+
+
 # -- the folder
 
 

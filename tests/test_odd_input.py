@@ -193,7 +193,8 @@ def test_a_video_that_is_none_is_told_by_us_alone(tmp_path: Path) -> None:
     ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2
-    assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
     assert "v.mp4: not one frame could be decoded" in done.stderr
 
 

@@ -604,6 +604,8 @@ def test_rasters_that_cannot_be_a_world_are_refused_in_one_line(tmp_path, hill):
         ),
         ({"ground": {"layers": [{"thing": "rocks", "radius": [3, 1]}]}}, "must be one number or [smallest, largest]"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0]]}]}}, "needs two places or more"),
+        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "less than or equal to 20000"),
+        ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [2e4, 0]] * 6}]}}, "is longer than 200 km"),
         ({"light": {"elevation_deg": -5}}, "my.yaml: light.elevation_deg: input should be greater than 3, not -5"),
     ],
 )

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Protocol
+from typing import Protocol
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from alight.arrays import F64
 from alight_sim.kernels.boxes import NUMBERS
-from alight_sim.section import Section
+from alight_sim.section import Coordinate, Section
 
 Height = Callable[[float, float], float]
 COLOURS = ((0.75, 0.75, 0.74), (0.03, 0.03, 0.035), (0.35, 0.36, 0.38), (0.40, 0.04, 0.03), (0.05, 0.09, 0.25))
 CABIN = (0.55, 0.86, 0.42)  # of the length, the width and the height: the glass house on the body
-Coordinate = Annotated[float, Field(ge=-20_000.0, le=20_000.0)]
 NODE = 1.0  # metres along the path between the heights of the ground that a car rides on
 
 

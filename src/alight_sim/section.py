@@ -1,6 +1,12 @@
 """The base of everything a person may write in a scene file."""
 
+from typing import Annotated
+
+from pydantic import Field
+
 from alight.settings.base import FrozenModel
+
+Coordinate = Annotated[float, Field(ge=-20_000.0, le=20_000.0)]  # metres east or north of the origin
 
 
 class Section(FrozenModel):

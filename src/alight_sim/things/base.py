@@ -15,14 +15,14 @@ from alight.arrays import F32, F64, U8, Mask
 from alight.records import Terrain
 from alight_sim.kernels.stamps import COLUMNS, EAST, NORTH, REACH
 from alight_sim.looks import Look
-from alight_sim.section import Section
+from alight_sim.section import Coordinate, Section
 
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
 Box = tuple[float, float, float, float]  # west, south, east, north, metres
 CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "rock", "paved", "structure"]
-Places = tuple[tuple[float, float], ...]
+Places = tuple[tuple[Coordinate, Coordinate], ...]
 Factor = Annotated[float, Field(ge=0.0, le=20.0)]
 UNTINTED = (1.0, 1.0, 1.0)
 

@@ -29,6 +29,7 @@ from alight_sim.things.base import (
 if TYPE_CHECKING:
     from alight_sim.tiles import Lay
 
+LONGEST = 200_000.0  # metres of a path
 PIECE = 2.0  # metres between the places where a road takes the ground's height
 SMOOTH = 5  # pieces either way over which a road evens the ground out
 WHITE = 3.2  # how much brighter paint is than asphalt
@@ -38,6 +39,8 @@ WIRE = 0.9  # reflectance of ground under a wire, over that of the ground beside
 def _line(value: Places) -> Places:
     if len(value) < 2 or min(np.hypot(*np.diff(np.array(value), axis=0).T)) <= 0.0:
         raise ValueError("needs two places or more, each apart from the one before")
+    if np.hypot(*np.diff(np.array(value), axis=0).T).sum() > LONGEST:
+        raise ValueError(f"is longer than {LONGEST / 1e3:.0f} km")
     return value
 
 

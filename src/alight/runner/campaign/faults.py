@@ -15,6 +15,10 @@ from alight_sim.steered import SteeredFlight
 Range = tuple[float, float]
 Numbers = Mapping[str, float]
 TURN: Range = (0.0, 2.0 * math.pi)
+IN_TIME = 2.5  # m above the ground: what comes stands there before a vehicle that sinks by 1 m/s is lower. A landing
+# is not broken off below 1.5 m, and no camera that looks down sees a car come in time from there
+BRAKES = 2.0  # s that braking adds to the way, at most
+WALK = 1.4  # m/s
 
 
 @dataclass(frozen=True)
@@ -34,14 +38,26 @@ def _along(n: Numbers) -> tuple[float, float]:
     return math.cos(n["direction"]), math.sin(n["direction"])
 
 
+def _time_left(v: SteeredFlight) -> float:
+    """Seconds in which a body has to come."""
+    east, north, up = (float(c) for c in v.true_pose.translation)
+    return up - v.world.height_at(east, north) - IN_TIME
+
+
+def _start(v: SteeredFlight, n: Numbers, speed: float) -> tuple[float, float]:
+    """Where it comes from: nearer than planned where it would be late."""
+    (x, y), away = _along(n), min(n["from"], speed * max(_time_left(v) - BRAKES, 0.0))
+    return float(v.true_pose.translation[0] + away * x), float(v.true_pose.translation[1] + away * y)
+
+
 def _car(v: SteeredFlight, n: Numbers) -> None:
-    (x, y), (east, north, _) = _along(n), v.true_pose.translation
-    v.park(float(east), float(north), start=(east + n["from"] * x, north + n["from"] * y), speed=n["speed"])
+    east, north, _ = v.true_pose.translation
+    v.park(float(east), float(north), start=_start(v, n, n["speed"]), speed=n["speed"])
 
 
 def _person(v: SteeredFlight, n: Numbers) -> None:
-    (x, y), (east, north, _) = _along(n), v.true_pose.translation
-    v.walk_in(float(east), float(north), start=(east + n["from"] * x, north + n["from"] * y))
+    east, north, _ = v.true_pose.translation
+    v.walk_in(float(east), float(north), start=_start(v, n, WALK), speed=WALK)
 
 
 def _gust(v: SteeredFlight, n: Numbers) -> None:
@@ -106,7 +122,8 @@ class Happenings:
         self._entered.setdefault(state.value, t)
         for k, fault in enumerate(self._planned):
             since = 0.0 if fault.state is None else self._entered.get(fault.state)
-            if k not in self._happened and since is not None and t >= since + fault.after:
+            late = FAULTS[fault.what].is_body and _time_left(self._vehicle) <= 0.0
+            if k not in self._happened and since is not None and t >= since + fault.after and not late:
                 self._happened[k] = t
                 FAULTS[fault.what].act(self._vehicle, fault.numbers)
 
