@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, MutableMapping
 from typing import Any
 
 import cv2
+import lz4.frame
 import numpy as np
 from numpy.typing import NDArray
 
@@ -41,12 +41,12 @@ def nothing(shape: tuple[int, int]) -> Fields:
 
 def pack_tile(tile: Fields) -> bytes:
     """The tile as bytes."""
-    return zlib.compress(b"".join(tile[k].tobytes() for k in FIELDS), 1)
+    return bytes(lz4.frame.compress(b"".join(tile[k].tobytes() for k in FIELDS)))
 
 
 def unpack_tile(packed: bytes, side: int) -> Fields:
     """Inverse of `pack_tile`."""
-    raw, at, out = zlib.decompress(packed), 0, {}
+    raw, at, out = lz4.frame.decompress(packed), 0, {}
     for k, (t, _) in FIELDS.items():
         shape = _shape(k, (side, side))
         size = int(np.prod(shape)) * np.dtype(t).itemsize

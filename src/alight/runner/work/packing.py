@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import math
 import struct
-import zlib
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from hashlib import blake2b
 from typing import Any
 
+import lz4.frame
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,7 +42,7 @@ def pack_result(value: Any, about: str) -> bytes:
     arrays = list[NDArray[Any]]()
     plain = _plain(value, arrays)
     tree = json.dumps({"value": plain, "arrays": [(a.dtype.str, a.shape) for a in arrays]}).encode()
-    body = tree + zlib.compress(b"".join(a.tobytes() for a in arrays), 1)
+    body: bytes = tree + lz4.frame.compress(b"".join(a.tobytes() for a in arrays))
     return _HEAD.pack(_digest(about.encode(), body), len(tree)) + body
 
 
@@ -60,7 +60,7 @@ def unpack_result(data: bytes) -> Any:
     try:
         size = _HEAD.unpack_from(data)[1]
         body = data[_HEAD.size :]
-        head, raw, at, arrays = parse_json(body[:size]), zlib.decompress(body[size:]), 0, list[NDArray[Any]]()
+        head, raw, at, arrays = parse_json(body[:size]), lz4.frame.decompress(body[size:]), 0, list[NDArray[Any]]()
         for dtype, shape in head["arrays"]:
             if dtype not in DTYPES:
                 raise ValueError(f"an array of {dtype}")
@@ -68,7 +68,7 @@ def unpack_result(data: bytes) -> Any:
             arrays.append(np.frombuffer(raw, dtype, count, at).reshape(shape).copy())
             at += arrays[-1].nbytes
         return _whole(head["value"], arrays)
-    except (KeyError, TypeError, IndexError, AttributeError, struct.error, zlib.error) as e:
+    except (KeyError, TypeError, IndexError, AttributeError, struct.error, RuntimeError) as e:
         raise ValueError(f"damaged ({e})") from e
 
 
