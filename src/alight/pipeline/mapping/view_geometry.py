@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.geometry import Camera
 from alight.records import View
 from alight.settings.tuning import MappingTuning
 
@@ -34,12 +36,16 @@ def looking_down(views: Sequence[View]) -> list[View]:
     return [v for v in views if -v.world_from_cam.rotation[2, 2] > STEEPEST]
 
 
+@lru_cache(maxsize=1024)
+def _border(camera: Camera) -> F64:
+    """Rays through corners and middles of the sides of its picture, (8, 3), in the optical frame."""
+    w, h = camera.width - 1.0, camera.height - 1.0
+    return camera.rays(np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]))
+
+
 def footprint(view: View, height: float) -> F64:
     """Where the image's border meets level ground at `height`, (N, 2) metres; rays end at 75 degrees from down."""
-    w, h = view.camera.width - 1.0, view.camera.height - 1.0
-    border = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]])
-    rays = view.camera.rays(border)
-    rays = rays @ view.world_from_cam.rotation.T
+    rays = _border(view.camera) @ view.world_from_cam.rotation.T
     down = np.maximum(-rays[:, 2], np.linalg.norm(rays, axis=1) * STEEPEST)
     return np.asarray(view.centre[:2] + rays[:, :2] * ((view.centre[2] - height) / down)[:, None])
 
