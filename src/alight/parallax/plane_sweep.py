@@ -29,8 +29,10 @@ SLACK = 2  # planes beyond these
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
 CLOSE = 0.2  # of the height of the lowest view above the heights searched: what stands nearer to it is not swept
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
+ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; heights there, at least; metres
 
 Span = tuple[float, float]  # lowest and highest height, metres
+Where = tuple[slice, slice]  # rows and columns of a tile
 Swept = tuple[F32, F32]  # heights, and best over second-best cost, near 1 where a second one fits; NaN where nothing
 
 
@@ -107,30 +109,59 @@ def ray_lattice(grid: Grid, ground: float, searched: Span, reference: Prepared) 
 
 
 def sweep_unseen(
-    pyramid: Sequence[list[Prepared]], grid: Grid, searched: Span, ground: float, wanted: Mask, tuning: SweepTuning
+    pyramid: Sequence[list[Prepared]],
+    grid: Grid,
+    searched: Span,
+    ground: float,
+    wanted: Mask,
+    tuning: SweepTuning,
+    known: F32 | None = None,
 ) -> Swept:
     """Heights of the `wanted` (R, C) cells, swept along the rays of the view that sees most of them from above.
 
     What that one does not see, behind a step or beyond its border, is swept along the rays of others.
+
+    Args:
+        searched: lowest and highest height, metres.
+        known: heights (R, C), NaN where there are none; those about a region narrow what is searched there.
     """
     height, ratio = np.full(grid.shape, np.nan, np.float32), np.full(grid.shape, np.nan, np.float32)
-    left = wanted.copy()
+    left, tried = wanted.copy(), list[tuple[Where, int]]()
     for _ in range(tuning.most_references):
         for where in regions(left, tuning.least_wanted, tuning.least_blocks):
             rows, cols = where
             part = grid.window(rows.start, cols.start, rows.stop - rows.start, cols.stop - cols.start)
-            reference = best_reference(pyramid[0], part, ground, left[where])
+            before = [k for its, k in tried if meet(its, where)]
+            reference = best_reference(pyramid[0], part, ground, left[where], before)
             if reference is None:
                 continue
-            found, of = sweep(pyramid, part, searched, ground, reference, tuning)
+            tried.append((where, reference))
+            heights = searched if known is None else heights_about(known, where, searched)
+            found, of = sweep(pyramid, part, heights, ground, reference, tuning)
             take = left[where] & np.isfinite(found)
             np.copyto(height[where], found, where=take)
             np.copyto(ratio[where], of, where=take)
-            left[where] &= ~take if take.any() else False  # another try would ask the same view again
+            left[where] &= ~take
     return height, ratio
 
 
-def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[tuple[slice, slice]]:
+def meet(one: Where, other: Where) -> bool:
+    """Whether two parts of a tile share cells."""
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))
+
+
+def heights_about(known: F32, where: Where, searched: Span) -> Span:
+    """The heights to search in a part of a tile: those `known` (R, C) about it, with a margin, where these are some."""
+    rows, cols = (slice(max(s.start - ABOUT, 0), s.stop + ABOUT) for s in where)
+    heights = known[rows, cols][np.isfinite(known[rows, cols])]
+    if len(heights) < LEAST_ABOUT:
+        return searched
+    low, high = (float(v) for v in np.percentile(heights, [OUTSIDE, 100.0 - OUTSIDE]))
+    margin = MARGIN_SHARE * (high - low) + MARGIN_ABOUT
+    return max(searched[0], low - margin), min(searched[1], high + margin)
+
+
+def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[Where]:
     """The rectangles about blocks with wanted cells; a few of them in a block are not worth a sweep."""
     shape = tuple(-(-n // SEEN_BLOCK) for n in wanted.shape)
     whole = np.zeros((shape[0] * SEEN_BLOCK, shape[1] * SEEN_BLOCK), np.float32)
@@ -145,14 +176,23 @@ def regions(wanted: Mask, least_share: float, least_blocks: int) -> list[tuple[s
     ]  # fmt: skip
 
 
-def best_reference(prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask) -> int | None:
-    """The view that sees most of the `wanted` cells were they at `ground`, the steeper the better; None: none sees."""
+def best_reference(
+    prepared: list[Prepared], grid: Grid, ground: float, wanted: Mask, but: Sequence[int] = ()
+) -> int | None:
+    """The view that sees most of the `wanted` cells were they at `ground`, the steeper the better; None: none sees.
+
+    Args:
+        but: views that are left out.
+    """
     wide = grid.coarser(SEEN_BLOCK)
     share = cv2.resize(wanted.astype(np.float32), wide.shape[::-1], interpolation=cv2.INTER_AREA)
     level = np.full(wide.shape, ground, np.float32)
     x, y = np.meshgrid(*wide.xy())
     worth = []
-    for p in prepared:
+    for k, p in enumerate(prepared):
+        if k in but:
+            worth.append(0.0)
+            continue
         tangent = np.hypot(x - p.centre[0], y - p.centre[1]) / (p.centre[2] - ground)
         worth.append(float((share * (maps(p, wide, level)[0] >= 0) * np.maximum(1.0 - tangent, 0.1)).sum()))
     return int(np.argmax(worth)) if max(worth) > 0 else None

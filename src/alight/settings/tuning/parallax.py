@@ -36,9 +36,10 @@ class SweepTuning(FrozenModel):
     most_planes: int = Field(192, ge=5, description="Most height planes of the coarsest images")
     halvings: int = Field(2, ge=0, le=4, description="Times that the images are halved for the first sweep (batch)")
     gap_cells: int = Field(2, ge=0, description="Half the width of gaps that are filled with their lowest rim, cells")
-    most_references: int = Field(4, ge=1, description="Most views along whose rays what was not seen yet is swept")
+    most_references: int = Field(2, ge=1, description="Most views along whose rays what was not seen yet is swept")
     least_wanted: Fraction = Field(0.25, description="Share of wanted cells from which a block is swept")
     least_blocks: int = Field(4, ge=1, description="Least number of blocks of a region that is swept")
+    unseen_blocks: int = Field(16, ge=1, description="The same of what two references left (batch)")
 
 
 class RefinementTuning(FrozenModel):
