@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from alight.arrays import F32
+from alight.arrays import F32, U8
 from alight.raster import block_mean, difference_of_gaussians, gaussian_mean, local_max, log_brightness, log_levels
 from alight.records import ElevationMap
 
@@ -15,6 +16,7 @@ WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands lie between e
 TINT = (0.1, 0.8)  # metres: the band of the tints
 SPOT = (0.07, 0.35)  # metres: the band of dark and bright spots
 REACH = 0.4  # metres over which spots are looked for
+STRIP = 256  # rows that are worked on at once where the picture is finest
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,27 +53,44 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
     """
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
-    light = log_brightness(rgb)
-    inner = factor // halves
-    seen = block_mean((rgb[..., 1] > 0).astype(np.float32), inner)
-    mean = block_mean(light, inner)
-    below = np.maximum(block_mean(light * light, inner) - mean * mean, 0) if inner > 1 else np.zeros_like(mean)
+    mean, seen, within = _pixels(rgb, factor // halves)
+    below = block_mean(within, halves)
     pixel = cell / halves
     mean = _filled(mean, seen, 1.0 / pixel)
-    smooth = [gaussian_mean(mean, s / pixel) if s / pixel > 0.3 else mean for s in WIDTHS]
-    spot = _difference(mean, *SPOT, pixel)
+    del seen, within  # large, as all that is as fine as the picture
+    spot = block_mean(_difference(mean, *SPOT, pixel), halves)
     coarse = block_mean(mean, halves)
     red, blue = _tints(elevation)
     reach = max(1, round(REACH / cell))
     return PictureBands(
-        below=block_mean(below, halves),
-        bands=tuple(block_mean((a - b) ** 2, halves) for a, b in pairwise(smooth)),
-        dark=local_max(-block_mean(spot, halves), reach),
-        bright=local_max(block_mean(spot, halves), reach),
+        below=below,
+        bands=tuple(_bands(mean, pixel, halves)),
+        dark=local_max(-spot, reach),
+        bright=local_max(spot, reach),
         tint=_difference(red, *TINT, cell) ** 2 + _difference(blue, *TINT, cell) ** 2,
         local=_difference(coarse, 0.15, 0.8, cell),
         broad=_difference(coarse, 0.8, 3.2, cell),
     )
+
+
+def _pixels(rgb: U8, inner: int) -> tuple[F32, F32, F32]:
+    """Log brightness of pixels `inner` times as wide, the share of each that was seen, the variance within it."""
+    rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
+    mean, seen, within = (np.zeros((rows, cols), np.float32) for _ in range(3))
+    for top in range(0, rows, STRIP):
+        part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
+        light = log_brightness(part)
+        mean[at], seen[at] = block_mean(light, inner), block_mean((part[..., 1] > 0).astype(np.float32), inner)
+        if inner > 1:
+            within[at] = np.maximum(block_mean(light * light, inner) - mean[at] * mean[at], 0)
+    return mean, seen, within
+
+
+def _bands(mean: F32, pixel: float, halves: int) -> Iterator[F32]:
+    """Mean square on each cell of what is wider than one width and narrower than the next."""
+    smooth = (gaussian_mean(mean, s / pixel) if s / pixel > 0.3 else mean for s in WIDTHS)
+    for one, wider in pairwise(smooth):
+        yield block_mean((one - wider) ** 2, halves)
 
 
 def _tints(elevation: ElevationMap) -> tuple[F32, F32]:
