@@ -29,6 +29,7 @@ from alight.motion.bundle.solver import (
     Adjustment,
     BundleState,
     Priors,
+    covariance_of,
     residuals,
     solved_steps,
     total_cost,
@@ -493,3 +494,16 @@ def test_points_of_two_photos_count_only_beside_surer_ones() -> None:
     assert not kept[400:500].any()
     assert kept[500]
     assert confirmed(points[200:], photos[200:] // 2 + 1, 100.0).all()
+
+
+def test_variances_are_positive_where_rounding_left_no_information() -> None:
+    rng = np.random.default_rng(3)
+    turn, _ = np.linalg.qr(rng.normal(size=(8, 8)))
+    size = 10.0 ** rng.uniform(-2, 4, 8)
+    usual = (turn * 10.0 ** rng.uniform(0, 2, 8)) @ turn.T * np.outer(size, size)
+    np.testing.assert_array_equal(covariance_of(usual), np.linalg.inv(usual + 1e-9 * np.eye(8)))
+    least = (turn * [1, 1, 1, 1, 1, 1, -1e-9, 1e-15]) @ turn.T * np.outer(size, size)
+    found = covariance_of(least)
+    assert (np.diag(found) > 0).all()
+    assert np.linalg.eigvalsh(found / np.sqrt(np.outer(np.diag(found), np.diag(found)))).min() > -1e-9
+    assert np.diag(found) @ size**2 > 1e8  # and large

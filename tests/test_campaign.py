@@ -335,7 +335,10 @@ def test_a_real_flight_is_the_same_again() -> None:
     """Seven seconds, in which no landing is begun; the cameras freeze meanwhile."""
     fault = FaultRecord(what="cameras frozen", after=4.5, numbers={"seconds": 1.0})
     given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
-    one, two = (fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record for _ in range(2))
+    one, two = (
+        fly_conditions(given, load_settings("", ["executive.time_budget=7", "executive.search_side=40"])).record
+        for _ in range(2)
+    )
     assert one.repeatable() == two.repeatable()
     assert (one.outcome, one.state) == ("wrongly refused", "return")
     assert one.verdicts > 0

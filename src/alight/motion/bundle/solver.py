@@ -25,6 +25,7 @@ from alight.motion.triangulation import triangulate_rays
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 _DENSE = 1200  # unknowns, up to which the normal equations are solved as a dense matrix
+_LEAST_INFORMATION = 1e-12  # of a direction, over that of the numbers it is made of
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
 _CAMERA = Pose(np.eye(3))  # a photo's pose is that of its camera
 
@@ -293,11 +294,25 @@ class Adjustment:
         """
         self.linearise(state)
         S = self.reduce(0.0)[0]
-        C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
+        C = covariance_of(S)
         poses = (self.each * np.arange(self.photos)[:, None] + np.arange(6)).ravel()
         lens = self.each * self.photos + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
         of = np.concatenate([poses, lens])
         return np.asarray(C[np.ix_(of, of)])
+
+
+def covariance_of(S: F64) -> F64:
+    """The inverse of an information matrix (p, p), with positive variances also where rounding left it none.
+
+    What nothing fixes, as among photos of which most are no photos of this ground, gets a large variance.
+    """
+    C = np.linalg.inv(S + 1e-9 * np.eye(len(S)))
+    if np.isfinite(C).all() and (np.diag(C) > 0).all():
+        return np.asarray(C)
+    size = np.sqrt(np.maximum(np.diag(S), _LEAST_INFORMATION))
+    values, vectors = np.linalg.eigh((S + S.T) / (2.0 * np.outer(size, size)))
+    known = np.maximum(values, _LEAST_INFORMATION * len(S))
+    return np.asarray((vectors / known) @ vectors.T / np.outer(size, size))
 
 
 def solved_steps(S: F64, rhs: F64) -> F64:
