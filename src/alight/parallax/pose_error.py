@@ -75,7 +75,7 @@ def sensitivity(points: F64, cameras: Sequence[PosedCamera], joint: KeyframePost
         for k, share in _shares(view.t_ns, joint):
             out[:, :, 6 * k : 6 * k + 6] += share * (W @ _carried(points, joint.motions[k].world_from_body.translation))
         for n, lens in enumerate(joint.lenses):
-            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens[view.cam], points)[..., None])[..., 0]
+            out[:, :, M - len(joint.lenses) + n] += (W @ _bent(view, lens[view.cam], points, seen)[..., None])[..., 0]
     found = np.linalg.solve(normal + _REGULAR * np.eye(3), out)
     return np.asarray(np.where(count[:, None, None] >= _LEAST, found, np.nan))
 
@@ -95,13 +95,13 @@ def _carried(points: F64, body: F64) -> F64:
     return out
 
 
-def _bent(view: PosedCamera, lens: Camera, points: F64) -> F64:
-    """(S, 3): by how much the ground goes with the pixels of a lens that is one unit off."""
-    in_cam = view.world_from_cam.inverse.apply(points)
-    pixels = view.camera.project(in_cam)
-    ray, true = view.camera.rays(pixels), lens.rays(pixels)
-    off = (ray / ray[:, 2:] - true / true[:, 2:]) * in_cam[:, 2:]
-    return np.asarray(off @ view.world_from_cam.rotation.T)
+def _bent(view: PosedCamera, lens: Camera, points: F64, seen: NDArray[np.bool_]) -> F64:
+    """(S, 3): by how much the ground goes with the pixels of a lens that is one unit off; 0 where it is not seen."""
+    out = np.zeros(points.shape)
+    in_cam = view.world_from_cam.inverse.apply(points[seen])
+    true = lens.rays(view.camera.project(in_cam))
+    out[seen] = (in_cam - true / true[:, 2:] * in_cam[:, 2:]) @ view.world_from_cam.rotation.T
+    return out
 
 
 def _shares(t_ns: int, joint: KeyframePosterior) -> list[tuple[int, float]]:
