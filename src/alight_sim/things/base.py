@@ -25,6 +25,7 @@ CoverName = Literal["bare", "short_grass", "tall_vegetation", "tree", "water", "
 Places = tuple[tuple[Coordinate, Coordinate], ...]
 Factor = Annotated[float, Field(ge=0.0, le=20.0)]
 UNTINTED = (1.0, 1.0, 1.0)
+LARGEST = 200.0  # metres: of one thing
 
 
 def _look(value: Any) -> Any:
@@ -50,6 +51,8 @@ def _pair(value: Any) -> Any:
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
     if not 0.0 < value[0] <= value[1]:
         raise ValueError("must be one number or [smallest, largest], above 0")
+    if value[1] > LARGEST:
+        raise ValueError(f"must be at most {LARGEST:g}")
     return value
 
 
