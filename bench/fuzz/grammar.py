@@ -240,8 +240,9 @@ def _exif(path: Path, where: float, what: str) -> None:
     """A tag of EXIF holds another value, of another kind; or bytes of EXIF are others."""
     if what == "garble":
         data = bytearray(path.read_bytes())
-        start = data.find(b"Exif\0\0") + 6
-        data[(start + int(where * 300)) % len(data)] = int(where * 7919) % 256
+        if data:  # another damage may have emptied it
+            start = data.find(b"Exif\0\0") + 6
+            data[(start + int(where * 300)) % len(data)] = int(where * 7919) % 256
         path.write_bytes(bytes(data))
         return
     with suppress(Exception):  # pillow refuses to write some of it
