@@ -382,8 +382,8 @@ def test_imu_samples_by_hand() -> None:
         assert_allclose(s.angular_velocity_body, [0.1, -0.2, -0.3], atol=1e-7)
 
 
-def test_numbers_that_are_not_finite_do_no_harm() -> None:
-    nan = math.nan
+@pytest.mark.parametrize("nan", [math.nan, math.inf, -math.inf])
+def test_numbers_that_are_not_finite_do_no_harm(nan: float) -> None:
     events = TelemetryEvents(LOCAL)
     messages = [
         mavlink.MAVLink_attitude_quaternion_message(1000, nan, 0, 0, 0, nan, 0, 0),

@@ -604,6 +604,7 @@ def test_rasters_that_cannot_be_a_world_are_refused_in_one_line(tmp_path, hill):
         ),
         ({"ground": {"layers": [{"thing": "rocks", "radius": [3, 1]}]}}, "must be one number or [smallest, largest]"),
         ({"ground": {"layers": [{"thing": "trees", "radius": [1.6, "1e200"]}]}}, "radius: must be at most 200"),
+        ({"ground": {"layers": [{"thing": "pads", "size": ["1e5", 8.5]}]}}, "size.1: input should be less than or eq"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0]]}]}}, "needs two places or more"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [1e9, 0]]}]}}, "less than or equal to 20000"),
         ({"ground": {"layers": [{"thing": "road", "path": [[0, 0], [2e4, 0]] * 6}]}}, "is longer than 200 km"),

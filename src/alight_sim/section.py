@@ -7,6 +7,7 @@ from pydantic import Field
 from alight.settings.base import FrozenModel
 
 Coordinate = Annotated[float, Field(ge=-20_000.0, le=20_000.0)]  # metres east or north of the origin
+Side = Annotated[float, Field(ge=0.5, le=1000.0)]  # metres, of a level place
 
 
 class Section(FrozenModel):

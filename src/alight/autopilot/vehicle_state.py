@@ -154,13 +154,15 @@ class VehicleState:
 
     def _wind(self, m: Any) -> None:
         """ArduPilot's: where the wind comes from, in degrees."""
-        towards = math.radians(m.direction) + math.pi
-        self._now = replace(
-            self._now, wind_world=border.enu(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
-        )
+        towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else _NAN
+        self._blow(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 
     def _wind_cov(self, m: Any) -> None:
-        self._now = replace(self._now, wind_world=border.enu(m.wind_x, m.wind_y, m.wind_z))
+        self._blow(m.wind_x, m.wind_y, m.wind_z)
+
+    def _blow(self, *wind_ned: float) -> None:
+        known = all(map(math.isfinite, wind_ned))
+        self._now = replace(self._now, wind_world=border.enu(*wind_ned) if known else np.full(3, _NAN))
 
     def _mission_current(self, m: Any) -> None:
         item = int(m.seq) - self.firmware.home_items

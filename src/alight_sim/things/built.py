@@ -13,6 +13,7 @@ from alight.records import Terrain
 from alight_sim.kernels import stamps
 from alight_sim.kernels.stamps import BLUE, EAST, EXTRA, HALF_U, HALF_V, LEVEL, LOOK, NORTH, REACH, RED, TOP, TURN
 from alight_sim.looks import Look
+from alight_sim.section import Side
 from alight_sim.things.base import (
     Between,
     CoverName,
@@ -185,10 +186,10 @@ class Parking(Layer):
 
     thing: Literal["parking"]
     at: Places = Field(min_length=1, description="[[east, north], ...] metres, middles of the grounds")
-    size: tuple[float, float] = Field((40.0, 32.0), description="metres [along the rows, across]")
+    size: tuple[Side, Side] = Field((40.0, 32.0), description="metres [along the rows, across]")
     turn_deg: float = Field(0.0, description="of the rows, counter-clockwise from east")
     full: float = Field(0.5, ge=0.0, le=1.0, description="share of the bays with a car")
-    bay: tuple[float, float] = Field((2.5, 5.0), description="metres [width, length] of a bay")
+    bay: tuple[Side, Side] = Field((2.5, 5.0), description="metres [width, length] of a bay")
     lane: float = Field(6.0, ge=0.0, le=50.0, description="metres between two rows")
     bank: float = Field(2.0, ge=0.0, le=100.0, description="metres over which it blends into the ground")
     kind: CoverName = Field("paved", description="class")

@@ -14,6 +14,7 @@ from alight.arrays import F64, Mask
 from alight.records import Terrain
 from alight_sim.looks import Look
 from alight_sim.relief import noise
+from alight_sim.section import Side
 from alight_sim.things.base import (
     UNTINTED,
     Box,
@@ -135,7 +136,7 @@ class Fields(Layer):
     """A patchwork of parcels with crops in rows, strips of grass between them; or one field in a box."""
 
     thing: Literal["fields"]
-    parcel: tuple[float, float] = Field((60.0, 35.0), description="metres [along, across]; the rows run along")
+    parcel: tuple[Side, Side] = Field((60.0, 35.0), description="metres [along, across]; the rows run along")
     turn_deg: float = Field(20.0, description="of the rows, counter-clockwise from east")
     border: float = Field(1.5, ge=0.0, le=50.0, description="metres of grass between two parcels")
     crops: tuple[Crop, ...] = Field(CROPS, min_length=1, description="what grows, drawn for each parcel")

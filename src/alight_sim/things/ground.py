@@ -13,6 +13,7 @@ from alight.records import Terrain
 from alight_sim.kernels.stamps import EAST, HALF_U, HALF_V, LEVEL, NORTH, REACH, TOP, TURN
 from alight_sim.looks import Look
 from alight_sim.relief import FractalRelief, noise
+from alight_sim.section import Side
 from alight_sim.things.base import (
     UNTINTED,
     Between,
@@ -192,7 +193,7 @@ class Pads(Scattered):
 
     thing: Literal["pads"]
     radius: float | None = Field(None, gt=0.0, le=500.0, description="metres: a disc; without it a rectangle of `size`")
-    size: tuple[float, float] = Field((10.0, 10.0), description="metres [along, across]")
+    size: tuple[Side, Side] = Field((10.0, 10.0), description="metres [along, across]")
     turn_deg: float = Field(0.0, description="of the rectangle, counter-clockwise from east")
     tilt_deg: float = Field(0.0, ge=0.0, le=45.0, description="slope of the pad")
     tilt_towards_deg: float = Field(90.0, description="where it falls to, clockwise from north")
