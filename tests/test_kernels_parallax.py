@@ -596,28 +596,31 @@ def test_the_orthophoto_adds_the_views_that_count(kind: str, wanted: int) -> Non
     shape, coarser = (ROWS, COLS), np.float32(1.5)
     total, number, finest = np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, "f4")
     wants = np.ones(shape, bool)
-    sums, count, best = total.astype(float), number.astype(float), finest.copy()
-    for scale in (1.0, 1.2, 2.0, 1.1):
+    still, sums, count, best = wants.copy(), total.astype(float), number.astype(float), finest.copy()
+    for scale in (1.0, 1.1, 1.2, 2.0):
         seen = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
         mapx = np.where(rng.random(shape) < (0.0 if kind == "nothing" else 0.7), 5, -1e4).astype(np.float32)
-        pixel = np.float32(0.05 * scale) + np.zeros(shape, np.float32)
-        use = ortho.sees(mapx, pixel, wants, finest, coarser)
-        expected = (mapx >= 0) & (count < wanted) & (pixel <= coarser * best)
+        xs, ys, centre = 0.3 * np.arange(COLS), -0.3 * np.arange(ROWS), np.array([1.0, -2.0, 50.0 * scale])
+        use, pixel = ortho.sees(mapx, wants, finest, coarser, xs, ys, centre, 2.0, 900.0)
+        away = np.sqrt((xs - 1.0)[None] ** 2 + (ys + 2.0)[:, None] ** 2 + (50.0 * scale - 2.0) ** 2)
+        assert_allclose(pixel, away / 900.0, rtol=1e-6)
+        expected = (mapx >= 0) & still & (pixel <= coarser * best)
+        still &= ~((mapx >= 0) & (pixel > coarser * best))
         assert_array_equal(use, expected)
-        both, gain = ortho.exposure_gains(seen, use, total, number)
+        before, now = np.zeros(3), np.zeros(3)
+        both = ortho.add_exposures(seen, use, total, number, before, now)
         shared = expected & (count > 0)
         assert both == shared.sum()
-        if both:
-            before = (sums[shared] / count[shared][:, None]).mean(axis=0)
-            assert_allclose(gain, before / np.maximum(seen[shared].mean(axis=0), 1.0), rtol=1e-5)
-        else:
-            assert_array_equal(gain, np.ones(3))
+        assert_allclose(before, (sums[shared] / count[shared][:, None]).sum(axis=0), rtol=1e-5)
+        assert_array_equal(now, seen[shared].sum(axis=0))
+        gain = before / np.maximum(now, 1.0) if both else np.ones(3)
         ortho.add_view(seen, use, pixel, gain, wanted, total, number, finest, wants)
         sums[expected] += seen[expected] * gain
         count += expected
+        still &= count < wanted
         best[expected] = np.minimum(best, pixel)[expected]
     assert_allclose(total, sums, rtol=1e-5)
     assert_array_equal(number, count)
     assert_array_equal(finest, best)
-    assert_array_equal(wants, count < wanted)
+    assert_array_equal(wants, still)
     assert (number.max() == min(wanted, 3)) == (kind != "nothing")  # the coarse view never counts

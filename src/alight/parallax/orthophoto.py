@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from alight.arrays import F32, U8
+from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid, box_of, ground_projection
-from alight.parallax.orthophoto_kernels import add_view, exposure_gains, sees
+from alight.parallax.orthophoto_kernels import add_exposures, add_view, sees
 from alight.parallax.views import (
+    border_rays,
     ground_sampling,
     may_see,
-    pixels_on_ground,
     project_cells,
     radius2_limit,
     rgb_of,
@@ -28,8 +29,11 @@ from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
+PART = 256  # pixels a side that are looked at together
 MOST = 4  # fine pixels a cell, each way
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
+AROUND = 0.05  # of the side of the ground that a picture shows: rows that were exposed at other times, and the lens
+FLAT = 0.05  # sine of the angle to the ground of a ray whose end on it is not looked for
 COARSER = 1.5  # a view whose pixel is larger than that of the finest by this factor does not count beside it
 
 
@@ -40,36 +44,83 @@ def _blocks(grid: Grid) -> Iterator[tuple[slice, slice, Grid]]:
             yield slice(r, r + rows), slice(c, c + cols), grid.window(r, c, rows, cols)
 
 
-def _block(views: Sequence[View], grid: Grid, height: F32, count: int) -> tuple[F32, F32, F32]:
-    """Mean of the `count` nearest views of every pixel, each brought to the exposure of the first.
+def _within(outer: tuple[slice, slice], inner: tuple[slice, slice]) -> tuple[slice, slice]:
+    """Rows and columns of a window in a window, in those of the whole."""
+    (r, c), (dr, dc) = outer, inner
+    return slice(r.start + dr.start, r.start + dr.stop), slice(c.start + dc.start, c.start + dc.stop)
+
+
+def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> tuple[slice, slice]:
+    """Rows and columns of a grid that a picture may show where the ground lies between two heights, metres."""
+    everything = slice(0, grid.rows), slice(0, grid.cols)
+    if centre[2] <= high or (rays[:, 2] > -FLAT * np.linalg.norm(rays, axis=1)).any():
+        return everything
+    reach = (np.array([[low], [high]]) - centre[2]) / rays[:, 2]
+    places = centre[:2] + (reach[..., None] * rays[:, :2]).reshape(-1, 2)
+    around = AROUND * np.ptp(places, axis=0) + grid.cell
+    (west, south), (east, north) = places.min(axis=0) - around, places.max(axis=0) + around
+    rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
+    return tuple(
+        slice(int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n)))
+        for (a, b), n in zip((rows, cols), grid.shape, strict=True)
+    )
+
+
+def _parts(box: tuple[slice, slice]) -> Iterator[tuple[slice, slice]]:
+    """A window in parts of `PART` pixels a side: where one wants no further view, no further one is laid on it."""
+    for r in range(box[0].start, box[0].stop, PART):
+        for c in range(box[1].start, box[1].stop, PART):
+            yield slice(r, min(r + PART, box[0].stop)), slice(c, min(c + PART, box[1].stop))
+
+
+class _Look(NamedTuple):
+    """What a view shows of a window."""
+
+    at: tuple[slice, slice]
+    seen: U8  # (R, C, 3)
+    use: Mask  # (R, C), where it counts
+    pixel: F32  # (R, C), metres of ground that a pixel of the view covers
+
+
+def _look(
+    view: View, grid: Grid, height: F32, at: tuple[slice, slice], level: float, wants: Mask, finest: F32
+) -> _Look:
+    camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
+    mapx, mapy = np.empty((2, *part.shape), np.float32)
+    H, b = ground_projection(camera, view.world_from_cam)
+    heights = np.ascontiguousarray(height[at])
+    project_cells(camera, radius2_limit(camera), H, b, *part.xy(), heights, (mapx, mapy), rolling_of(view))
+    use, pixel = sees(mapx, wants[at], finest[at], np.float32(COARSER), *part.xy(), view.centre, level, camera.fu)
+    if not use.any():
+        return _Look(at, np.zeros((0, 0, 3), np.uint8), use, pixel)
+    return _Look(at, cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR), use, pixel)
+
+
+def _block(
+    views: Sequence[View], rays: Sequence[F64], grid: Grid, height: F32, wants: Mask, count: int
+) -> tuple[F32, F32, F32]:
+    """Mean of the `count` nearest views of every pixel that wants one, each brought to the exposure of the first.
 
     Beside it their number, and the pixel on the ground of the first, metres. A view with much coarser pixels than the
-    first does not count. Only the window of pixels that want another view is looked at.
+    first does not count. Only the pixels that the view may show and that want another one are looked at.
     """
     xs, ys = grid.xy()
-    level = float(np.median(height))
+    level, low, high = float(np.median(height)), float(height.min()), float(height.max())
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
     total, number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
     finest = np.full(grid.shape, np.inf, np.float32)
-    wants = np.ones(grid.shape, bool)
     for i in np.argsort(away, kind="stable"):
-        view, at = views[i], box_of(wants)
-        camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
-        mapx, mapy = np.empty((2, *part.shape), np.float32)
-        H, b = ground_projection(camera, view.world_from_cam)
-        level_of, maps = np.ascontiguousarray(height[at]), (mapx, mapy)
-        project_cells(camera, radius2_limit(camera), H, b, *part.xy(), level_of, maps, rolling_of(view))
-        pixel = pixels_on_ground(view.centre, camera.fu, part, np.float32(level))
-        use = sees(mapx, pixel, wants[at], finest[at], np.float32(COARSER))
-        if not use.any():
-            continue
-        seen = cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR)
-        both, gain = exposure_gains(seen, use, total[at], number[at])
-        known = gain if both > SAME * wants.size else np.ones(3)
-        add_view(seen, use, pixel, known, count, total[at], number[at], finest[at], wants[at])
-        if not wants.any():
-            break
+        view = views[i]
+        boxes = [_within(b, box_of(wants[b])) for b in _parts(_window(rays[i], view.centre, grid, low, high))]
+        looks = [_look(view, grid, height, at, level, wants, finest) for at in boxes if wants[at].any()]
+        looks = [look for look in looks if look.use.any()]
+        both, before, now = 0, np.zeros(3), np.zeros(3)
+        for look in looks:
+            both += add_exposures(look.seen, look.use, total[look.at], number[look.at], before, now)
+        gain = before / np.maximum(now, both) if both > SAME * wants.size else np.ones(3)
+        for at, seen, use, pixel in looks:
+            add_view(seen, use, pixel, gain, count, total[at], number[at], finest[at], wants[at])
     return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
 
 
@@ -96,14 +147,16 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
+    rays = [border_rays(v.camera) @ v.world_from_cam.rotation.T for v in views]
     for rows, cols, part in _blocks(grid):
         if not unseen[rows, cols].all():
             fine = part.finer(factor)
             up = cv2.resize(height[rows, cols], fine.shape[::-1], interpolation=cv2.INTER_LINEAR)
             to = slice(rows.start * factor, rows.stop * factor), slice(cols.start * factor, cols.stop * factor)
-            near = [views[k] for k in may_see(views, fine, float(up.min()), float(up.max()))]
-            mean, number, pixel = _block(near, fine, up, count)
-            seen = (number > 0) & ~upsample(unseen[rows, cols], factor)
+            near = may_see(views, fine, float(up.min()), float(up.max()))
+            wants = ~upsample(unseen[rows, cols], factor)
+            mean, number, pixel = _block([views[k] for k in near], [rays[k] for k in near], fine, up, wants, count)
+            seen = number > 0
             out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
             middle = (slice(factor // 2, None, factor),) * 2
             np.copyto(sampling[rows, cols], pixel[middle], where=seen[middle])

@@ -7,34 +7,47 @@ from alight.compiled import kernel
 
 
 @kernel
-def sees(mapx: F32, pixel: F32, wants: Mask, finest: F32, coarser: np.float32) -> Mask:
-    """Where a view adds to the mean, (R, C).
+def sees(
+    mapx: F32, wants: Mask, finest: F32, coarser: np.float32, xs: F64, ys: F64, centre: F64, level: float, focal: float
+) -> tuple[Mask, F32]:
+    """Where a view adds to the mean, and the metres of ground that its pixels cover, both (R, C).
+
+    Views come from the finest on: `wants` becomes false, in place, where one is too coarse, for so are those after it.
 
     Args:
         mapx: (R, C), column in the view; below 0: out of its sight.
-        pixel: (R, C), metres of ground that a pixel of the view covers.
         wants: (R, C), whether another view is wanted.
         finest: (R, C), metres, the finest pixel of earlier views.
         coarser: a view with pixels larger than the finest by this factor does not count.
+        xs, ys: metres, east of the columns and north of the rows.
+        centre: (3,) metres, of the camera.
+        level: metres, of the ground.
+        focal: pixels; a pixel covers the distance over it.
     """
-    use = np.empty(mapx.shape, np.bool_)
+    use, pixel = np.empty(mapx.shape, np.bool_), np.empty(mapx.shape, np.float32)
+    east, over, up = (xs - centre[0]).astype(np.float32), np.float32(1 / focal), np.float32(level - centre[2])
     for r in range(mapx.shape[0]):
+        north = np.float32(ys[r] - centre[1])
+        beyond = north * north + up * up
         for c in range(mapx.shape[1]):
-            use[r, c] = mapx[r, c] >= 0 and wants[r, c] and pixel[r, c] <= coarser * finest[r, c]
-    return use
+            pixel[r, c] = np.sqrt(east[c] * east[c] + beyond) * over
+            shown, fine = (mapx[r, c] >= 0) & wants[r, c], pixel[r, c] <= coarser * finest[r, c]
+            use[r, c], wants[r, c] = shown & fine, wants[r, c] & (fine | (mapx[r, c] < 0))
+    return use, pixel
 
 
 @kernel
-def exposure_gains(seen: U8, use: Mask, total: F32, number: F32) -> tuple[int, F64]:
-    """Exposure of earlier views over that of a view, by colour, and of how many pixels that is known.
+def add_exposures(seen: U8, use: Mask, total: F32, number: F32, before: F64, now: F64) -> int:
+    """Add up, in place, what earlier views and a view show of the pixels that both show; how many these are.
 
     Args:
         seen: (R, C, 3), the view's picture on the grid.
         use: (R, C), where the view counts.
         total: (R, C, 3), sum of earlier views.
         number: (R, C), of earlier views.
+        before, now: (3,), sums of the colours in earlier views and in this one.
     """
-    before, now, both = np.zeros(3), np.zeros(3), 0
+    both = 0
     for r in range(use.shape[0]):
         for c in range(use.shape[1]):
             if use[r, c] and number[r, c] > 0:
@@ -42,9 +55,7 @@ def exposure_gains(seen: U8, use: Mask, total: F32, number: F32) -> tuple[int, F
                 for k in range(3):
                     before[k] += total[r, c, k] / number[r, c]
                     now[k] += seen[r, c, k]
-    if both == 0:
-        return 0, np.ones(3)
-    return both, (before / both) / np.maximum(now / both, 1.0)
+    return both
 
 
 @kernel

@@ -53,13 +53,18 @@ def grey_of(image: Pixels) -> F32:
 
 
 @cache
-def radius2_limit(camera: Camera) -> float:
-    """Largest squared ideal radius of the image's border, with 2 % to spare."""
+def border_rays(camera: Camera) -> F64:
+    """Directions in the optical frame, (N, 3) with z = 1, along the border of a picture."""
     w, h = camera.width - 1.0, camera.height - 1.0
     u, v = np.linspace(0, w, 17), np.linspace(0, h, 17)
     border = np.concatenate([np.c_[u, 0 * u], np.c_[u, 0 * u + h], np.c_[0 * v, v], np.c_[0 * v + w, v]])
-    rays = camera.rays(border)
-    return float((rays[:, :2] ** 2).sum(axis=1).max() * 1.02)
+    return camera.rays(border)
+
+
+@cache
+def radius2_limit(camera: Camera) -> float:
+    """Largest squared ideal radius of the image's border, with 2 % to spare."""
+    return float((border_rays(camera)[:, :2] ** 2).sum(axis=1).max() * 1.02)
 
 
 def ground_sampling(view: View, height: float) -> float:
@@ -67,21 +72,6 @@ def ground_sampling(view: View, height: float) -> float:
     drop = max(view.centre[2] - height, 1e-3)
     tilt = max(-view.world_from_cam.rotation[2, 2], 0.2)  # cosine of the optical axis to the vertical
     return float(drop / tilt / view.camera.fu)
-
-
-def pixels_on_ground(centre: F64, focal: float, grid: Grid, height: F32 | np.float32) -> F32:
-    """Metres of ground that a pixel covers at every cell of a grid, (R, C): distance over focal length in pixels.
-
-    Args:
-        centre: (3,) metres, of the camera.
-        focal: pixels.
-        grid: the cells.
-        height: metres, (R, C) or one for all.
-    """
-    xs, ys = (v.astype(np.float32) for v in grid.xy())
-    e, n, u = centre.astype(np.float32)
-    distance = np.sqrt((xs - e)[None, :] ** 2 + (ys - n)[:, None] ** 2 + (height - u) ** 2)
-    return np.asarray(distance / np.float32(focal), np.float32)
 
 
 def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, float]:
