@@ -60,10 +60,10 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> tupl
     around = AROUND * np.ptp(places, axis=0) + grid.cell
     (west, south), (east, north) = places.min(axis=0) - around, places.max(axis=0) + around
     rows, cols = grid.index(np.array([west, east]), np.array([north, south]))
-    return tuple(
-        slice(int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n)))
-        for (a, b), n in zip((rows, cols), grid.shape, strict=True)
+    (top, bottom), (left, right) = (
+        (int(np.clip(a, 0, n)), int(np.clip(b + 1, 0, n))) for (a, b), n in zip((rows, cols), grid.shape, strict=True)
     )
+    return slice(top, bottom), slice(left, right)
 
 
 def _parts(box: tuple[slice, slice]) -> Iterator[tuple[slice, slice]]:
