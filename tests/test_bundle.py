@@ -12,6 +12,7 @@ pytest.importorskip("pycolmap")
 
 from alight.geometry import Camera, Pose, enu_from_flu, so3_exp, so3_log
 from alight.motion.bundle.adjust import joint_of, select, solve_bundle
+from alight.motion.bundle.exposure import exposure_gains
 from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import (
     BundleObservations,
@@ -70,6 +71,12 @@ def flight(strips: int, photos: int) -> tuple[F64, F64]:
     return np.array(centres), np.array(body)
 
 
+def a_photo(pixels: F64, colours: F64 | None = None) -> PhotoFeatures:
+    """Features without descriptors."""
+    grey = np.full((len(pixels), 3), 100.0) if colours is None else colours
+    return PhotoFeatures(pixels, np.empty((len(pixels), 128), np.uint8), grey.astype(np.float32))
+
+
 def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0.0, camera: Camera = CAMERA) -> Scene:
     """Photos of random points over relief; a share of the matches is wrong."""
     rng = np.random.default_rng(11)
@@ -80,9 +87,7 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
     for C, B in zip(centres, body, strict=True):
         px = camera.project((points - C) @ (B @ LOOKS_FORWARD))
         seen = np.flatnonzero(((px > 0) & (px < [camera.width - 1, camera.height - 1])).all(axis=1))
-        features.append(
-            PhotoFeatures(px[seen] + rng.normal(0, noise, (len(seen), 2)), np.empty((len(seen), 128), np.uint8))
-        )
+        features.append(a_photo(px[seen] + rng.normal(0, noise, (len(seen), 2))))
         ids.append(seen)
     pairs = []
     for i, j in neighbours(centres, 5):
@@ -351,7 +356,7 @@ def test_many_photos_are_solved_as_a_sparse_matrix_with_the_same_steps() -> None
 
 
 def test_tracks_that_meet_a_photo_twice_are_dropped() -> None:
-    features = [PhotoFeatures(np.arange(8.0).reshape(4, 2), np.empty((4, 128), np.uint8)) for _ in range(3)]
+    features = [a_photo(np.arange(8.0).reshape(4, 2)) for _ in range(3)]
     none = np.eye(3), np.zeros(3)
     pairs = [
         Pair(0, 1, np.array([[0, 0], [1, 1]]), *none),
@@ -409,7 +414,7 @@ def rolled(s: Scene, way: F64, turn: F64, noise: float = 0.3) -> Scene:
     """The same photos, each camera moving by its way (n, 3) m and turning by (n, 2, 3) rad while it is read out."""
     rng = np.random.default_rng(2)
     features = []
-    for i, f in enumerate(s.features):
+    for i in range(len(s.features)):
         R, points, t = s.body[i] @ LOOKS_FORWARD, s.points[s.ids[i]], np.zeros(len(s.ids[i]))
         for _ in range(8):
             px = np.array(
@@ -421,7 +426,7 @@ def rolled(s: Scene, way: F64, turn: F64, noise: float = 0.3) -> Scene:
                 ]
             )
             t = (px[:, 1] + 0.5) / CAMERA.height - 0.5
-        features.append(PhotoFeatures(px + rng.normal(0, noise, px.shape), f.descriptors))
+        features.append(a_photo(px + rng.normal(0, noise, px.shape)))
     return replace(s, features=features, observations=tracks(features, s.pairs))
 
 
@@ -507,3 +512,38 @@ def test_variances_are_positive_where_rounding_left_no_information() -> None:
     assert (np.diag(found) > 0).all()
     assert np.linalg.eigvalsh(found / np.sqrt(np.outer(np.diag(found), np.diag(found)))).min() > -1e-9
     assert np.diag(found) @ size**2 > 1e8  # and large
+
+
+def exposed(s: Scene, factors: F64) -> list[PhotoFeatures]:
+    """The features with the colours of the ground under an exposure of each photo (n, 3); some show another colour."""
+    rng = np.random.default_rng(3)
+    ground = rng.uniform(60, 120, (len(s.points), 3))
+    out = []
+    for f, seen, factor in zip(s.features, s.ids, factors, strict=True):
+        colours = ground[seen] * factor * np.exp(rng.normal(0, 0.03, (len(seen), 1)))
+        other = rng.random(len(seen)) < 0.05
+        colours[other] = rng.uniform(10, 240, (other.sum(), 3))
+        out.append(replace(f, colours=colours.astype(np.float32)))
+    return out
+
+
+def test_photos_of_any_exposure_show_the_same_ground_alike() -> None:
+    s = scene(3, 8)
+    factors = np.exp(np.random.default_rng(4).uniform(-0.6, 0.6, (len(s.features), 3)))
+    gains = exposure_gains(exposed(s, factors), s.observations)
+    assert gains.shape == factors.shape
+    together = np.log(gains * factors)
+    assert np.abs(together - together.mean(axis=0)).max() < 0.03  # 0.6 before
+    assert np.abs(np.log(gains).mean(axis=0)).max() < 0.1  # bright and dark ones meet in the middle
+
+
+def test_a_photo_that_shares_nothing_keeps_its_exposure() -> None:
+    s = scene()
+    features = exposed(s, np.full((len(s.features), 3), 0.7))
+    alone = s.observations.keep(s.observations.photo != 4)[0]
+    gains = exposure_gains(features, alone)
+    assert np.array_equal(gains[4], np.ones(3))
+    assert np.abs(gains - 1.0).max() < 0.02
+    dark = [replace(f, colours=np.zeros_like(f.colours)) for f in features]
+    assert np.array_equal(exposure_gains(dark, s.observations), np.ones_like(gains))
+    assert np.array_equal(exposure_gains([None] * 3, s.observations.keep(s.observations.photo < 0)[0]), np.ones((3, 3)))

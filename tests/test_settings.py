@@ -84,6 +84,9 @@ def test_every_misplaced_key_of_a_group_is_named() -> None:
         ("parallax: {method: sgbm}", "parallax.method", "sgbm"),
         ("parallax: {height_range: [1]}", "parallax.height_range.1", ""),
         ("hazards: {p_safe: 1.2}", "hazards.p_safe", "1.2"),
+        ("tuning: {hazards: {even_length: 1e9}}", "tuning.hazards.even_length", "1e9"),  # a window beyond OpenCV
+        ("tuning: {hazards: {broad_length: 1e9}}", "tuning.hazards.broad_length", "1e9"),
+        ("tuning: {hazards: {noise_length: 1e9}}", "tuning.hazards.noise_length", "1e9"),
         ("lander: {radius: wide}", "lander.radius", "wide"),
         ("lander: 3", "lander", "3"),
         ("motion: {bundle: {focal: free-ish}}", "motion.bundle.focal", "free-ish"),

@@ -21,7 +21,7 @@ from alight.parallax import gauss_newton as refine
 from alight.parallax import temporal_consistency as witness
 from alight.parallax import uncertainty as trust
 from alight.parallax.plane_sweep import Swept, sweep, sweep_unseen
-from alight.parallax.views import Prepared, choose_views, coarser, maps, prepare_view, rgb_of, stack
+from alight.parallax.views import Prepared, choose_views, coarser, maps, prepare_view, rgb_of, stack, toned
 from alight.records import Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning, UncertaintyTuning
@@ -169,7 +169,7 @@ def colour(
             mx, my = maps(fine[i], grid, height)
             ok = left & (mx >= 0) & ((refine.enlarged(visible[i], grid, 2) > 0) | (not strict))
             if ok.any():
-                seen = picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my)
+                seen = toned(picture_at(rgb_of(views[i].image), views[i].camera, fine[i], mx, my), views[i])
                 out[ok] = seen[ok]
                 left &= ~ok
     return out

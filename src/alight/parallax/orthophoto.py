@@ -24,6 +24,7 @@ from alight.parallax.views import (
     radius2_limit,
     rgb_of,
     rolling_of,
+    toned,
 )
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
@@ -93,7 +94,8 @@ def _look(
     use, pixel = sees(mapx, wants[at], finest[at], np.float32(COARSER), *part.xy(), view.centre, level, camera.fu)
     if not use.any():
         return _Look(at, np.zeros((0, 0, 3), np.uint8), use, pixel)
-    return _Look(at, cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR), use, pixel)
+    seen = np.asarray(cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR))
+    return _Look(at, toned(seen, view), use, pixel)
 
 
 def _block(

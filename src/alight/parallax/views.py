@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, U8
 from alight.geometry import Camera, Grid, ground_projection
 from alight.parallax.projection_kernels import project_grid
 from alight.parallax.view_kernels import normalise
@@ -43,6 +43,14 @@ def rgb_of(image: Pixels) -> NDArray[np.uint8]:
     """The image with three channels."""
     pixels = np.asarray(image)
     return np.asarray(pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
+
+
+def toned(pixels: U8, view: View) -> U8:
+    """Colours (..., 3) of a view as views of the same ground have them in common."""
+    if view.gain is None:
+        return pixels
+    table = np.rint(np.arange(256)[None, :, None] * view.gain).clip(0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(pixels, table))
 
 
 def grey_of(image: Pixels) -> F32:

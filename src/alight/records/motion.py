@@ -42,6 +42,7 @@ class Motion:
     rolling: F64 | None = (
         None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
     )
+    gain: F64 | None = None  # (3,) factor of its picture's colours, with which all show the ground alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,7 @@ class View:
     rolling: F64 | None = (
         None  # (9,) way [m], even and bent turn [rad] of the camera, in its axes, while it is read out
     )
+    gain: F64 | None = None  # (3,) factor of its colours, with which all views show the ground alike
 
     @property
     def centre(self) -> F64:

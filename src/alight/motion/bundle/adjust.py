@@ -14,6 +14,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import Pose, skew
 from alight.jobs import InTurn, Jobs
+from alight.motion.bundle.exposure import exposure_gains
 from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import (
     BundleObservations,
@@ -239,6 +240,7 @@ def _result(
     lenses = priors.lenses.moved(state.lens)
     seen = np.bincount(obs.photo, minlength=len(frames))
     motions: list[Motion | None] = [None] * len(frames)
+    gains = exposure_gains(features, obs)
     for i in solved.registered:
         world_from_cam = Pose(state.rotations[i], state.centres[i])
         body = world_from_cam @ rig.cameras[lenses.of[i]].body_from_cam.inverse
@@ -250,6 +252,7 @@ def _result(
             solved.covariance[i],
             tracks=int(seen[i]),
             rolling=_rolling(i, state, lenses, priors),
+            gain=gains[i],
         )
     refined = Rig(tuple(replace(c, camera=lens) for c, lens in zip(rig.cameras, lenses.cameras, strict=True)))
     use = np.isin(obs.photo, solved.registered)

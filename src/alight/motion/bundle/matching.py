@@ -27,6 +27,7 @@ _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
 _THREADS = 2
+_AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,7 @@ class PhotoFeatures:
 
     pixels: F64  # (K, 2) in the photo's own pixels
     descriptors: U8  # (K, 128) as found
+    colours: F32  # (K, 3) of the picture about each
 
     @property
     def unit(self) -> F32:
@@ -112,14 +114,11 @@ def colmap_camera(camera: Camera) -> object:
     return out
 
 
-def _shrunk(pixels: Pixels, longest: int) -> tuple[U8, float]:
-    image = np.asarray(pixels)
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) if image.ndim == 3 else image
-    factor = min(1.0, longest / max(grey.shape))
+def _shrunk(picture: U8, factor: float) -> U8:
     if factor < 1.0:
-        size = (round(grey.shape[1] * factor), round(grey.shape[0] * factor))
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    return np.ascontiguousarray(grey, dtype=np.uint8), factor
+        size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
+        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    return np.ascontiguousarray(picture, dtype=np.uint8)
 
 
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
@@ -129,13 +128,23 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     options.num_threads = 1
     options.sift.max_num_features = settings.features
     options.sift.first_octave = 0  # upsampling the photo first takes five times as long for no better poses
-    grey, factor = _shrunk(image, settings.image_px)
+    picture = np.asarray(image)
+    factor = min(1.0, settings.image_px / max(picture.shape[:2]))
+    grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, factor)
     keypoints, descriptors = pc.FeatureExtractor.create(options).extract_from_uint8_array(grey)
     place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
     corner = place[largest, :2]
     table = np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, _DESCRIPTOR)[largest]
-    return PhotoFeatures(corner / factor - 0.5, table)
+    return PhotoFeatures(corner / factor - 0.5, table, colours_at(_shrunk(picture, factor), corner - 0.5))
+
+
+def colours_at(picture: U8, pixels: F64) -> F32:
+    """Mean colours (K, 3) about pixels (K, 2) of a picture (H, W) or (H, W, 3); grey ones have three the same."""
+    even = cv2.blur(picture, (_AROUND, _AROUND))
+    even = even if even.ndim == 3 else np.repeat(even[..., None], 3, axis=2)
+    col, row = (np.rint(pixels[:, k]).astype(int).clip(0, even.shape[1 - k] - 1) for k in (0, 1))
+    return np.asarray(even[row, col], dtype=np.float32)
 
 
 def taken_by(frame: Frame) -> int:

@@ -86,7 +86,7 @@ def views_of(keyframes: Iterable[Keyframe], rig: Rig, newer: Mapping[int, Motion
         for i, image in enumerate(k.frame.images):
             if motion is not None and image is not None:
                 at = motion.world_from_cams[i]
-                out.append(View(k.frame.t_ns, i, image, rig.cameras[i].camera, at, motion.rolling))
+                out.append(View(k.frame.t_ns, i, image, rig.cameras[i].camera, at, motion.rolling, motion.gain))
     return out
 
 

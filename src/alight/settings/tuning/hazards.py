@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
+from alight.settings.base import Fraction, FrozenModel, NonNegative, Part, Positive, Vehicle
 
 
 class SharpenTuning(FrozenModel):
@@ -35,7 +35,7 @@ class HazardsTuning(FrozenModel):
         0.0,
         description="1-sigma of a common tilt of the map, rad, added to that of its poses: for maps from elsewhere",
     )
-    noise_length: NonNegative = Field(0.6, description="Distance over which neighbouring heights share their noise, m")
+    noise_length: Part = Field(0.6, description="Distance over which neighbouring heights share their noise, m")
     smoothed: bool = Field(
         True, description="The heights come from matched images, which flatten small obstacles: P is lowered for it"
     )
@@ -66,6 +66,6 @@ class HazardsTuning(FrozenModel):
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
     )
     surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
-    even_length: Positive = Field(0.2, description="1-sigma of the window of averaged heights, m")
-    broad_length: Positive = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")
+    even_length: Vehicle = Field(0.2, description="1-sigma of the window of averaged heights, m")
+    broad_length: Vehicle = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")
     sharpen: SharpenTuning = SharpenTuning()
