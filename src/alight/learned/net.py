@@ -32,15 +32,28 @@ class Net:
     output: AffineLayer
     calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
 
-    def standardised(self, names: Iterable[str], values: Iterable[F32]) -> F32:
-        """Terms of N cells, (terms, N), in spreads about their mean and clipped.
+    def standardised(self, found: Iterable[tuple[str, F32]]) -> tuple[list[str], F32]:
+        """Terms (R, C) in spreads about their mean and clipped: their names, and (terms, R, C).
+
+        A term is let go before the next one is asked for: tens of them, of millions of cells, are gigabytes.
 
         Raises:
-            KeyError: a term is not one of the net's.
+            ValueError: not every term of the net was given, each once.
         """
         row = {name: i for i, name in enumerate(self.terms)}
-        rows = [(v.ravel() - self.usual[row[n]]) / self.spread[row[n]] for n, v in zip(names, values, strict=True)]
-        return np.stack(rows).clip(-CLIP, CLIP)
+        names: list[str] = []
+        out = np.zeros((0, 0, 0), np.float32)
+        for name, values in found:
+            if name not in row or len(names) == len(row):
+                raise ValueError(f"terms that the net was not fitted on, or that are doubled: {name}")
+            if not names:
+                out = np.empty((len(row), *values.shape), np.float32)
+            i = row[name]
+            np.clip((values - self.usual[i]) / self.spread[i], -CLIP, CLIP, out=out[len(names)])
+            names.append(name)
+        if sorted(names) != sorted(self.terms):
+            raise ValueError(f"terms of the net that are missing or doubled: {sorted(set(self.terms) ^ set(names))}")
+        return names, out
 
 
 def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
@@ -49,26 +62,13 @@ def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
     Raises:
         ValueError: not every term of the net was given, each once.
     """
-    names, values = zip(*found, strict=True)
-    _complete(net, list(names))
+    names, terms = net.standardised(found)
+    x = terms.reshape(len(names), -1)
     row = {name: i for i, name in enumerate(net.terms)}
     hidden, output = net.hidden.weights[[row[n] for n in names]].T, net.output.weights.T
-    x = net.standardised(names, values)
     out = np.empty((len(output), x.shape[1]), np.float32)
     for begin in range(0, x.shape[1], CELLS_AT_A_TIME):
         some = slice(begin, begin + CELLS_AT_A_TIME)
         units = hidden @ x[:, some] + net.hidden.bias[:, None]
         out[:, some] = output @ np.maximum(units, 0, out=units) + net.output.bias[:, None]
-    return out.reshape(-1, *values[0].shape)
-
-
-def _known(net: Net, names: list[str]) -> None:
-    strange = set(names) - set(net.terms)
-    if strange:
-        raise ValueError(f"terms that the net was not fitted on: {', '.join(sorted(strange))}")
-
-
-def _complete(net: Net, names: list[str]) -> None:
-    _known(net, names)
-    if sorted(names) != sorted(net.terms):
-        raise ValueError(f"terms of the net that are missing or doubled: {sorted(set(net.terms) ^ set(names))}")
+    return out.reshape(-1, *terms.shape[1:])

@@ -7,6 +7,7 @@ may only refuse what it permits. Widths are in metres, so that ground seen from 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 
@@ -36,13 +37,22 @@ def plants(colours: Appearance, shape: Relief, moving: F32) -> F32:
 def land_cover_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -> Iterator[tuple[str, F32]]:
     """The evidence of every cell, (R, C) each, one after the other, with its identifier (T1)."""
     known = seen(elevation)
-    for terms in (surface_terms(elevation, colours, shape), picture_terms(elevation)):
-        for name, values in terms.items():
-            yield name, values
-            if name in FRAME_TERMS:
-                some = values[::4, ::4][known[::4, ::4]]
-                usual = np.float32(np.median(some)) if some.size else np.float32(0)
-                yield name + RELATIVE, values - usual
+    for name, values in chain(_let_go(surface_terms(elevation, colours, shape)), _pictured(elevation)):
+        yield name, values
+        if name in FRAME_TERMS:
+            some = values[::4, ::4][known[::4, ::4]]
+            usual = np.float32(np.median(some)) if some.size else np.float32(0)
+            yield name + RELATIVE, values - usual
+
+
+def _pictured(elevation: ElevationMap) -> Iterator[tuple[str, F32]]:
+    yield from _let_go(picture_terms(elevation))
+
+
+def _let_go(terms: dict[str, F32]) -> Iterator[tuple[str, F32]]:
+    """Each once, and not kept: all terms of millions of cells are gigabytes."""
+    for name in list(terms):
+        yield name, terms.pop(name)
 
 
 def _strength(power: F32, cell: float, metres: float = NEAR) -> F32:
