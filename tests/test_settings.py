@@ -87,6 +87,8 @@ def test_every_misplaced_key_of_a_group_is_named() -> None:
         ("tuning: {hazards: {even_length: 1e9}}", "tuning.hazards.even_length", "1e9"),  # a window beyond OpenCV
         ("tuning: {hazards: {broad_length: 1e9}}", "tuning.hazards.broad_length", "1e9"),
         ("tuning: {hazards: {noise_length: 1e9}}", "tuning.hazards.noise_length", "1e9"),
+        ("tuning: {hazards: {bridge: 1e5}}", "tuning.hazards.bridge", "1e5"),  # an ellipse of 10^12 cells
+        ("tuning: {hazards: {bridge_plain: 1e5}}", "tuning.hazards.bridge_plain", "1e5"),
         ("lander: {radius: wide}", "lander.radius", "wide"),
         ("lander: 3", "lander", "3"),
         ("motion: {bundle: {focal: free-ish}}", "motion.bundle.focal", "free-ish"),

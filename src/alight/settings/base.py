@@ -15,6 +15,7 @@ Vehicle = Annotated[float, Field(ge=1e-3, le=100.0, allow_inf_nan=False)]  # met
 Incline = Annotated[float, Field(ge=1e-9, le=1.5707964, allow_inf_nan=False)]  # rad, to the vertical
 Offset = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]  # metres, within a vehicle
 Part = Annotated[float, Field(ge=0, le=100.0, allow_inf_nan=False)]  # metres, of a part that may be none
+Gap = Annotated[float, Field(ge=0, le=5.0, allow_inf_nan=False)]  # metres, across which heights are bridged
 Seconds = Annotated[float, Field(ge=0, le=10.0, allow_inf_nan=False)]  # between two clocks that meet
 Fraction = Annotated[float, Field(ge=0, le=1)]
 

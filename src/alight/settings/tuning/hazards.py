@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from alight.settings.base import Fraction, FrozenModel, NonNegative, Part, Positive, Vehicle
+from alight.settings.base import Fraction, FrozenModel, Gap, NonNegative, Part, Positive, Vehicle
 
 
 class SharpenTuning(FrozenModel):
@@ -24,10 +24,10 @@ class HazardsTuning(FrozenModel):
     doubtful_share: Fraction = Field(
         0.35, description="Largest share of the footprint without a height that can be trusted"
     )
-    bridge: NonNegative = Field(
+    bridge: Gap = Field(
         0.15, description="Half the width of gaps across which doubtful heights count if they agree with the rim, m"
     )
-    bridge_plain: NonNegative = Field(0.75, description="The same where the image is plain (little texture, glare), m")
+    bridge_plain: Gap = Field(0.75, description="The same where the image is plain (little texture, glare), m")
     min_landable: Fraction = Field(
         0.2, description="Least probability of landable ground; below it the cell is refused, above it P weighs it"
     )
