@@ -155,7 +155,7 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
     cells = np.flatnonzero(seen.ravel())[::7]
     e, n = (v.ravel()[cells] for v in np.meshgrid(*run.grid.xy()))
     up = world_up(run.height, run.grid, run.local).ravel()[cells]
-    moved = scale * np.c_[e, n, up] @ turn.T + shift
+    moved = scale * np.c_[e, n, np.nan_to_num(up)] @ turn.T + shift
     ground, grid = z["height"], Grid(*z["grid"].tolist(), *z["height"].shape)
     true = grid.nearest_at(ground, moved[:, 0], moved[:, 1])
     given = np.isfinite(up) & np.isfinite(true)

@@ -55,10 +55,16 @@ class InTurn:
     """This process does all of it."""
 
     def __init__(self) -> None:
-        self._kept: tuple[str, Any] = "", None  # the last one: a step has one
+        self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
 
     def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
-        """As `Jobs`."""
+        """As `Jobs`. What tasks kept for one another is let go after the last of them."""
+        try:
+            yield from self._run(tasks, threads)
+        finally:
+            self._kept = "", None
+
+    def _run(self, tasks: Iterable[Task], threads: int) -> Iterator[Any]:
         if threads <= 1:
             yield from map(self.do, tasks)
             return

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F32
-from alight.raster import block_max, block_mean, difference_of_gaussians, gaussian_mean, log_brightness
+from alight.raster import block_light, block_max, block_mean, difference_of_gaussians, gaussian_mean
 from alight.records import ElevationMap
 
 NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
@@ -35,10 +35,9 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     """
     rgb, factor = elevation.finest
     halves = min(factor, 2)
-    inner = factor // halves
     pixel = elevation.grid.cell / halves
-    light = block_mean(log_brightness(rgb), inner)
-    seen = (block_mean((rgb[..., 1] > 0).astype(np.float32), inner) > 0.999).astype(np.float32)
+    light, share, _ = block_light(rgb, factor // halves)
+    seen = (share > 0.999).astype(np.float32)
     if seen.min() < 1:
         share = np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
         light = np.where(seen > 0, light, gaussian_mean(light * seen, WIDE * height / pixel) / share)

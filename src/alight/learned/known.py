@@ -13,6 +13,7 @@ from alight.learned.tables import arrays_of, table_path
 from alight.learned.terms import LAND_COVER_TERMS
 
 CLIP = np.float32(8.0)  # spreads
+CELLS_AT_A_TIME = 8192  # each is compared with hundreds of kinds of ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +29,13 @@ class KnownGround:
 
     def novelty(self, values: F32) -> F32:
         """Squared distance to the nearest kind over the limit, (N,), of terms (N, T): above 1 it is like none."""
-        z = ((values - self.usual) / self.spread).clip(-CLIP, CLIP) @ self.whitening
-        centres = self.means @ self.whitening
-        square = (z * z).sum(axis=1)[:, None] - 2 * z @ centres.T + (centres * centres).sum(axis=1)
-        return np.asarray(np.maximum(square.min(axis=1), 0) / np.float32(self.limit), np.float32)
+        centres, out = self.means @ self.whitening, np.empty(len(values), np.float32)
+        for first in range(0, len(values), CELLS_AT_A_TIME):
+            some = slice(first, first + CELLS_AT_A_TIME)
+            z = ((values[some] - self.usual) / self.spread).clip(-CLIP, CLIP) @ self.whitening
+            square = (z * z).sum(axis=1)[:, None] - 2 * z @ centres.T + (centres * centres).sum(axis=1)
+            out[some] = np.maximum(square.min(axis=1), 0) / np.float32(self.limit)
+        return out
 
 
 @cache

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
 from alight.arrays import F32, U8
+from alight.raster.blocks import block_mean
 
+STRIP = 256  # rows of blocks that are worked on at once: pictures have tens of megapixels
 GREY = 2.0  # levels added: noise in the dark is no contrast
 _LOG = np.log(np.arange(256, dtype=np.float32) + np.float32(GREY))
 
@@ -19,3 +23,25 @@ def log_levels(levels: U8) -> F32:
 def log_brightness(rgb: U8) -> F32:
     """Natural logarithm of the brightness of a picture, (R, C) of (R, C, 3)."""
     return log_levels(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+
+
+class BlockLight(NamedTuple):
+    """Log brightness of square blocks of pixels, (R, C) each."""
+
+    mean: F32
+    seen: F32  # share of the block that was seen: black is nothing
+    within: F32  # variance of the pixels of a block
+
+
+def block_light(rgb: U8, inner: int) -> BlockLight:
+    """Log brightness of blocks of `inner` x `inner` pixels of a picture (R inner, C inner, 3)."""
+    rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
+    out = BlockLight(*(np.zeros((rows, cols), np.float32) for _ in BlockLight._fields))
+    for top in range(0, rows, STRIP):
+        part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
+        light = log_brightness(part)
+        out.mean[at] = block_mean(light, inner)
+        out.seen[at] = block_mean((part[..., 1] > 0).astype(np.float32), inner)
+        if inner > 1:
+            out.within[at] = np.maximum(block_mean(light * light, inner) - out.mean[at] * out.mean[at], 0)
+    return out

@@ -104,15 +104,27 @@ def _octave(light: F32, red: F32, blue: F32, mean: _Means) -> dict[str, F32]:
     }
 
 
-def _octaves(colour: F32, level: int, mean: _Means) -> dict[str, F32]:
-    """The numbers of all octaves by name."""
+def _signals(rgb: U8, seen: NDArray[np.bool_], factor: float) -> tuple[list[F32], F32]:
+    """Logs of brightness, of red over green and of blue over green at the level's pixels, and the share seen."""
+    colour, share = _resized(rgb, seen, factor)
     r, g, b = (colour[..., k] + np.float32(DARK) for k in range(3))
-    signals = [np.asarray(np.log(v), np.float32) for v in ((r + g + b) / 3, r / g, b / g)]
+    light = (r + g + b) / np.float32(3)
+    r /= g
+    b /= g
+    for v in (light, r, b):
+        np.log(v, out=v)
+    return [light, r, b], share
+
+
+def _octaves(signals: list[F32], level: int, mean: _Means) -> dict[str, F32]:
+    """The numbers of all octaves by name; the signals are used up."""
     found: dict[str, F32] = {}
     for n in range(level, BANDS):
         sigma = 2.0 ** (n + 1 - level)
         coarser = [_blur(s, sigma) for s in signals]
-        light, red, blue = (s - c for s, c in zip(signals, coarser, strict=True))
+        for s, c in zip(signals, coarser, strict=True):  # in place: all that is as fine as the picture is large
+            s -= c
+        light, red, blue = signals
         found |= {f"{k} {n}": v for k, v in _octave(light, red, blue, mean).items()}
         signals = coarser
     return found
@@ -134,9 +146,9 @@ def appearance_features(rgb: U8, sampling: float, seen: NDArray[np.bool_] | None
     if level is None:
         return None
     everywhere = np.ones(rgb.shape[:2], np.bool_) if seen is None else seen
-    colour, share = _resized(rgb, everywhere, sampling / (PIXEL * 2**level))
+    signals, share = _signals(rgb, everywhere, sampling / (PIXEL * 2**level))
     mean = _Means(share, level)
-    found = _octaves(colour, level, mean)
+    found = _octaves(signals, level, mean)
     parts = [found[k.removesuffix(" against the frame")] for k in names(level)]
     values = np.stack(parts, axis=-1).astype(np.float32)
     values[mean.share < 0.5] = np.nan

@@ -8,15 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from alight.arrays import F32, U8
-from alight.raster import block_mean, difference_of_gaussians, gaussian_mean, local_max, log_brightness, log_levels
+from alight.arrays import F32
+from alight.raster import block_light, block_mean, difference_of_gaussians, gaussian_mean, local_max, log_levels
 from alight.records import ElevationMap
 
 WIDTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # metres, 1-sigma: bands lie between each and the next
 TINT = (0.1, 0.8)  # metres: the band of the tints
 SPOT = (0.07, 0.35)  # metres: the band of dark and bright spots
 REACH = 0.4  # metres over which spots are looked for
-STRIP = 256  # rows that are worked on at once where the picture is finest
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
     """
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
-    mean, seen, within = _pixels(rgb, factor // halves)
+    mean, seen, within = block_light(rgb, factor // halves)
     below = block_mean(within, halves)
     pixel = cell / halves
     mean = _filled(mean, seen, 1.0 / pixel)
@@ -71,19 +70,6 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
         local=_difference(coarse, 0.15, 0.8, cell),
         broad=_difference(coarse, 0.8, 3.2, cell),
     )
-
-
-def _pixels(rgb: U8, inner: int) -> tuple[F32, F32, F32]:
-    """Log brightness of pixels `inner` times as wide, the share of each that was seen, the variance within it."""
-    rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
-    mean, seen, within = (np.zeros((rows, cols), np.float32) for _ in range(3))
-    for top in range(0, rows, STRIP):
-        part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
-        light = log_brightness(part)
-        mean[at], seen[at] = block_mean(light, inner), block_mean((part[..., 1] > 0).astype(np.float32), inner)
-        if inner > 1:
-            within[at] = np.maximum(block_mean(light * light, inner) - mean[at] * mean[at], 0)
-    return mean, seen, within
 
 
 def _bands(mean: F32, pixel: float, halves: int) -> Iterator[F32]:
