@@ -361,6 +361,43 @@ def test_focal_length_without_calibration(tmp_path: Path, photo: dict[int, Any],
     assert source in opened_source.notes["focal_from"]
 
 
+FACTORY = {
+    "PerspectiveFocalLength": "4.8", "PrincipalPoint": "3.3,2.3", "ModelType": "perspective",
+    "PerspectiveDistortion": "0.18,-0.47,0.40,-0.0009,-0.0007",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected", "distortion", "source"),
+    [
+        ({}, (48.0, 32.5, 22.5), (0.18, -0.47, -0.0009, -0.0007, 0.40), "Camera tags"),
+        ({"PrincipalPoint": "3.3"}, (48.0, 31.5, 23.5), (0.18, -0.47, -0.0009, -0.0007, 0.40), "Camera tags"),
+        ({"PerspectiveDistortion": "0.1,nan,0,0,0"}, (48.0, 32.5, 22.5), (), "Camera tags"),
+        ({"ModelType": "fisheye"}, (50.0, 31.5, 23.5), (), "FocalPlaneXResolution"),
+        ({"PerspectiveFocalLength": "0"}, (50.0, 31.5, 23.5), (), "FocalPlaneXResolution"),
+        ({"PerspectiveFocalLength": "1e9"}, (50.0, 31.5, 23.5), (), "FocalPlaneXResolution"),
+    ],
+)
+def test_factory_calibration_in_the_tags_of_pix4d(
+    tmp_path: Path, changes: dict[str, str], expected: tuple[float, ...], distortion: tuple[float, ...], source: str
+) -> None:
+    """Ten pixels a millimetre; the principal point counts from the corner of the image of 6.4 x 4.8 mm."""
+    sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(FACTORY | changes, d.PIX4D), photo=sensor)
+    source_opened = opened(tmp_path)
+    lens = source_opened.rig.cameras[0].camera
+    assert (lens.fu, lens.cu, lens.cv) == pytest.approx(expected)
+    assert lens.distortion == pytest.approx(distortion)
+    assert source in source_opened.notes["focal_from"]
+
+
+@pytest.mark.parametrize(("zoom", "expected"), [(2.0, 100.0), (1.0, 50.0), (0.0, 50.0), (1e9, 50.0)])
+def test_a_digital_zoom_lengthens_the_focal_length(tmp_path: Path, zoom: float, expected: float) -> None:
+    sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4, 41988: zoom}
+    d.write_photo(tmp_path / "a.jpg", xmp=b"", photo=sensor)
+    assert opened(tmp_path).rig.cameras[0].camera.fu == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("dewarp", ["", "2022;1,2", "2022;60,60,nan,0,0,0,0,0,0", "2022;-60,60,0,0,0,0,0,0,0"])
 def test_malformed_factory_calibration_falls_back(tmp_path: Path, dewarp: str) -> None:
     lens, notes = lens_of(tmp_path, {"DewarpData": dewarp})

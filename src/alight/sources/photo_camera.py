@@ -27,7 +27,7 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    for known in (_from_dewarp, _from_calibrated, _from_sensor, _from_film):
+    for known in (_from_dewarp, _from_factory, _from_calibrated, _from_sensor, _from_film):
         try:
             found = known(tags)
         except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
@@ -58,10 +58,8 @@ def _camera(tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), len
 
 def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
     """`date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre."""
-    text = tags.xmp.get("dji:DewarpData", "").rpartition(";")[2]
-    values = [finite(v) for v in text.split(",")]
-    numbers = [v for v in values if v is not None]
-    return numbers if len(numbers) == len(values) == 9 and min(numbers[:2]) > 0 else None
+    numbers = _numbers(tags.xmp.get("dji:DewarpData", "").rpartition(";")[2])
+    return numbers if len(numbers) == 9 and min(numbers[:2]) > 0 else None
 
 
 def _nominal(tags: PhotoTags) -> float | None:
@@ -96,7 +94,7 @@ def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     if numbers is None:
         return None
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
-    scale = tags.size[0] / calibrated_width(tags)
+    scale = _scale(tags)
     notes: Notes = {"focal_from": "factory calibration (DewarpData)"}
     focal, note = _one_focal(fx, fy, _nominal(tags))
     if note:
@@ -116,17 +114,46 @@ def _from_calibrated(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     focal = tags.xmp_number("dji:CalibratedFocalLength")
     if not focal or focal <= 0:
         return None
-    scale = tags.size[0] / calibrated_width(tags)
-    return _camera(tags, focal * scale), {"focal_from": "CalibratedFocalLength"}
+    return _camera(tags, focal * _scale(tags)), {"focal_from": "CalibratedFocalLength"}
+
+
+def _from_factory(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    """Pix4D's `Camera` tags, as Parrot, senseFly and others write them: millimetres, and k1, k2, k3, p1, p2."""
+    focal, pixels = tags.xmp_number("camera:PerspectiveFocalLength"), _pixels_a_millimetre(tags)
+    if not focal or pixels is None or tags.xmp.get("camera:ModelType", "perspective") != "perspective":
+        return None
+    centre, lens = (_numbers(tags.xmp.get(f"camera:{k}", "")) for k in ("PrincipalPoint", "PerspectiveDistortion"))
+    offset = (0.0, 0.0)
+    if len(centre) == 2:
+        offset = centre[0] * pixels - 0.5 * tags.size[0], centre[1] * pixels - 0.5 * tags.size[1]
+    distortion = (lens[0], lens[1], lens[3], lens[4], lens[2]) if len(lens) == 5 else ()
+    return _camera(tags, focal * pixels, offset, distortion), {"focal_from": "factory calibration (Camera tags)"}
 
 
 def _from_sensor(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    focal, resolution = tags.number(Base.FocalLength), tags.number(Base.FocalPlaneXResolution)
-    unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
-    if not focal or not resolution or unit is None:
+    focal, pixels = tags.number(Base.FocalLength), _pixels_a_millimetre(tags)
+    if not focal or pixels is None:
         return None
-    scale = tags.size[0] / calibrated_width(tags)
-    return _camera(tags, focal * resolution / unit * scale), {"focal_from": "FocalLength and FocalPlaneXResolution"}
+    return _camera(tags, focal * pixels), {"focal_from": "FocalLength and FocalPlaneXResolution"}
+
+
+def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
+    """Pixels of the photo a millimetre of the sensor, a digital zoom counted in."""
+    resolution = tags.number(Base.FocalPlaneXResolution)
+    unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
+    return None if not resolution or unit is None else resolution / unit * _scale(tags)
+
+
+def _scale(tags: PhotoTags) -> float:
+    """Pixels of the photo a pixel of the factory calibration: it was resized since, or zoomed digitally."""
+    return tags.size[0] / calibrated_width(tags) * tags.digital_zoom
+
+
+def _numbers(text: str) -> list[float]:
+    """Numbers with commas between them; none where one is malformed."""
+    values = [finite(v) for v in text.split(",")]
+    numbers = [v for v in values if v is not None]
+    return numbers if len(numbers) == len(values) else []
 
 
 def _from_film(tags: PhotoTags) -> tuple[Camera, Notes] | None:

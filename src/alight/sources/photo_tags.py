@@ -16,6 +16,7 @@ from PIL import ExifTags, Image
 from alight.sources.images import open_image
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
+MOST_ZOOM = 100.0  # of a digital zoom
 SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera, MicaSense), Parrot, Autel
     "dji": "dji:", "camera/1.0": "camera:", "drone-parrot": "parrot:", "drone-autel": "autel:",
 }  # fmt: skip
@@ -48,7 +49,14 @@ class PhotoTags:
     def camera(self) -> tuple[str, str, tuple[int, int], float | None]:
         """What makes two photos be of one camera: maker, model, image size, focal length in mm."""
         focal = self.number(Base.FocalLength)
-        return self.text(Base.Make), self.text(Base.Model), self.size, None if focal is None else round(focal, 2)
+        zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
+        return self.text(Base.Make), self.text(Base.Model), self.size, zoomed
+
+    @property
+    def digital_zoom(self) -> float:
+        """By how much the photo shows less than the sensor; 1 where the tags do not say, or say what cannot be."""
+        zoom = self.number(Base.DigitalZoomRatio)
+        return zoom if zoom is not None and 1 < zoom <= MOST_ZOOM else 1.0
 
     @property
     def altitude_kind(self) -> str:
