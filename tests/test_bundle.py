@@ -100,7 +100,12 @@ def scene(strips: int = 2, photos: int = 6, noise: float = 0.0, wrong: float = 0
 
 
 def told(
-    s: Scene, sigma: float = 0.02, mounting: F64 | None = None, camera: Camera = CAMERA, **settings: object
+    s: Scene,
+    sigma: float = 0.02,
+    mounting: F64 | None = None,
+    camera: Camera = CAMERA,
+    readout: float | None = None,
+    **settings: object,
 ) -> Priors:
     """What GPS (with noise), gimbal (with a mounting error) and maker say."""
     rng = np.random.default_rng(23)
@@ -112,7 +117,7 @@ def told(
         for k, (C, B) in enumerate(zip(s.centres, s.body, strict=True))
     ]
     return make_priors(
-        nav, Rig((RigCamera("cam0", camera, Pose(LOOKS_FORWARD)),)), BundleSettings.model_validate(settings)
+        nav, Rig((RigCamera("cam0", camera, Pose(LOOKS_FORWARD), readout),)), BundleSettings.model_validate(settings)
     )
 
 
@@ -457,6 +462,20 @@ def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float
     assert by_rows.pixel_sigma < 0.45
     assert at_once.pixel_sigma > 1.1 * by_rows.pixel_sigma
     assert errors(seen, by_rows)[1] < 0.5 * errors(seen, at_once)[1]
+
+
+@pytest.mark.parametrize("readout", [READOUT, 0.0])
+def test_a_readout_that_the_maker_tells_is_held(survey: Scene, readout: float) -> None:
+    seconds = BETWEEN * np.arange(len(survey.centres))
+    turn = np.random.default_rng(3).normal(0, 0.03, (len(seconds), 2, 3))
+    seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
+    out = solve_bundle(
+        seen.observations, seen.pairs, told(seen, sigma=0.1, readout=readout),
+        BundleSettings.model_validate({"lens": "free"}), seconds=seconds,
+    )  # fmt: skip
+    assert out is not None
+    assert out.priors.lenses.moved(out.state.lens).readouts == (readout,)
+    assert (out.pixel_sigma < 0.45) == (readout > 0)
 
 
 def test_rows_that_are_exposed_at_once_stay_so(survey: Scene) -> None:

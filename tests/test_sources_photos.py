@@ -391,6 +391,16 @@ def test_factory_calibration_in_the_tags_of_pix4d(
     assert source in source_opened.notes["focal_from"]
 
 
+@pytest.mark.parametrize(
+    ("told", "expected"), [("47500", 48 * 47.5e-6), ("0", 0.0), ("-1", None), ("1e12", None), ("nan", None)]
+)
+def test_the_readout_that_a_maker_tells(tmp_path: Path, told: str, expected: float | None) -> None:
+    """Nanoseconds a row of the sensor."""
+    xmp = d.xmp_packet({"LineReadoutTime": told}, d.PIX4D)
+    d.write_photo(tmp_path / "a.jpg", xmp=xmp, photo={41989: 28})
+    assert opened(tmp_path).rig.cameras[0].readout == (None if expected is None else pytest.approx(expected))
+
+
 @pytest.mark.parametrize(("zoom", "expected"), [(2.0, 100.0), (1.0, 50.0), (0.0, 50.0), (1e9, 50.0)])
 def test_a_digital_zoom_lengthens_the_focal_length(tmp_path: Path, zoom: float, expected: float) -> None:
     sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4, 41988: zoom}

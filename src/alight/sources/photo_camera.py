@@ -17,6 +17,7 @@ Notes = dict[str, Any]
 
 MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
 FILM_DIAGONAL = math.hypot(36, 24)  # mm
+LONGEST_READOUT = 0.5  # s
 SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor has
 TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a slip, not a lens
 
@@ -38,6 +39,15 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     raise InputError(
         f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=camchain.yaml"
     )
+
+
+def photo_readout(tags: PhotoTags) -> float | None:
+    """Seconds from the exposure of the first row to that of the last, where the maker tells it (`LineReadoutTime`)."""
+    line = tags.xmp_number("camera:LineReadoutTime")  # nanoseconds a row of the sensor
+    if line is None:
+        return None
+    seconds = 1e-9 * line * tags.size[1] * calibrated_width(tags) / tags.size[0]
+    return seconds if 0 <= seconds <= LONGEST_READOUT else None
 
 
 def calibrated_width(tags: PhotoTags) -> float:

@@ -21,7 +21,7 @@ from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
 from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
-from alight.sources.photo_camera import photo_camera
+from alight.sources.photo_camera import photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
@@ -191,8 +191,9 @@ class Photos(RecordedSource):
                 "focal_px": lens.fu,
             }
         found = [self._lens(camera) for camera in self._cameras]
-        names = [f"cam{k}" for k in range(len(found))]
-        rig = Rig(tuple(RigCamera(n, lens, BODY_FROM_CAM) for n, (lens, _) in zip(names, found, strict=True)))
+        readouts = [self._readout(camera) for camera in self._cameras]
+        cameras = enumerate(zip(found, readouts, strict=True))
+        rig = Rig(tuple(RigCamera(f"cam{k}", lens, BODY_FROM_CAM, r) for k, ((lens, _), r) in cameras))
         notes = found[0][1]
         if len(found) > 1:
             notes["cameras"] = [
@@ -211,6 +212,11 @@ class Photos(RecordedSource):
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
             )
         return photo_camera(chosen)
+
+    def _readout(self, camera: CameraKey) -> float | None:
+        """The readout that most photos of a camera tell, in seconds."""
+        told = Counter(photo_readout(p) for _, p in self._photos if p.camera == camera)
+        return told.most_common(1)[0][0]
 
     def _understand(self) -> None:
         """Fill in what only the whole set tells: exposure, flight and camera, focal length in use."""

@@ -20,6 +20,7 @@ class PhotoLenses:
     cameras: tuple[Camera, ...]
     of: I64  # (n,) number of the camera of each photo
     readouts: tuple[float, ...] = ()  # s, of each camera from its first row to its last; none: all rows at once
+    told: tuple[float | None, ...] = ()  # s, the readouts that the makers tell, which are held; none: nobody does
 
     @classmethod
     def one(cls, camera: Camera, photos: int) -> PhotoLenses:
@@ -45,6 +46,17 @@ class PhotoLenses:
     def readout_numbers(self) -> list[int]:
         """Where the readouts stand among all lens numbers."""
         return [part.stop - 1 for part in self.parts]
+
+    def told_of(self, camera: int) -> float | None:
+        """The readout that a camera's maker tells, s."""
+        return self.told[camera] if self.told else None
+
+    def with_told(self, lens: F64) -> F64:
+        """Lens numbers (k,) with the readouts that the makers tell."""
+        lens = lens.copy()
+        for k, number in enumerate(self.readout_numbers):
+            lens[number] = lens[number] if self.told_of(k) is None else self.told_of(k)
+        return lens
 
     def readout(self, photo: I64) -> F64:
         """(N,) seconds from the first row to the last of photos (N,)."""

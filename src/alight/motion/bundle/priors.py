@@ -57,7 +57,8 @@ def make_priors(
                 sigma[i] = np.maximum(sample.sigma_position, 0.01)
     of = np.zeros(n, np.int64) if cameras is None else cameras
     found = [_lens(c.camera, settings) for c in rig.cameras]
-    lenses, sigma_lens = PhotoLenses(tuple(c for c, _ in found), of), np.concatenate([s for _, s in found])
+    lenses = PhotoLenses(tuple(c for c, _ in found), of, told=tuple(c.readout for c in rig.cameras))
+    sigma_lens = np.concatenate([s for _, s in found])
     return Priors(
         centres, sigma, rotation, sigma_rotation, body_from_cam.rotation, settings.mounting_sigma, lenses, sigma_lens,
         np.zeros((n, 3)),
@@ -105,7 +106,7 @@ def observable_lens(priors: Priors, photos: I64) -> Priors:
 
 
 def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
-    """Let rows be exposed one after the other: the readout free where velocities are known.
+    """Let rows be exposed one after the other: the readout free where velocities are known and no maker tells it.
 
     Args:
         priors: of all photos.
@@ -116,7 +117,8 @@ def rolling_priors(priors: Priors, centres: F64, seconds: F64) -> Priors:
     sigma = priors.sigma_lens.copy()
     for k, number in enumerate(priors.lenses.readout_numbers):
         known = velocity[priors.lenses.of == k].any(axis=1)
-        sigma[number] = _SIGMA_READOUT if known.sum() >= _LENS_PHOTOS else 0.0
+        free = known.sum() >= _LENS_PHOTOS and priors.lenses.told_of(k) is None
+        sigma[number] = _SIGMA_READOUT if free else 0.0
     return replace(priors, sigma_lens=sigma, velocity=velocity)
 
 

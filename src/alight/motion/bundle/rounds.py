@@ -56,6 +56,7 @@ def coarse_rounds(
     else:
         told = seconds.copy()
         told[aside] = np.nan  # their place is not known yet
+        state = replace(state, lens=priors.lenses.with_told(state.lens))
         state, priors = _by_rows(state, few, rolling_priors(priors, state.centres, told))
     tell(0.6)
     return state, priors, aside
