@@ -444,6 +444,11 @@ def survey() -> Scene:
     return scene(strips=3, photos=7)
 
 
+@pytest.fixture(scope="module")
+def small() -> Scene:
+    return scene(strips=3, photos=5)
+
+
 @pytest.mark.parametrize("turning", [0.0, 0.03])
 def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float) -> None:
     """The readout is found, with it the poses; by one that turns as well, too. At once, they are far off."""
@@ -465,10 +470,10 @@ def test_rows_that_are_exposed_one_after_the_other(survey: Scene, turning: float
 
 
 @pytest.mark.parametrize("readout", [READOUT, 0.0])
-def test_a_readout_that_the_maker_tells_is_held(survey: Scene, readout: float) -> None:
-    seconds = BETWEEN * np.arange(len(survey.centres))
+def test_a_readout_that_the_maker_tells_is_held(small: Scene, readout: float) -> None:
+    seconds = BETWEEN * np.arange(len(small.centres))
     turn = np.random.default_rng(3).normal(0, 0.03, (len(seconds), 2, 3))
-    seen = rolled(survey, velocity_of(survey, seconds) * READOUT, turn)
+    seen = rolled(small, velocity_of(small, seconds) * READOUT, turn)
     out = solve_bundle(
         seen.observations, seen.pairs, told(seen, sigma=0.1, readout=readout),
         BundleSettings.model_validate({"lens": "free"}), seconds=seconds,
@@ -478,10 +483,10 @@ def test_a_readout_that_the_maker_tells_is_held(survey: Scene, readout: float) -
     assert (out.pixel_sigma < 0.45) == (readout > 0)
 
 
-def test_rows_that_are_exposed_at_once_stay_so(survey: Scene) -> None:
+def test_rows_that_are_exposed_at_once_stay_so(small: Scene) -> None:
     """A readout of noise is not believed, and nothing turns."""
-    seconds = BETWEEN * np.arange(len(survey.centres))
-    seen = rolled(survey, np.zeros((len(seconds), 3)), np.zeros((len(seconds), 2, 3)))
+    seconds = BETWEEN * np.arange(len(small.centres))
+    seen = rolled(small, np.zeros((len(seconds), 3)), np.zeros((len(seconds), 2, 3)))
     out = solve_bundle(
         seen.observations, seen.pairs, told(seen, sigma=0.1), BundleSettings.model_validate({"lens": "free"}),
         seconds=seconds,

@@ -488,3 +488,15 @@ def test_mirafiori_attitude_and_place_agree_with_the_reference(shared_data: Path
     assert source.length == 32
     lens = source.rig.cameras[0].camera
     assert lens.fu == lens.fv == pytest.approx(1955.65, abs=0.01)
+
+
+def test_pictures_that_are_let_go_take_no_memory_and_are_read_again(photos: Path) -> None:
+    frames = of_kind(opened(photos), Frame)
+    memory = frames[0].images[0]._memory  # type: ignore[union-attr]
+    before = [np.asarray(f.images[0]).copy() for f in frames]
+    assert memory._held == sum(p.nbytes for p in before)
+    for f in frames:
+        f.images[0].let_go()  # type: ignore[union-attr]
+    assert memory._held == 0
+    for f, pixels in zip(frames, before, strict=True):
+        np.testing.assert_array_equal(np.asarray(f.images[0]), pixels)

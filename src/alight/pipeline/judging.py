@@ -183,6 +183,9 @@ def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:
     """The map on cells that fit the lander, with the finest picture that there is of them."""
     elevation = on_cells_up_to(seen.elevation, lander.judging_cell)
     picture, sampling = orthophoto(seen.views, elevation)
+    for view in seen.views:
+        if not isinstance(view.image, np.ndarray):
+            view.image.let_go()  # hundreds of megabytes, and judging a large map takes more
     return replace(elevation, fine=picture, fine_sampling=sampling)
 
 

@@ -20,6 +20,9 @@ class StoredPixels(Protocol):
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> U8:
         """The pixels, (H, W) grey or (H, W, 3) RGB."""
 
+    def let_go(self) -> None:
+        """Keep no copy of the pixels in memory: they are not asked for soon."""
+
 
 Pixels = U8 | StoredPixels
 

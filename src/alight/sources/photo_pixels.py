@@ -45,6 +45,12 @@ class PictureMemory:
                 self._held -= self._pictures.popitem(last=False)[1].nbytes
         return pixels
 
+    def let_go(self, path: Path) -> None:
+        """Forget the pixels of a file."""
+        with self._lock:
+            if path in self._pictures:
+                self._held -= self._pictures.pop(path).nbytes
+
 
 class PhotoPixels:
     """The picture of one photo, which has been read whole once."""
@@ -65,3 +71,7 @@ class PhotoPixels:
         except ValueError as e:
             raise InputError(f"{self._path.name}: changed or vanished during the run ({e}); run again") from e
         return np.array(pixels, dtype) if copy else np.asarray(pixels, dtype)
+
+    def let_go(self) -> None:
+        """Keep no copy of the pixels."""
+        self._memory.let_go(self._path)
