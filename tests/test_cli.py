@@ -99,6 +99,18 @@ def test_version_and_help(capsys: pytest.CaptureFixture[str]) -> None:
         assert told.err == ""
 
 
+def test_the_file_is_named_where_it_is_at_fault(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("lander: {radius: -2}")
+    for option, said in (("lander.max_slope=0.1", f"{file}: lander.radius"), ("lander.wings=1", f"{file}: lander")):
+        assert cli.call(["settings", "--settings", str(file), "--set", option]) == 2
+        assert said in capsys.readouterr().err.replace("\n", "")
+    assert cli.call(["settings", "--settings", str(file), "--set", "lander.radius=2"]) == 0
+    file.write_text("lander: {radius: 2}")
+    assert cli.call(["settings", "--settings", str(file), "--set", "lander.wings=1"]) == 2
+    assert str(file) not in capsys.readouterr().err
+
+
 def test_settings_are_taken_back(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert cli.call(["settings", "--set", "lander.radius=2.5"]) == 0
     text = capsys.readouterr().out

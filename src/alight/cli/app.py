@@ -82,7 +82,16 @@ def read_settings(file: Path | None, assignments: list[str] | None) -> Settings:
     try:
         return load_settings(text, assignments or ())
     except ValueError as e:
-        raise SettingsError(f"{file}: {e}" if file and not assignments else str(e)) from e
+        raise SettingsError(f"{file}: {e}" if _fails(text) else str(e)) from e
+
+
+def _fails(text: str) -> bool:
+    """Whether the text of a file is at fault by itself."""
+    try:
+        load_settings(text)
+    except ValueError:
+        return True
+    return False
 
 
 @contextmanager
