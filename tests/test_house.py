@@ -19,6 +19,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "alight"
 SOURCES = sorted((ROOT / "src").rglob("*.py"))
 KERNELS = list(kernel_sources())
+AT_TOP = {".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "Makefile", "README.md", "pyproject.toml"}
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
 
 
@@ -35,6 +36,31 @@ def imports(path: Path) -> Iterator[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             yield node.module or ""
+
+
+def test_nothing_lies_about() -> None:
+    """What is committed by mistake: wheels, data, what a test left behind."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("no git, or no repository here")
+    files = [Path(name) for name in listed.stdout.splitlines()]
+    assert {p.name for p in files if len(p.parts) == 1} == AT_TOP
+    kinds = {p.suffix for p in files if len(p.parts) > 1}
+    assert kinds <= {
+        ".py",
+        ".md",
+        ".jpg",
+        ".yaml",
+        ".svg",
+        ".npz",
+        ".json",
+        ".j2",
+        ".typed",
+        ".sh",
+        ".html",
+        ".css",
+        "",
+    }
 
 
 def test_import_contracts_hold() -> None:
