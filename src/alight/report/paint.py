@@ -66,14 +66,19 @@ def colour_ramp(values: NDArray[Any], low: float, high: float, colours: Ramp) ->
     """Colours (..., 3) of values between low and high; NaN takes the lowest."""
     anchors = np.array([rgb(c) for c in colours], dtype=np.float32)
     t = np.nan_to_num((values - low) / max(high - low, 1e-9)).clip(0, 1) * (len(anchors) - 1)
-    at = np.arange(len(anchors))
-    return np.stack([np.interp(t, at, anchors[:, i]) for i in range(3)], axis=-1).astype(np.float32)
+    at, out = np.arange(len(anchors)), np.empty((*t.shape, 3), np.float32)
+    for i in range(3):
+        out[..., i] = np.interp(t, at, anchors[:, i])
+    return out
 
 
 def rgba(colours: NDArray[Any], shown: NDArray[np.bool_]) -> U8:
     """Colours (R, C, 3) with what is not `shown` transparent."""
-    alpha = np.where(shown, 255, 0)[..., None]
-    return np.concatenate([np.clip(colours, 0, 255), alpha], axis=-1).astype(np.uint8)
+    out = np.empty((*shown.shape, 4), np.uint8)  # one after the other: maps have millions of cells
+    for k in range(3):
+        out[..., k] = np.clip(colours[..., k], 0, 255)
+    out[..., 3] = np.where(shown, np.uint8(255), np.uint8(0))
+    return out
 
 
 def span(values: NDArray[Any], low: float = 1.0, high: float = 99.0) -> tuple[float, float]:
@@ -130,9 +135,12 @@ def over_ground(
     """Colours laid over the grey of the ground where `painted`, so that a person knows the place again."""
     grey = cv2.cvtColor(elevation.rgb, cv2.COLOR_RGB2GRAY).astype(np.float32)
     low, high = span(grey[elevation.views > 0], 2, 98)
-    ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1)[..., None] * 255
-    share = np.full(grey.shape, strength) if painted is None else np.where(painted, strength, 0.0)
-    return rgba(share[..., None] * colours + (1 - share[..., None]) * ground, elevation.views > 0)
+    ground = np.clip((grey - low) / max(high - low, 1.0), 0, 1) * np.float32(255)
+    share = np.where(True if painted is None else painted, np.float32(strength), np.float32(0))
+    laid = np.asarray(colours, np.float32).copy()
+    for k in range(3):
+        laid[..., k] += (1 - share) * (ground - laid[..., k])
+    return rgba(laid, elevation.views > 0)
 
 
 def first_reason(bits: NDArray[Any], order: Sequence[int]) -> NDArray[np.int8]:
