@@ -36,10 +36,13 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     rgb, factor = elevation.finest
     halves = min(factor, 2)
     pixel = elevation.grid.cell / halves
-    light, share, _ = block_light(rgb, factor // halves)
-    seen = (share > 0.999).astype(np.float32)
+    light, seen, _ = block_light(rgb, factor // halves)
+    np.greater(seen, 0.999, out=seen, casting="unsafe")  # in place, as all here: pictures have tens of megapixels
     if seen.min() < 1:
-        share = np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
-        light = np.where(seen > 0, light, gaussian_mean(light * seen, WIDE * height / pixel) / share)
-    spot = spots_of(light, height / pixel) * seen
+        around = gaussian_mean(light * seen, WIDE * height / pixel)
+        around /= np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
+        np.copyto(light, around, where=seen <= 0)
+        del around
+    spot = spots_of(light, height / pixel)
+    spot *= seen
     return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))

@@ -30,10 +30,10 @@ class BlockLight(NamedTuple):
 
     mean: F32
     seen: F32  # share of the block that was seen: black is nothing
-    within: F32  # variance of the pixels of a block
+    within: F32  # variance of the pixels of a block; zeros where it was not asked for
 
 
-def block_light(rgb: U8, inner: int) -> BlockLight:
+def block_light(rgb: U8, inner: int, within: bool = False) -> BlockLight:
     """Log brightness of blocks of `inner` x `inner` pixels of a picture (R inner, C inner, 3)."""
     rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
     out = BlockLight(*(np.zeros((rows, cols), np.float32) for _ in BlockLight._fields))
@@ -42,6 +42,6 @@ def block_light(rgb: U8, inner: int) -> BlockLight:
         light = log_brightness(part)
         out.mean[at] = block_mean(light, inner)
         out.seen[at] = block_mean((part[..., 1] > 0).astype(np.float32), inner)
-        if inner > 1:
+        if within and inner > 1:
             out.within[at] = np.maximum(block_mean(light * light, inner) - out.mean[at] * out.mean[at], 0)
     return out

@@ -48,7 +48,9 @@ def gaussian_mean(values: F32, sigma: float) -> F32:
 
 def difference_of_gaussians(values: F32, narrow: float, wide: float) -> F32:
     """What is wider than one Gaussian and narrower than another, (R, C); both 1-sigma, cells."""
-    return np.asarray(gaussian_mean(values, narrow) - gaussian_mean(values, wide), np.float32)
+    out = gaussian_mean(values, narrow)
+    out -= gaussian_mean(values, wide)
+    return out
 
 
 def weighted_gaussian(values: F32, weight: F32, sigma: float) -> WeightedMean:

@@ -52,7 +52,7 @@ def picture_bands(elevation: ElevationMap) -> PictureBands:
     """
     rgb, factor = elevation.finest
     cell, halves = elevation.grid.cell, elevation.pixels_a_cell(WIDTHS[0])
-    mean, seen, within = block_light(rgb, factor // halves)
+    mean, seen, within = block_light(rgb, factor // halves, within=True)
     below = block_mean(within, halves)
     pixel = cell / halves
     mean = _filled(mean, seen, 1.0 / pixel)
