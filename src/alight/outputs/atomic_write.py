@@ -33,8 +33,10 @@ def _sync(folder: Path) -> None:
         os.close(fd)
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, durable: bool = True) -> None:
     """Put `data` at `path` so that no reader, crash or Ctrl-C ever meets a half of it.
+
+    Not `durable`: a loss of power may leave it damaged or take it away, and nothing waits for the disk.
 
     Raises:
         OutputError: the disk is full or the place may not be written; the old file, if any, is untouched.
@@ -44,9 +46,11 @@ def write_whole(path: Path, data: bytes) -> None:
         with part.open("wb") as f:
             f.write(data)
             f.flush()
-            os.fsync(f.fileno())
+            if durable:
+                os.fsync(f.fileno())
         os.replace(part, path)
-        _sync(path.parent)
+        if durable:
+            _sync(path.parent)
     except OSError as e:
         part.unlink(missing_ok=True)
         raise output_error(path, e) from e
