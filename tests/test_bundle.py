@@ -257,6 +257,11 @@ def test_altitude_tags_that_climb_lose_against_the_pictures() -> None:
     assert len(out.registered) == 18
     off = out.state.centres[:, 2] - s.centres[:, 2]
     assert np.ptp(off) < 3.0  # the tags: 60 m
+    common = float(np.std(np.linspace(-30.0, 30.0, 18)))
+    up = out.joint[2 : 6 * 18 : 6, 2 : 6 * 18 : 6]
+    assert np.sqrt(up[0, 0]) == pytest.approx(common, rel=0.1)  # what is claimed of the height in the world
+    assert np.sqrt(up[0, 0] + up[1, 1] - 2 * up[0, 1]) < 2.0  # and of one photo over another
+    assert np.sqrt(out.joint[0, 0]) < 2.0
 
 
 def test_a_straight_strip_is_held_by_the_gimbal() -> None:

@@ -126,7 +126,7 @@ def solve_bundle(
     first = first_poses(pairs, priors)
     if first is None:
         return None
-    photos = first.photos
+    photos, tagged = first.photos, priors
     priors = levelled(priors) if first.climbs else priors
     priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), photos)
     obs, _ = obs.keep(np.isin(obs.photo, photos))
@@ -149,6 +149,8 @@ def solve_bundle(
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
     joint = last.covariance(state)
+    if first.climbs:
+        joint = _of_no_height(joint, tagged.centres[:, 2])
     state, every = retriangulate(state, obs, priors, 4.0, 2.0)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
     fixed = fixed_attitudes(joint, len(priors.centres))
@@ -156,6 +158,13 @@ def solve_bundle(
     free = priors.sigma_lens > 0
     free[priors.lenses.readout_numbers] = False
     return Solved(state, registered, every, joint, sigma, first, placed, free, priors)
+
+
+def _of_no_height(joint: F64, tags: F64) -> F64:
+    """The covariance of poses whose common height is known no better than altitude tags (n,) agree, m."""
+    joint, up = joint.copy(), 6 * np.arange(len(tags)) + 2
+    joint[np.ix_(up, up)] += float(np.nanmean((tags - np.nanmedian(tags)) ** 2))
+    return joint
 
 
 def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
