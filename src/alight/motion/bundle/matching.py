@@ -132,7 +132,8 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
     grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, factor)
     keypoints, descriptors = pc.FeatureExtractor.create(options).extract_from_uint8_array(grey)
-    place = np.array([(k.x, k.y, k.compute_scale()) for k in keypoints], dtype=np.float64).reshape(-1, 3)
+    found = [keypoints[i] for i in range(len(keypoints))]  # pybind11's iterators are not made by two threads at once
+    place = np.array([(k.x, k.y, k.compute_scale()) for k in found], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
     corner = place[largest, :2]
     table = np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, _DESCRIPTOR)[largest]
