@@ -58,12 +58,11 @@ DRAWN = {
     "apart": Drawn("village", (1160, 774), 4, 6, 50.0, 0.60, 0.60),
     "oblique": Drawn("village", (866, 577), 4, 10, 60.0, 0.75, 0.65, 55.0),
 }
-FULL = {
-    "forest": Drawn("forest", (3672, 2448), 3, 6, 37.0, 0.62, 0.62),
+FULL = DRAWN | {
+    "forest": replace(DRAWN["forest"], size=(3672, 2448)),
     "village": Drawn("village", (4240, 2832), 10, 10, 60.0, 0.8, 0.7),
-    "long": Drawn("meadow", (1732, 1155), 12, 25, 40.0, 0.75, 0.65),
-    "apart": Drawn("village", (1732, 1155), 4, 6, 50.0, 0.60, 0.60),
-    "oblique": Drawn("village", (866, 577), 4, 10, 60.0, 0.75, 0.65, 55.0),
+    "long": replace(DRAWN["long"], size=(1732, 1155), lines=12, per_line=25),
+    "apart": replace(DRAWN["apart"], size=(1732, 1155)),
 }
 
 

@@ -347,8 +347,8 @@ def test_a_real_flight_is_the_same_again() -> None:
 
 
 def test_a_real_landing_on_concrete() -> None:
-    """All of it: search, looks, commit, touchdown, and cameras that freeze for 8 s: it says so and waits."""
-    fault = FaultRecord(what="cameras frozen", after=5.0, numbers={"seconds": 8.0})
+    """All of it: search, looks, commit, touchdown, and cameras that freeze for 20 s: it says so and waits."""
+    fault = FaultRecord(what="cameras frozen", after=5.0, numbers={"seconds": 20.0})
     given = conditions_of(("concrete",), 1, 0).model_copy(update={"faults": (fault,)})
     record = fly_conditions(given, Settings()).record
     assert record.outcome == "landed safely", record
@@ -356,7 +356,7 @@ def test_a_real_landing_on_concrete() -> None:
     assert "the cameras have frozen" in lost.reason
     back = next(x for x in record.transitions if x.before == "hold" and x.t > lost.t)
     assert back.after == "search"
-    assert 6.0 < back.t - lost.t < 10.0
+    assert 18.0 < back.t - lost.t < 22.0
     assert set(record.cpu_of) == {"simulator", "navigation", "mapping", "judging"}
     assert 0.5 * record.cpu_s < sum(record.cpu_of.values()) < record.cpu_s
     assert record.p_at_commit is not None

@@ -135,15 +135,9 @@ FAULTS: dict[Callable[[PilotRig], None], tuple[FlightEvent, FlightState, FlightS
 GONE = (take_over, move_sticks, lose_link, reboot)  # after which nothing may move the vehicle
 
 
-DIALECTS = ("ardupilot", "px4")
-TRIED = [(f, w, d) for f in GONE for w in (S.APPROACH, S.COMMIT) for d in DIALECTS] + [
-    (f, w, DIALECTS[(k + j) % 2])  # what does not come from the autopilot is the same with both
-    for k, f in enumerate(f for f in FAULTS if f not in GONE)
-    for j, w in enumerate((S.APPROACH, S.COMMIT))
-]
-
-
-@pytest.mark.parametrize(("fault", "when", "dialect"), TRIED, ids=lambda x: getattr(x, "__name__", x))
+@BOTH
+@pytest.mark.parametrize("when", [S.APPROACH, S.COMMIT], ids=lambda s: s.value)
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
 def test_a_fault_leads_to_the_right_state(fault: Callable[[PilotRig], None], when: FlightState, dialect: str) -> None:
     """After a take-over, a lost link or a reboot nothing is sent that moves the vehicle, not even when it is back."""
     event, above, below = FAULTS[fault]
