@@ -32,28 +32,26 @@ class Net:
     output: AffineLayer
     calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
 
-    def standardised(self, found: Iterable[tuple[str, F32]]) -> tuple[list[str], F32]:
-        """Terms (R, C) in spreads about their mean and clipped: their names, and (terms, R, C).
+    def standardised(self, found: Iterable[tuple[str, F32]]) -> F32:
+        """Terms (R, C) in spreads about their mean and clipped, (terms, R, C) in the order of the net.
 
         A term is let go before the next one is asked for: tens of them, of millions of cells, are gigabytes.
 
         Raises:
             ValueError: not every term of the net was given, each once.
         """
-        row = {name: i for i, name in enumerate(self.terms)}
-        names: list[str] = []
+        left = {name: i for i, name in enumerate(self.terms)}
         out = np.zeros((0, 0, 0), np.float32)
         for name, values in found:
-            if name not in row or len(names) == len(row):
+            if name not in left:
                 raise ValueError(f"terms that the net was not fitted on, or that are doubled: {name}")
-            if not names:
-                out = np.empty((len(row), *values.shape), np.float32)
-            i = row[name]
-            np.clip((values - self.usual[i]) / self.spread[i], -CLIP, CLIP, out=out[len(names)])
-            names.append(name)
-        if sorted(names) != sorted(self.terms):
-            raise ValueError(f"terms of the net that are missing or doubled: {sorted(set(self.terms) ^ set(names))}")
-        return names, out
+            if len(left) == len(self.terms):
+                out = np.empty((len(left), *values.shape), np.float32)
+            i = left.pop(name)
+            np.clip((values - self.usual[i]) / self.spread[i], -CLIP, CLIP, out=out[i])
+        if left:
+            raise ValueError(f"terms of the net that are missing: {', '.join(sorted(left))}")
+        return out
 
 
 def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
@@ -62,10 +60,8 @@ def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
     Raises:
         ValueError: not every term of the net was given, each once.
     """
-    names, terms = net.standardised(found)
-    x = terms.reshape(len(names), -1)
-    row = {name: i for i, name in enumerate(net.terms)}
-    hidden, output = net.hidden.weights[[row[n] for n in names]].T, net.output.weights.T
+    terms = net.standardised(found)
+    x, hidden, output = terms.reshape(len(terms), -1), net.hidden.weights.T, net.output.weights.T
     out = np.empty((len(output), x.shape[1]), np.float32)
     for begin in range(0, x.shape[1], CELLS_AT_A_TIME):
         some = slice(begin, begin + CELLS_AT_A_TIME)
