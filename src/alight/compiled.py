@@ -130,9 +130,14 @@ prange = numba.prange
 pixelwise: _Compile = _compiler(forceinline=True)
 
 
+def most_threads() -> int:
+    """The threads that this process may use: the machine's, or those that the user allows."""
+    return int(numba.config.NUMBA_NUM_THREADS)
+
+
 def use_threads(count: int) -> None:
-    """Let compiled loops of this process use so many threads, no more than there were allowed at its start."""
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    """Let compiled loops that this thread calls use so many, no more than there were allowed at the start."""
+    numba.set_num_threads(min(count, most_threads()))
 
 
 def _stage_kernels() -> Iterator[Any]:

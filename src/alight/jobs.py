@@ -9,7 +9,10 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from threading import Lock
 from typing import Any, Protocol
+
+from alight import compiled
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +25,10 @@ class Sent:
 
 @dataclass(frozen=True, eq=False)
 class KeptHere:
-    """An argument that each thread makes for itself and keeps from task to task, such as a cache."""
+    """An argument that a process, or a thread of it, makes for itself and keeps from task to task, such as a cache."""
 
     name: str  # the same name is the same object
-    make: Callable[[], Any]  # can be pickled
+    make: Callable[[], Any]  # can be pickled; what it makes may be used by several threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +50,7 @@ class Jobs(Protocol):
 
         Args:
             tasks: what is to be done; drawn as it is done.
-            threads: of them that this machine does at once.
+            threads: of them that this machine does at once, each with compiled loops on one thread.
         """
 
 
@@ -56,6 +59,7 @@ class InTurn:
 
     def __init__(self) -> None:
         self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
+        self._making = Lock()
 
     def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
         """As `Jobs`. What tasks kept for one another is let go after the last of them."""
@@ -68,23 +72,26 @@ class InTurn:
         if threads <= 1:
             yield from map(self.do, tasks)
             return
-        with ThreadPoolExecutor(threads) as pool:
-            under_way = deque[Future[Any]]()
+        pool, under_way = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,)), deque[Future[Any]]()
+        try:
             for task in tasks:  # few at a time: their arguments are large
                 if len(under_way) > threads:
                     yield under_way.popleft().result()
                 under_way.append(pool.submit(self.do, task))
             while under_way:
                 yield under_way.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
     def do(self, task: Task) -> Any:
         """Do one task."""
         return task.do(*resolved(task.arguments, lambda sent: sent.value, self._keep))
 
     def _keep(self, kept: KeptHere) -> Any:
-        if self._kept[0] != kept.name:
-            self._kept = kept.name, kept.make()
-        return self._kept[1]
+        with self._making:
+            if self._kept[0] != kept.name:
+                self._kept = kept.name, kept.make()
+            return self._kept[1]
 
 
 def resolved(

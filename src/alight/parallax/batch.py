@@ -10,6 +10,7 @@ from collections import OrderedDict
 from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import replace
+from threading import Lock
 from typing import NamedTuple
 
 import cv2
@@ -43,7 +44,10 @@ def fuse_sweeps(sweeps: Sequence[Swept]) -> Swept:
 
 
 class Images:
-    """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept."""
+    """The views of one recording, made ready for matching when first asked for; the last ones asked for are kept.
+
+    Several threads may ask.
+    """
 
     def __init__(self, views: Sequence[View], cell: float, height: float, most_bytes: int = MOST_BYTES) -> None:
         self.views = views
@@ -51,6 +55,7 @@ class Images:
         self.height = height  # metres, of the ground in general: for the ground sampling distance
         self._ready: OrderedDict[Hashable, list[Prepared]] = OrderedDict()
         self._most_bytes = most_bytes
+        self._lock = Lock()
 
     def of(self, views: Sequence[View]) -> Images:
         """Other views of the recording; what is ready is shared."""
@@ -61,16 +66,17 @@ class Images:
     def get(self, index: int, halved: int = 0) -> Prepared:
         """View `index` at the cell of the grid, or at cells that were so many times `halved`."""
         key = self.views[index].key
-        if key not in self._ready:
-            self._ready[key] = [prepare_view(self.views[index], self.cell, self.height)]
-            each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
-            while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
-                self._ready.popitem(last=False)
-        self._ready.move_to_end(key)
-        levels = self._ready[key]
-        while len(levels) <= halved:
-            levels.append(coarser(levels[-1]))
-        return levels[halved]
+        with self._lock:
+            if key not in self._ready:
+                self._ready[key] = [prepare_view(self.views[index], self.cell, self.height)]
+                each = PYRAMID * (self._ready[key][0].grey.nbytes + self._ready[key][0].norm.nbytes)
+                while len(self._ready) > max(LEAST_KEPT, self._most_bytes / each):
+                    self._ready.popitem(last=False)
+            self._ready.move_to_end(key)
+            levels = self._ready[key]
+            while len(levels) <= halved:
+                levels.append(coarser(levels[-1]))
+            return levels[halved]
 
 
 class Match(NamedTuple):

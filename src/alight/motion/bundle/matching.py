@@ -1,6 +1,6 @@
 """Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Features and two-view geometry are those of pycolmap. Random seeds are fixed.
+Features are OpenCV's, two-view geometry is pycolmap's. Random seeds are fixed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from alight.arrays import F32, F64, I64, U8
+from alight.compiled import most_threads
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.motion.bundle.lenses import PhotoLenses
@@ -26,7 +27,7 @@ _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
-_THREADS = 2
+_CONTRAST = 0.02  # of a feature, grey levels over 255: as many as pycolmap finds
 _AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
 
 
@@ -122,22 +123,28 @@ def _shrunk(picture: U8, factor: float) -> U8:
 
 
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
-    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest."""
-    pc = colmap()
-    options = pc.FeatureExtractionOptions()
-    options.num_threads = 1
-    options.sift.max_num_features = settings.features
-    options.sift.first_octave = 0  # upsampling the photo first takes five times as long for no better poses
+    """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
+
+    OpenCV doubles a picture before it searches. Half the picture has all that these scales show, and takes a fifth of
+    the time (docs/lab/photos.md).
+    """
     picture = np.asarray(image)
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
-    grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, factor)
-    keypoints, descriptors = pc.FeatureExtractor.create(options).extract_from_uint8_array(grey)
-    found = [keypoints[i] for i in range(len(keypoints))]  # pybind11's iterators are not made by two threads at once
-    place = np.array([(k.x, k.y, k.compute_scale()) for k in found], dtype=np.float64).reshape(-1, 3)
+    grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, 0.5 * factor)
+    sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
+    found, descriptors = sift.detectAndCompute(grey, None)
+    place = np.array([(*k.pt, k.size) for k in found], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
-    corner = place[largest, :2]
-    table = np.asarray(descriptors.data, dtype=np.uint8).reshape(-1, _DESCRIPTOR)[largest]
-    return PhotoFeatures(corner / factor - 0.5, table, colours_at(_shrunk(picture, factor), corner - 0.5))
+    scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
+    pixels = (place[largest, :2] + 0.5) * scale - 0.5
+    table = rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors[largest])
+    return PhotoFeatures(pixels, table, colours_at(_shrunk(picture, factor), (pixels + 0.5) * factor - 0.5))
+
+
+def rooted(descriptors: F32) -> U8:
+    """The square roots of descriptors (K, 128) over their sums: distances by Hellinger (Arandjelovic 2012)."""
+    share = descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9)
+    return np.asarray(np.rint(np.minimum(512.0 * np.sqrt(share), 255.0)), dtype=np.uint8)
 
 
 def colours_at(picture: U8, pixels: F64) -> F32:
@@ -162,7 +169,7 @@ def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -
         for frame, image in zip(frames, images, strict=True)
         if image is not None
     )
-    found = jobs.run(tasks, _THREADS)
+    found = jobs.run(tasks, most_threads())
     for image in images:
         yield None if image is None else next(found)
 
@@ -273,8 +280,7 @@ def match_pairs(
     for i, j in wanted:
         if features[i] is not None and features[j] is not None:
             of.setdefault(i, []).append(j)
-    # one after the other: the matrix product in `match_descriptors` takes all cores by itself
-    for found in jobs.run(task(i, others) for i, others in of.items()):
+    for found in jobs.run((task(i, others) for i, others in of.items()), most_threads()):
         yield [p for p in found if p is not None]
 
 
