@@ -24,6 +24,7 @@ from land_cover import family_of, fit_net, joined, rows_of, with_limit
 from looks import TUNING as LOOKS
 from looks import Look, kept_looks
 from scipy.optimize import minimize
+from scipy.special import ndtr
 
 from alight.arrays import F32, F64, I64, Mask
 from alight.hazards.assessment import evidence
@@ -102,7 +103,7 @@ def sample(j: Judgeable, tables: Tables, about: Look | None = None, most: int = 
         j.name, family_of(j.name),
         {k: v.ravel()[some] for k, v in found.obstacle.items()}, found.hidden.ravel()[some],
         {k: v.ravel()[some] for k, v in found.ground.items()},
-        discs.coarse(np.nan_to_num(found.tilt)).ravel()[some],
+        discs.coarse(np.nan_to_num(ndtr(found.tilt))).ravel()[some],
         discs.largest((reasons != 0).astype(np.float32)).ravel()[some] == 0,
         truly(truth.near(truth.even)), truly(truth.near(truth.bears)), truly(truth.safe), truly(truth.near(truth.safe)),
     )  # fmt: skip

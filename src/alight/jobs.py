@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import Any, Protocol
 
-from alight import compiled
+from alight import compiled, memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +67,14 @@ class InTurn:
             yield from self._run(tasks, threads)
         finally:
             self._kept = "", None
+            memory.give_back()
 
     def _run(self, tasks: Iterable[Task], threads: int) -> Iterator[Any]:
         if threads <= 1:
             yield from map(self.do, tasks)
             return
-        pool, under_way = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,)), deque[Future[Any]]()
+        pool = ThreadPoolExecutor(threads, initializer=compiled.use_threads, initargs=(1,))
+        under_way = deque[Future[Any]]()
         try:
             for task in tasks:  # few at a time: their arguments are large
                 if len(under_way) > threads:

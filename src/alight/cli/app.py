@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
 import io
 import logging
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +18,7 @@ from rich.console import Console
 from rich.logging import RichHandler
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from alight import __version__
+from alight import __version__, memory
 from alight.documents import DocumentError, read_text
 from alight.records import AlightError, OutputError, SettingsError, Site, Sites
 from alight.settings import Settings, load_settings
@@ -31,7 +30,6 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help="Find a safe place to land.")
 stderr = Console(stderr=True)
-_MMAP_THRESHOLD, LARGE_ARRAY = -3, 8 << 20  # a parameter of glibc's mallopt; bytes
 _ENDINGS = (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM))  # asked for politely; Windows has no SIGHUP
 _unsaid: list[str] = []  # why stdout did not take the answer: told when the work is done
 _signals: list[int] = []  # that asked this process to end
@@ -277,15 +275,9 @@ def _mend_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _return_large_arrays() -> None:
-    """Let glibc give arrays of large maps back when they are freed: it keeps those below 32 MB, a third of the peak."""
-    with suppress(OSError, AttributeError):  # another C library: it has its own way
-        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, LARGE_ARRAY)
-
-
 def main() -> None:
     """Run the command line of this process."""
-    _return_large_arrays()
+    memory.keep_little()
     _mend_streams()
     for number in _ENDINGS:
         if signal.getsignal(number) == signal.SIG_DFL:

@@ -57,12 +57,13 @@ def on_cells_up_to(elevation: ElevationMap, cell: float) -> ElevationMap:
         padded = nothing((rows + rows % 2, cols + cols % 2))
         for k, field in padded.items():
             field[:rows, :cols] = getattr(elevation, k)
-        picture, n = elevation.finest
+        fine, n = elevation.finest
         corners = [
             None if v is None else np.pad(v, odd, mode="edge")[::2, ::2].copy()
             for v in (elevation.warp, elevation.fine_sampling)
         ]
-        fine = np.pad(picture, (*((0, n * k[1]) for k in odd), (0, 0)))
+        if odd != ((0, 0), (0, 0)):
+            fine = np.pad(fine, (*((0, n * k[1]) for k in odd), (0, 0)))
         grid, fields = elevation.grid.coarser(2), halve_fields(padded)
         elevation = replace(elevation, grid=grid, warp=corners[0], fine=fine, fine_sampling=corners[1], **fields)  # type: ignore[arg-type]
     return elevation

@@ -147,7 +147,7 @@ class TiledElevation:
             layer.roll(centre, radius)
 
     def snapshot(self, most_cells: int | None = None) -> ElevationMap | None:
-        """Everything that was ever seen, cropped to it; None when nothing was.
+        """Everything that was ever seen, cropped to it, in whole cells of twice the size; None when nothing was.
 
         On the raster of the finest cells that at least `least_share` of it was seen with, or of coarser ones where it
         would have more than `most_cells`.
@@ -157,17 +157,20 @@ class TiledElevation:
             return None
         area = {level: self._layers[level].count() * 4.0**level for level in boxes}
         level = min(k for k in boxes if area[k] >= self._tuning.least_share * max(area.values()))
-        while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 0:
+        while most_cells and _size(at := _about(boxes, level)) > most_cells and min(at[1] - at[0], at[3] - at[2]) > 1:
             level += 1
         return self.read(self._layer(level).cells(*_about(boxes, level)))
 
 
 def _about(boxes: dict[int, tuple[int, int, int, int]], level: int) -> tuple[int, int, int, int]:
-    """The cells of a level about boxes of several."""
+    """The cells of a level about boxes of several, and about the larger cells that these lie in.
+
+    Land cover is found on those; so it needs no copy of the finest picture with another row.
+    """
     scale = {k: 2.0 ** (k - level) for k in boxes}
     south, west = (min(math.floor(b[i] * scale[k]) for k, b in boxes.items()) for i in (0, 2))
     north, east = (max(math.ceil((b[i] + 1) * scale[k]) - 1 for k, b in boxes.items()) for i in (1, 3))
-    return south, north, west, east
+    return south & ~1, north | 1, west & ~1, east | 1
 
 
 def _size(box: tuple[int, int, int, int]) -> int:

@@ -202,25 +202,29 @@ def assess(
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
+    quality = _quality(found, terrain, sigma, lander, settings, elevation.grid.cell)
     f = factors_of(
         elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing
     )
-    judged = ~(found.edge | found.unknown)
-    relief, obstacle, ground = (np.where(judged, v, np.float32(np.nan)) for v in (f.relief, f.obstacle, f.ground))
-    p = np.where(judged & (reasons != 0), np.float32(0), relief * obstacle * ground)
+    judged, slope, roughness, step = ~(found.edge | found.unknown), found.slope, found.footprint.roughness, found.step
+    del found, sigma  # a third of the memory that judging a large map takes
+    for factor in (f.relief, f.obstacle, f.ground):
+        factor[~judged] = np.nan
+    p = f.relief * f.obstacle * f.ground
+    p[judged & (reasons != 0)] = 0
     reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))
     return HazardMap(
         grid=elevation.grid,
-        slope=found.slope,
-        roughness=found.footprint.roughness,
-        step=found.step,
+        slope=slope,
+        roughness=roughness,
+        step=step,
         clearance=clearance_of(reasons == 0, elevation.grid.cell),
         p_safe=p,
-        p_relief=relief,
-        p_obstacle=obstacle,
-        p_ground=ground,
+        p_relief=f.relief,
+        p_obstacle=f.obstacle,
+        p_ground=f.ground,
         resolved=f.resolved,
         settles_at=f.settles_at,
-        quality=_quality(found, terrain, sigma, lander, settings, elevation.grid.cell),
+        quality=quality,
         reasons=reasons,
     )

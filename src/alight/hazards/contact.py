@@ -17,6 +17,8 @@ from alight.hazards.footprint import block_starts, feet_of, padded_spans, skids_
 from alight.raster import disc_mask, disc_spans
 from alight.settings import Lander
 
+STRIP = 512  # rows of which running sums are held at once
+
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
@@ -37,10 +39,8 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     """Lay the least-squares plane of the footprint about every cell (G1, G2)."""
     spans = disc_spans(radius / cell)
     reach = spans.size // 2
-    sums = np.empty((height.shape[0], 6, height.shape[1] + 1 + 2 * reach))
-    kernels.row_sums(height, reach, sums)
-    count, level, grad_c, grad_r, rise, dip, squares = (np.empty_like(height) for _ in range(7))
-    kernels.fit_planes(sums, spans, count, level, grad_c, grad_r, squares)
+    count, level, grad_c, grad_r, squares = _planes(height, spans)
+    rise, dip = np.empty_like(height), np.empty_like(height)
     padded = np.pad(height, ((0, 0), (reach, reach)), constant_values=np.nan)
     kernels.deviations(padded, level, grad_c, grad_r, spans, rise, dip)
     judged = np.isfinite(level)
@@ -50,6 +50,24 @@ def footprint_of(height: F32, radius: float, cell: float) -> Footprint:
     nan = np.float32(np.nan)
     rough, rise, scatter = (np.where(judged, a, nan) for a in (np.maximum(rise, -dip), rise, scatter))
     return Footprint(unknown, level, grad_c, grad_r, slope, rough, rise, scatter, count)
+
+
+def _planes(height: F32, spans: NDArray[np.int64]) -> list[F32]:
+    """Known cells, the plane's level and rise per column and per row, and the squared deviations from it; (R, C) each.
+
+    By strips of rows, as the running sums take twelve times the memory of the heights.
+    """
+    rows, cols = height.shape
+    reach, out = spans.size // 2, [np.empty_like(height) for _ in range(5)]
+    for top in range(0, rows, STRIP):
+        first, bottom = max(top - reach, 0), min(top + STRIP, rows)
+        part = np.ascontiguousarray(height[first : bottom + reach])
+        sums, found = np.empty((len(part), 6, cols + 1 + 2 * reach)), [np.empty_like(part) for _ in out]
+        kernels.row_sums(part, reach, sums)
+        kernels.fit_planes(sums, spans, *found)
+        for whole, strip in zip(out, found, strict=True):
+            whole[top:bottom] = strip[top - first : bottom - first]
+    return out
 
 
 def step_of(height: F32, radius: float, cell: float) -> F32:

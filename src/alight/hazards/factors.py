@@ -27,7 +27,7 @@ PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are
 class Evidence:
     """What P(safe) rests on where image matching may have smoothed obstacles away."""
 
-    tilt: F32  # (R, C) P that the tilt keeps its limit
+    tilt: F32  # (R, C) margin of the tilt to its limit, sigmas
     discs: Discs  # the cells of the terms
     obstacle: dict[str, F32]  # terms of `relief_rate` and `density_rate`
     hidden: F32  # share of the obstacles above the limit that the heights would not show
@@ -56,7 +56,7 @@ def evidence_of(
     ground = ground_terms(elevation, terrain, discs)
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
-    return Evidence(np.asarray(ndtr(tilt), np.float32), discs, obstacle, hidden, unseen, ground)
+    return Evidence(tilt, discs, obstacle, hidden, unseen, ground)
 
 
 def factors_of(
@@ -75,7 +75,26 @@ def factors_of(
         certain, never = np.ones_like(tilt), np.full_like(tilt, np.nan)
         p = safe_probability(tilt, rise, margins.footprint.unknown, settings)
         return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
-    found, curves = evidence_of(elevation, terrain, tilt, shape, lander), read_detection()
+    del rise
+    obstacle, ground = _chances(elevation, terrain, tilt, shape, lander, settings, missing)
+    tilt_kept = np.asarray(ndtr(tilt), np.float32)
+    sampling, pixel, curves = sampled(elevation), pictured(elevation), read_detection()
+    enough = pixel_that_settles(curves, lander, settings)
+    settles_at = _settles_at((tilt_kept, obstacle, ground), tilt, pixel, enough, lander, settings)
+    return SafetyFactors(tilt_kept, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
+
+
+def _chances(
+    elevation: ElevationMap,
+    terrain: TerrainMap | None,
+    tilt: F32,
+    shape: FootprintShape,
+    lander: Lander,
+    settings: HazardsSettings,
+    missing: MissingVeto,
+) -> tuple[F32, F32]:
+    """(R, C) chances that no unseen obstacle lies in the footprint, and that the ground bears and is dry."""
+    found = evidence_of(elevation, terrain, tilt, shape, lander)
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     expected = shown + np.maximum(found.hidden * about, found.unseen * usual)
@@ -83,10 +102,7 @@ def factors_of(
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
-    sampling, pixel = sampled(elevation), pictured(elevation)
-    enough = pixel_that_settles(curves, lander, settings)
-    settles_at = _settles_at((found.tilt, obstacle, ground), tilt, pixel, enough, lander, settings)
-    return SafetyFactors(found.tilt, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
+    return obstacle, ground
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alight.arrays import F32
+from alight.arrays import F32, U8, Mask
 from alight.raster import block_light, block_max, block_mean, difference_of_gaussians, gaussian_mean
 from alight.records import ElevationMap
 
@@ -36,13 +36,25 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     rgb, factor = elevation.finest
     halves = min(factor, 2)
     pixel = elevation.grid.cell / halves
-    light, seen, _ = block_light(rgb, factor // halves)
-    np.greater(seen, 0.999, out=seen, casting="unsafe")  # in place, as all here: pictures have tens of megapixels
-    if seen.min() < 1:
-        around = gaussian_mean(light * seen, WIDE * height / pixel)
-        around /= np.maximum(gaussian_mean(seen, WIDE * height / pixel), np.float32(1e-3))
-        np.copyto(light, around, where=seen <= 0)
-        del around
+    light, seen = _light_and_seen(rgb, factor // halves)
+    if not seen.all():
+        _fill_evenly(light, seen, WIDE * height / pixel)
     spot = spots_of(light, height / pixel)
+    del light
     spot *= seen
     return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))
+
+
+def _light_and_seen(rgb: U8, inner: int) -> tuple[F32, Mask]:
+    light, share, _ = block_light(rgb, inner)
+    return light, share > 0.999
+
+
+def _fill_evenly(light: F32, seen: Mask, sigma: float) -> None:
+    """Give what was not seen the mean about it, `sigma` pixels wide; in place: pictures have tens of megapixels."""
+    light *= seen
+    share = gaussian_mean(seen.astype(np.float32), sigma)
+    np.maximum(share, np.float32(1e-3), out=share)
+    around = gaussian_mean(light, sigma)
+    around /= share
+    np.copyto(light, around, where=~seen)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight import hazards, terrain
+from alight import hazards, memory, terrain
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.next_view import Observer
@@ -20,6 +20,7 @@ from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, Missi
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
+LARGE_MAP = 1_000_000  # cells: judging one leaves hundreds of megabytes free in the heap
 MOST_LOST = 100  # sites whose loss is remembered
 NOTHING = Reserve()
 GREY = (
@@ -123,12 +124,15 @@ class JudgingLane:
         self._follow(frame)
         with self._timings.of("finer pixels"):
             elevation = as_judged(seen, s.lander)
+        _tidy(elevation)
         cover = None
         if s.terrain.enabled:
             with self._timings.of("terrain"):
                 cover = land_cover(elevation, s.terrain, self._appearance)
+            _tidy(elevation)
         with self._timings.of("hazards"):
             danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing)
+        _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
             self._keep(chosen, danger, frame)
@@ -177,6 +181,11 @@ class JudgingLane:
         if self.memory.lost:
             out["sites given up"] = list(self.memory.lost)
         return out
+
+
+def _tidy(elevation: ElevationMap) -> None:
+    if elevation.height.size > LARGE_MAP:
+        memory.give_back()
 
 
 def as_judged(seen: MapSnapshot, lander: Lander) -> ElevationMap:

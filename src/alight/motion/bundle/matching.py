@@ -131,7 +131,7 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     picture = np.asarray(image)
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
     grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, 0.5 * factor)
-    sift = cv2.SIFT_create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(grey, None)
     place = np.array([(*k.pt, k.size) for k in found], dtype=np.float64).reshape(-1, 3)
     largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
