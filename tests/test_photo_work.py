@@ -49,14 +49,14 @@ class Interrupting(dict[str, bytes]):
         super().__setitem__(name, data)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("at_once", [False, True])
 @pytest.mark.parametrize("after", [0, 3, 7])
-def test_nothing_is_done_twice_but_what_was_not_saved(after: int, threads: int) -> None:
+def test_nothing_is_done_twice_but_what_was_not_saved(after: int, at_once: bool) -> None:
     saved = Interrupting(after, {})
     with pytest.raises(KeyboardInterrupt):
-        list(SavedJobs(InTurn(), saved).run(tasks(8), threads))
+        list(SavedJobs(InTurn(), saved).run(tasks(8), at_once))
     again = SavedJobs(InTurn(), dict(saved))
-    found = list(again.run(tasks(8), threads))
+    found = list(again.run(tasks(8), at_once))
     assert again.done == [f"square-{k}" for k in range(after, 8)]
     for k, value in enumerate(found):
         np.testing.assert_array_equal(value, square(k))

@@ -45,12 +45,12 @@ class Task:
 class Jobs(Protocol):
     """Who does the work."""
 
-    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
         """Yield what each task gives, in the order of the tasks.
 
         Args:
             tasks: what is to be done; drawn as it is done.
-            threads: of them that this machine does at once, each with compiled loops on one thread.
+            at_once: this machine does as many at a time as it may have threads, each with compiled loops on one.
         """
 
 
@@ -61,10 +61,10 @@ class InTurn:
         self._kept: tuple[str, Any] = "", None  # the last one: a step has one, hundreds of megabytes
         self._making = Lock()
 
-    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
         """As `Jobs`. What tasks kept for one another is let go after the last of them."""
         try:
-            yield from self._run(tasks, threads)
+            yield from self._run(tasks, compiled.most_threads() if at_once else 1)
         finally:
             self._kept = "", None
             memory.give_back()

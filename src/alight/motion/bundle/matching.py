@@ -16,7 +16,6 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from alight.arrays import F32, F64, I64, U8
-from alight.compiled import most_threads
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.motion.bundle.lenses import PhotoLenses
@@ -169,7 +168,7 @@ def extract_all(frames: Sequence[Frame], settings: BundleSettings, jobs: Jobs) -
         for frame, image in zip(frames, images, strict=True)
         if image is not None
     )
-    found = jobs.run(tasks, most_threads())
+    found = jobs.run(tasks, at_once=True)
     for image in images:
         yield None if image is None else next(found)
 
@@ -280,7 +279,7 @@ def match_pairs(
     for i, j in wanted:
         if features[i] is not None and features[j] is not None:
             of.setdefault(i, []).append(j)
-    for found in jobs.run((task(i, others) for i, others in of.items()), most_threads()):
+    for found in jobs.run((task(i, others) for i, others in of.items()), at_once=True):
         yield [p for p in found if p is not None]
 
 

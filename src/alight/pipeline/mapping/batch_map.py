@@ -10,7 +10,6 @@ from hashlib import blake2b
 import numpy as np
 
 from alight.arrays import I64
-from alight.compiled import most_threads
 from alight.elevation import FIELDS
 from alight.geometry import Grid
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task
@@ -143,7 +142,7 @@ class BatchMap(GroundMap):
         images = KeptHere(f"images-{self._step}", partial(Images, [], self.elevation.cell_at(level), self.ground))
         seen = [self._seen(grid, self._range(grid, camera), views) for grid in grids]
         done = 0
-        matched = self.jobs.run((self._task(images, b) for b in seen), most_threads())
+        matched = self.jobs.run((self._task(images, b) for b in seen), at_once=True)
         for n, (block, found) in enumerate(zip(seen, matched, strict=True)):
             if found is not None:
                 heights = core(self._without_doubtful(found.heights, camera - self.ground), MARGIN)

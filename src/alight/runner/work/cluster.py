@@ -67,7 +67,7 @@ class ClusterJobs:
         self._client = client
         self._sent: OrderedDict[str, tuple[Any, int]] = OrderedDict()  # future and bytes of an argument
 
-    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
         """As `Jobs`.
 
         Raises:

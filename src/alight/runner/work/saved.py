@@ -28,7 +28,7 @@ class SavedJobs:
         self._doing, self._saved = doing, saved
         self.done: list[str] = []  # names of the tasks that were not there
 
-    def run(self, tasks: Iterable[Task], threads: int = 1) -> Iterator[Any]:
+    def run(self, tasks: Iterable[Task], at_once: bool = False) -> Iterator[Any]:
         """As `Jobs`."""
         drawn = deque[tuple[Task, bool]]()  # and whether it is saved
 
@@ -39,7 +39,7 @@ class SavedJobs:
                 if not known:
                     yield task
 
-        for value in self._doing.run(open_tasks(), threads):
+        for value in self._doing.run(open_tasks(), at_once):
             yield from self._known(drawn)
             task, _ = drawn.popleft()
             self._saved[task.name] = pack_result(value, task.about)
