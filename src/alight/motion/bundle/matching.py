@@ -27,6 +27,7 @@ _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
 _CONTRAST = 0.02  # of a feature, grey levels over 255: as many as pycolmap finds
+_DOUBLED_BY = 0.25  # px, what OpenCV's features lie too far to the right and down: it doubles centres, not corners
 _AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
 
 
@@ -124,20 +125,21 @@ def _shrunk(picture: U8, factor: float) -> U8:
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
 
-    OpenCV doubles a picture before it searches. Half the picture has all that these scales show, and takes a fifth of
-    the time (docs/lab/photos.md).
+    Descriptors are computed for those that are kept alone. OpenCV's "precise upscale" is off: it bends the rays
+    (docs/lab/photos.md).
     """
     picture = np.asarray(image)
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
-    grey = _shrunk(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture, 0.5 * factor)
-    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    found, descriptors = sift.detectAndCompute(grey, None)
-    place = np.array([(*k.pt, k.size) for k in found], dtype=np.float64).reshape(-1, 3)
-    largest = np.argsort(-place[:, 2], kind="stable")[: settings.features]
+    read = _shrunk(picture, factor)
+    grey = cv2.cvtColor(read, cv2.COLOR_RGB2GRAY) if read.ndim == 3 else read
+    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST)
+    found = sift.detect(grey, None)
+    largest = np.argsort([-k.size for k in found], kind="stable")[: settings.features]
+    kept, descriptors = sift.compute(grey, [found[k] for k in largest])
+    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2) - _DOUBLED_BY
     scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
-    pixels = (place[largest, :2] + 0.5) * scale - 0.5
-    table = rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors[largest])
-    return PhotoFeatures(pixels, table, colours_at(_shrunk(picture, factor), (pixels + 0.5) * factor - 0.5))
+    table = rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors)
+    return PhotoFeatures((place + 0.5) * scale - 0.5, table, colours_at(read, place))
 
 
 def rooted(descriptors: F32) -> U8:
