@@ -29,12 +29,16 @@ class GroundTruth:
     lander: Lander
 
     @cached_property
-    def even(self) -> Bool:
-        """Slope and roughness of the true surface keep their limits, and no rock stands in the footprint."""
+    def level(self) -> Bool:
+        """Slope and roughness of the true surface keep the lander's limits, whatever it is made of."""
         foot = TrueFootprint(self.lander.radius, self.lander.max_slope, self.lander.max_roughness)
         bare = np.full_like(self.truth.label, int(Terrain.BARE))
-        level = np.asarray(safe_mask(self.truth.dem, bare, self.truth.grid.cell, foot), np.bool_)
-        return level & self._away_from((self.truth.label == Terrain.ROCK) & self._standing)
+        return np.asarray(safe_mask(self.truth.dem, bare, self.truth.grid.cell, foot), np.bool_)
+
+    @cached_property
+    def even(self) -> Bool:
+        """As `level`, and no rock stands in the footprint: from afar the height of a stone is not known so well."""
+        return self.level & self._away_from((self.truth.label == Terrain.ROCK) & self._standing)
 
     @cached_property
     def bears(self) -> Bool:

@@ -320,16 +320,17 @@ def test_a_brighter_exposure_has_the_same_spots() -> None:
 def test_ground_seen_from_far_is_less_sure_than_the_same_ground_seen_from_near() -> None:
     """The raster is the same: what counts is with which samples and pixels each cell was seen."""
     e = pictured(False)
-    near, far = (
+    near, far, farther = (
         assess(
             replace(e, sampling=np.full_like(e.height, 2 * g), fine_sampling=np.full_like(e.height, g)),
             None, Lander(radius=1.0), HazardsSettings(),
         )
-        for g in (0.02, 0.08)
+        for g in (0.02, 0.08, 0.16)
     )  # fmt: skip
-    assert near.p_safe[MID] > far.p_safe[MID]
+    assert near.p_safe[MID] > far.p_safe[MID] > farther.p_safe[MID]
     assert near.resolved[MID] < 0.3 * far.resolved[MID]
-    assert_allclose(near.p_ground, far.p_ground)
+    assert_allclose(farther.p_ground, far.p_ground)
+    assert near.p_ground[MID] > far.p_ground[MID]
 
 
 def test_a_finer_raster_never_makes_coarse_ground_look_smooth() -> None:

@@ -10,12 +10,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from alight.learned import Rate, rate_bytes, rate_of, read_rate, table_path
-from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, NEAR_TERMS, RELIEF_TERMS
 
 NAMES = ("a", "b")
 KNOTS = np.array([[0.0, 1.0, 2.0], [-1.0, 0.0, 4.0]])
 HEIGHTS = np.array([[0.0, 0.5, 0.5], [0.0, 0.0, 2.0]])
-PACKAGE = {"relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS}
+FROM_AFAR = {"relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS}
+NEAR_BY = {"near_obstacle_rate": NEAR_TERMS, "near_ground_rate": NEAR_TERMS}
+PACKAGE = FROM_AFAR | NEAR_BY
 
 
 def a_rate() -> Rate:
@@ -66,8 +68,9 @@ def test_no_evidence_makes_a_touchdown_likelier_where_it_is_worse(name: str) -> 
             assert (np.diff(rate.log_rate(some)) >= -1e-6).all(), rate.terms[t]
 
 
-def test_quiet_even_known_ground_can_be_a_site() -> None:
-    best = [read_rate(n).log_rate({k: np.full(1, -99.0, np.float32) for k in t})[0] for n, t in PACKAGE.items()]
+@pytest.mark.parametrize("rates", [FROM_AFAR, NEAR_BY])
+def test_quiet_even_known_ground_can_be_a_site(rates: dict[str, tuple[str, ...]]) -> None:
+    best = [read_rate(n).log_rate({k: np.full(1, -99.0, np.float32) for k in t})[0] for n, t in rates.items()]
     assert np.exp(-np.exp(best).sum()) > 0.97
 
 

@@ -289,7 +289,7 @@ def test_a_family_has_safe_places_and_dangers_over_its_seeds(name: str) -> None:
 
 def test_grass_is_tall_from_a_height_on() -> None:
     grass = {"thing": "tall_grass", "share": 0.4, "height": 0.5, "size": 3}
-    all_tall, some = flat(grass, cell=0.1).truth(), flat({**grass, "tall_from": 0.12}, cell=0.1).truth()
+    all_tall, some = (flat({**grass, "tall_from": k}, cell=0.1).truth() for k in (0.0, 0.12))
     assert np.array_equal(all_tall.height, some.height)
     grown = all_tall.label == Terrain.TALL_VEGETATION
     tall = some.label == Terrain.TALL_VEGETATION

@@ -39,11 +39,12 @@ class _Findings:
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
+    measured: Footprint  # of all heights, doubtful ones as well
 
     @property
     def shape(self) -> FootprintShape:
         """What the evidence needs of it."""
-        return FootprintShape(self.footprint, self.roughness_smooth, self.roughness_trend)
+        return FootprintShape(self.footprint, self.roughness_smooth, self.roughness_trend, self.measured)
 
     def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
         """What the margins to the limits are computed from; `sigma` (R, C) metres, of the footprint."""
@@ -68,6 +69,7 @@ def _smoothed_roughness(height: F32, radius: float, cell: float, length: float) 
 
 def _find(
     height: F32,
+    measured: F32,
     unseen: Mask,
     terrain: TerrainMap | None,
     spare: float,
@@ -97,8 +99,9 @@ def _find(
             _smoothed_roughness(height, lander.radius, cell, length)
             for length in (settings.even_length, settings.broad_length)
         )
+    every = footprint_of(measured, lander.radius, cell) if settings.smoothed else fp
     return _Findings(
-        fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, smooth, trend
+        fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, smooth, trend, every
     )
 
 
@@ -164,7 +167,7 @@ def _measure(
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
     sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
-    found = _find(height, unseen, terrain, _spare(sigma), lander, settings, cell)
+    found = _find(height, elevation.height, unseen, terrain, _spare(sigma), lander, settings, cell)
     reasons = _reasons(found, sigma, lander, settings)
     return found, sigma, reasons
 

@@ -15,7 +15,7 @@ from scipy.special import logit
 from alight.arrays import F32
 from alight.hazards.contact import Footprint
 from alight.hazards.picture_spots import picture_spots
-from alight.learned.terms import DensityTerm, GroundTerm, ReliefTerm
+from alight.learned.terms import DensityTerm, GroundTerm, NearTerm, ReliefTerm
 from alight.raster import (
     block_max,
     block_mean,
@@ -34,6 +34,9 @@ BEYOND = 1.0  # metres past the rim that count: where tufts begin, there are mor
 AROUND = 4.0  # metres, 1-sigma of the surroundings: ground with obstacles has more of them
 NARROW, WIDE = 0.4, 2.7  # heights of the obstacle, 1-sigma of the Gaussians between which its relief lies
 PATCH = 1.5  # heights of the obstacle, 1-sigma over which relief and spots are gathered
+UNMEASURED = 60.0  # limits of roughness, that a footprint without heights counts as
+NEAR_SAMPLING, FAR_SAMPLING = 0.5, 0.9  # limits, that a sample covers: all is seen from near by, nothing is
+NEAR_PIXEL, FAR_PIXEL = 0.3, 0.5  # limits, that a pixel covers: the same
 UNMATCHED = 10.0  # cells that a sample covers where there is none
 COARSER = 2  # cells a side that are taken as one: the terms vary over a footprint
 MIN_PROBABILITY = 1e-4  # keeps log odds finite
@@ -47,6 +50,7 @@ class FootprintShape:
     footprint: Footprint
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
+    measured: Footprint  # of all heights that were measured, doubtful ones as well
 
 
 class Discs:
@@ -143,6 +147,22 @@ def obstacle_terms(
         DensityTerm.BRIGHT: discs.worst(discs.largest(spots.bright)),
         DensityTerm.PIXEL: np.log(pixel / np.float32(limit)),
     }
+
+
+def near_terms(shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
+    """Evidence of all measured heights against a footprint that was seen from near by, on the cells of `discs`."""
+    rise = np.nan_to_num(shape.measured.roughness, nan=UNMEASURED * lander.max_roughness)
+    return {
+        NearTerm.RISE: discs.largest(log_at_least(rise / np.float32(lander.max_roughness), 0.03)),
+        NearTerm.RISE_UNKNOWN: discs.largest(shape.measured.unknown),
+    }
+
+
+def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
+    """How far a footprint counts as seen from near by, 0 to 1: by its samples and its pixels, both over the limit."""
+    ends = ((sampling, NEAR_SAMPLING, FAR_SAMPLING), (pixel, NEAR_PIXEL, FAR_PIXEL))
+    shares = [np.log(far * limit / v) / np.log(far / near) for v, near, far in ends]
+    return np.asarray(np.minimum(*shares).clip(0, 1), np.float32)
 
 
 def sampled(elevation: ElevationMap) -> F32:

@@ -10,9 +10,19 @@ from scipy.special import ndtr, ndtri
 
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
-from alight.hazards.evidence import Discs, FootprintShape, ground_terms, obstacle_terms, pictured, sampled
+from alight.hazards.evidence import (
+    Discs,
+    FootprintShape,
+    ground_terms,
+    near_terms,
+    nearness,
+    obstacle_terms,
+    pictured,
+    sampled,
+)
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.learned import read_rate
+from alight.raster import log_at_least
 from alight.records import ElevationMap, MissingVeto, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -20,6 +30,7 @@ FOUND = 0.95  # the chance with which `resolved` would have been found
 SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may take up
 NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
+LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
 
@@ -33,6 +44,8 @@ class Evidence:
     hidden: F32  # share of the obstacles above the limit that the heights would not show
     unseen: F32  # share of them that neither heights nor pictures would show
     ground: dict[str, F32]  # terms of `ground_rate`
+    near: dict[str, F32]  # terms of `near_obstacle_rate` and `near_ground_rate`
+    nearness: F32  # 0 to 1: how far these two count
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +69,9 @@ def evidence_of(
     ground = ground_terms(elevation, terrain, discs)
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
-    return Evidence(tilt, discs, obstacle, hidden, unseen, ground)
+    near = obstacle | ground | near_terms(shape, lander, discs)
+    by = nearness(sampling, pixel, lander.tallest_obstacle)
+    return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by)
 
 
 def factors_of(
@@ -97,12 +112,20 @@ def _chances(
     found = evidence_of(elevation, terrain, tilt, shape, lander)
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
-    expected = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    wet = np.exp(read_rate("ground_rate").log_rate(found.ground))
+    afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
+    expected = _blended(afar, "near_obstacle_rate", found) + found.nearness * found.unseen * usual
+    wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
     return obstacle, ground
+
+
+def _blended(afar: F32, name: str, found: Evidence) -> F32:
+    """Hazards expected by a rate from afar and by one from near by, the logarithms weighed by the nearness (G7f)."""
+    near = read_rate(name).log_rate(found.near)
+    log = (1 - found.nearness) * log_at_least(afar, LEAST_RATE) + found.nearness * near
+    return np.asarray(np.exp(log), np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:

@@ -11,9 +11,12 @@ import numpy as np
 
 from alight.arrays import F32, F64
 from alight.learned.tables import arrays_of, table_path
-from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, RELIEF_TERMS
+from alight.learned.terms import DENSITY_TERMS, GROUND_TERMS, NEAR_TERMS, RELIEF_TERMS
 
-TERMS_OF = {"relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS}
+TERMS_OF = {
+    "relief_rate": RELIEF_TERMS, "density_rate": DENSITY_TERMS, "ground_rate": GROUND_TERMS,
+    "near_obstacle_rate": NEAR_TERMS, "near_ground_rate": NEAR_TERMS,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class Rate:
 
 @cache
 def read_rate(name: str) -> Rate:
-    """A rate of the package (`relief_rate`, `density_rate`, `ground_rate`), read and checked once.
+    """A rate of the package (one of `TERMS_OF`), read and checked once.
 
     Raises:
         ValueError: the file does not fit this version: other terms, shapes that do not fit, a line that falls.

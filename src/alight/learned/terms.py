@@ -53,6 +53,15 @@ class GroundTerm(StrEnum):
     ENCLOSED = "enclosed"  # how much it is part of a level surface below its banks: the worst
 
 
+class NearTerm(StrEnum):
+    """Evidence of looks from near by, besides that of relief, density and ground (G7f)."""
+
+    RISE = (
+        "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts that nothing else shows
+    )
+    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured
+
+
 class SurfaceTerm(StrEnum):
     """Evidence for the land cover from shape and matching over decimetres to metres (docs/method/land-cover.md, T1)."""
 
@@ -100,6 +109,11 @@ def band(octave: int) -> str:
 RELIEF_TERMS: tuple[str, ...] = tuple(t.value for t in ReliefTerm)
 DENSITY_TERMS: tuple[str, ...] = tuple(t.value for t in DensityTerm)
 GROUND_TERMS: tuple[str, ...] = tuple(t.value for t in GroundTerm)
+_FROM_AFAR = (ReliefTerm.ROUGHNESS_TREND, ReliefTerm.RESIDUAL_MEAN, DensityTerm.SPOT_AROUND, GroundTerm.AROUND)
+NEAR_TERMS: tuple[str, ...] = (
+    *(t for t in (*RELIEF_TERMS, *DENSITY_TERMS, *GROUND_TERMS) if t not in _FROM_AFAR),
+    *(t.value for t in NearTerm),
+)
 FRAME_TERMS: tuple[str, ...] = (  # whose value less its median over the frame is a term as well
     SurfaceTerm.ROUGH_02,
     SurfaceTerm.ROUGH_05,

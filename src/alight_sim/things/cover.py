@@ -78,7 +78,10 @@ class TallGrass(Outline):
     shallower: float = Field(0.3, ge=0.0, le=5.0, description="metres of water that it still grows in, where `upon` it")
     tuft: float = Field(0.3, gt=0.02, le=5.0, description="metres from tuft to tuft")
     tall_from: float = Field(
-        0.0, ge=0.0, le=4.0, description="metres: lower blades are of the ground's class, though they look and stand so"
+        0.12,
+        ge=0.0,
+        le=4.0,
+        description="metres: lower blades are of the ground's class, though they look and stand so",
     )
 
     @property

@@ -1,0 +1,148 @@
+"""Fit the rates of looks from near by in `learned/`, and print what they are worth on families of scenes left out.
+
+    PYTHONPATH=bench python training/near.py
+
+The same sums of rising broken lines as in `p_safe.py`, over all terms together, fitted to looks from 4 to 10 m alone.
+A hazard is what breaks the lander's own limits: from near by the height of a stone is measured, and one that is lower
+than the limit is none. Nothing but simulated flights is fitted to; other renderers and real places only judge.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from card import version, write_table
+from ground_flights import cover_of
+from ground_truth import GroundTruth
+from land_cover import family_of
+from looks import TEST, TUNING, Look, kept_looks
+from p_safe import Part, Rows, fit
+from scipy.special import ndtr
+
+from alight.arrays import F32, F64, Mask
+from alight.hazards.assessment import evidence
+from alight.learned import Rate, rate_bytes
+from alight.learned.terms import NEAR_TERMS
+from alight.settings import Settings
+
+SOME = 250  # cells of a look
+LEAST_NEARNESS = 0.5
+EAGER = {"obstacle": 0.5, "ground": 0.5}  # how much more families weigh on which more is lost
+LEVELS = (0.8, 0.9, 0.95, 0.99)
+
+
+@dataclass(frozen=True, eq=False)
+class NearSample:
+    """Some cells of one world's looks that no limit refuses, flat."""
+
+    family: str
+    terms: F64  # (N, T)
+    tilt: F64  # (N,) P that the tilt keeps its limit
+    level: Mask  # (N,) a touchdown keeps the limits of slope and roughness, or does within 0.3 m
+    bears: Mask  # (N,) the same of ground that bears and is dry
+    safe: Mask  # (N,) the same of both together
+
+
+def _cells(look: Look, rng: np.random.Generator) -> NearSample | None:
+    s, j = Settings().stages(), look.judgeable
+    found, reasons = evidence(j.elevation, cover_of(j), s.lander, s.hazards)
+    discs, truth = found.discs, GroundTruth(j.truth, s.lander)
+    kept = (discs.largest(j.seen.astype(np.float32)) > 0) & look.about(discs.grid)
+    kept &= (discs.largest((reasons != 0).astype(np.float32)) == 0) & (found.nearness >= LEAST_NEARNESS)
+    cells = np.flatnonzero(kept)
+    if not cells.size:
+        return None
+    some = rng.choice(cells, min(SOME, cells.size), replace=False)
+
+    def truly(mask: Mask) -> Mask:
+        return truth.on(discs.grid, truth.near(mask)).ravel()[some]
+
+    terms = np.stack([np.nan_to_num(found.near[t].ravel()[some]) for t in NEAR_TERMS], axis=1)
+    tilt = discs.coarse(np.nan_to_num(ndtr(found.tilt)).astype(np.float32)).ravel()[some]
+    return NearSample(
+        family_of(j.name), terms.astype(np.float64), tilt.astype(np.float64),
+        truly(truth.level), truly(truth.bears), truly(truth.level & truth.bears),
+    )  # fmt: skip
+
+
+def sample_of(name: str, scratch: Path) -> NearSample | None:
+    """Some cells of every look of a world."""
+    rng = np.random.default_rng(0)
+    parts = [p for look in kept_looks(name, scratch) if (p := _cells(look, rng)) is not None]
+    if not parts:
+        return None
+    joined = (np.concatenate([getattr(p, k) for p in parts]) for k in ("terms", "tilt", "level", "bears", "safe"))
+    return NearSample(parts[0].family, *joined)
+
+
+def rows_of(samples: Sequence[NearSample], what: str) -> Rows:
+    """The cells of one factor: a place that is uneven and does not bear is a hazard of the ground."""
+    families = sorted({s.family for s in samples})
+    use = [s.bears if what == "obstacle" else s.level | ~s.bears for s in samples]
+    count = {f: sum(s.family == f for s in samples) for f in families}
+    pairs = list(zip(samples, use, strict=True))
+    weight = np.concatenate([np.full(u.sum(), 1 / max(u.sum(), 1) / count[s.family]) for s, u in pairs])
+    values = np.concatenate([s.terms[u] for s, u in pairs])
+    hazard = np.concatenate([~(s.level if what == "obstacle" else s.bears)[u] for s, u in pairs])
+    family = np.concatenate([np.full(u.sum(), families.index(s.family)) for s, u in pairs])
+    return Rows((Part(NEAR_TERMS, values, np.ones(len(hazard))),), hazard, family, weight / weight.sum())
+
+
+def fitted(samples: Sequence[NearSample]) -> dict[str, Rate]:
+    """The rates of both factors."""
+    return {what: fit(rows_of(samples, what), eager)[0] for what, eager in EAGER.items()}
+
+
+def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
+    """P(safe) of the cells of a sample."""
+    values = {t: s.terms[:, k].astype(np.float32) for k, t in enumerate(NEAR_TERMS)}
+    number: F32 = np.sum([np.exp(r.log_rate(values)) for r in rates.values()], axis=0)
+    return np.asarray(s.tilt * np.exp(-number), np.float64)
+
+
+def line(name: str, p: F64, safe: Mask) -> str:
+    """What is false and found at some levels."""
+    parts = [
+        f"{k}: false {100 * (~safe[p >= k]).mean() if (p >= k).any() else 0:5.2f} found "
+        f"{100 * (p[safe] >= k).mean() if safe.any() else 0:5.1f}"
+        for k in LEVELS
+    ]
+    return f"{name:12s} safe {100 * safe.mean():5.1f}   " + "   ".join(parts)
+
+
+def report(samples: Sequence[NearSample], p: Sequence[F64]) -> list[str]:
+    """A line a family, and one of all."""
+    pairs = list(zip(samples, p, strict=True))
+    out = []
+    for f in sorted({s.family for s in samples}):
+        own = [(s, q) for s, q in pairs if s.family == f]
+        out.append(line(f, np.concatenate([q for _, q in own]), np.concatenate([s.safe for s, _ in own])))
+    return [*out, line("all", np.concatenate(list(p)), np.concatenate([s.safe for s in samples]))]
+
+
+def main() -> None:
+    """Fit, say what it is worth, and write the tables with their cards."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
+    parser.add_argument("--worlds", nargs="*", default=TUNING)
+    parser.add_argument("--test", nargs="*", default=TEST)
+    options = parser.parse_args()
+    samples = [s for n in options.worlds if (s := sample_of(n, options.scratch)) is not None]
+    families = sorted({s.family for s in samples})
+    without = {f: fitted([s for s in samples if s.family != f]) for f in families}
+    print("families left out", *report(samples, [claimed(without[s.family], s) for s in samples]), sep="\n")
+    rates = fitted(samples)
+    fresh = [s for n in options.test if (s := sample_of(n, options.scratch)) is not None]
+    if fresh:
+        print("seeds that nothing is fitted to", *report(fresh, [claimed(rates, s) for s in fresh]), sep="\n")
+    worlds = f"looks from 4 to 10 m in {len(samples)} simulated worlds; {len(families)} families of scenes. {version()}"
+    for what, rate in rates.items():
+        write_table(f"near_{what}_rate", rate_bytes(rate), {"Fitted on": worlds})
+
+
+if __name__ == "__main__":
+    main()
