@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,10 +12,11 @@ from alight.autopilot.commands import CommandQueue
 from alight.autopilot.control import ControlWatch
 from alight.autopilot.firmware import Firmware
 from alight.autopilot.framing import Heard
-from alight.autopilot.mission_item import CONDITION_YAW, DO_CHANGE_SPEED, MissionItem
+from alight.autopilot.mission_item import DO_CHANGE_SPEED, MissionItem, SpeedKind
 from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
+from alight.autopilot.speeds import SpeedKeeper
 from alight.autopilot.streams import StreamKeeper
 from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
@@ -55,7 +55,7 @@ class RemoteVehicle:
         self._commands, self._transfer = CommandQueue(send), MissionTransfer(send)
         self._commands.target = self._transfer.target = (system, AUTOPILOT)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
-        self._streams = StreamKeeper(wanted, self._commands)
+        self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
         self._target: Target | None = None
         self._target_ns = self._timesync_ns = self._now_ns = 0
         self._timesyncs = self._uploads = 0
@@ -142,6 +142,7 @@ class RemoteVehicle:
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
         self._control.ordered(FlightMode.TAKE_OFF, self._pace.t_ns)
+        self._speeds.forget()
         self._target = None
         parameters = self.firmware.take_off_parameters(height, self.telemetry)
         return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
@@ -153,12 +154,9 @@ class RemoteVehicle:
         self._commands.drop()
 
     def change_speed(self, speed: float) -> int:
-        """Fly at so many m/s over the ground."""
-        return self._commands.submit("speed", DO_CHANGE_SPEED, (1.0, speed, -1.0), self._pace.t_ns)
-
-    def face(self, heading: float) -> int:
-        """Turn to a heading, rad clockwise from north (PX4 takes it with a set-point only)."""
-        return self._commands.submit("heading", CONDITION_YAW, (math.degrees(heading) % 360.0,), self._pace.t_ns)
+        """Fly a mission at so many m/s over the ground; guided flight takes its speed with the set-point."""
+        parameters = (SpeedKind.GROUND.value, speed, -1.0)
+        return self._commands.submit("speed of the mission", DO_CHANGE_SPEED, parameters, self._pace.t_ns)
 
     def upload(self, items: tuple[MissionItem, ...]) -> int:
         """Send a mission; without items, delete the one that is there."""
@@ -180,7 +178,7 @@ class RemoteVehicle:
             False: not sent, somebody else flies.
 
         Raises:
-            ValueError: the set-point is empty, not finite, or has a position and no tie.
+            ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
         """
         target = target_of(setpoint, tie)
         if self._control.in_control:
@@ -207,7 +205,11 @@ class RemoteVehicle:
 
     def _aim(self, target: Target) -> None:
         self._target, self._target_ns = target, self._now_ns
-        self._send(target.message(self._now_ns, self.system, AUTOPILOT))
+        gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
+        now = target if gain is None or here is None else target.ahead(here, gain)
+        self._send(now.message(self._now_ns, self.system, AUTOPILOT))
+        if gain is None and self._state.mode is FlightMode.GUIDED:
+            self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
 
     # time
 
@@ -273,6 +275,8 @@ class RemoteVehicle:
         now, before = self._state.telemetry(self._now_ns), self._control.mode_name
         reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns)
         self._watch(reason)
+        if before != now.mode_name:
+            self._speeds.forget()
         if reason is None and before != now.mode_name:
             self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
 
@@ -304,7 +308,9 @@ class RemoteVehicle:
             self._answered(answer.ticket, answer.ok, answer.text)
 
     def _answered(self, ticket: int, ok: bool, text: str) -> None:
-        if not self._streams.is_ours(ticket):  # those that do not come are asked for again anyway
+        if not (
+            self._streams.is_ours(ticket) or self._speeds.is_quiet(ticket, ok)
+        ):  # streams are asked for again anyway
             self._note(NoticeKind.COMMAND, text, ok, ticket=ticket)
 
     def _mission_request(self, m: Any) -> None:

@@ -29,6 +29,8 @@ class Dialect(Protocol):
     asks_with_int: bool  # MISSION_REQUEST_INT instead of MISSION_REQUEST
     mission_commands: frozenset[int]
     needs_setpoints: bool  # leaves guided flight when they stop
+    turns_to_course: bool  # turns the nose to where it flies where no heading is named
+    speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
@@ -47,6 +49,8 @@ class SpokenArduPilot:
     asks_with_int = False
     mission_commands = frozenset({16, 19, 20, 21, 22, 115, 178})
     needs_setpoints = False
+    turns_to_course = True
+    speeds_by_command = True
     _numbers: Mapping[Doing, int] = {
         Doing.PILOT: 5,  # LOITER
         Doing.GUIDED: 4,
@@ -77,6 +81,8 @@ class SpokenPx4:
     asks_with_int = True
     mission_commands = frozenset({16, 19, 20, 21, 22, 178})
     needs_setpoints = True
+    turns_to_course = False
+    speeds_by_command = False
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
         Doing.GUIDED: (6, 0),

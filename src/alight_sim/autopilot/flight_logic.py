@@ -16,6 +16,7 @@ _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how
 _ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
 _DISARM_AFTER = 1.0  # s on the ground
+_COURSE = 1.0  # m, of a way that has a course
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,7 @@ class FlightLogic:
         self._speed = self._sink = math.inf
         self._heading: float | None = None
         self._target: tuple[float, F64] | None = None
+        self._controller = ""  # of guided flight: for a take-off, positions, velocities, or both
         self._stood_since: float | None = None
         self._arrived_at: float | None = None
         self._here = np.zeros(3)
@@ -72,6 +74,8 @@ class FlightLogic:
             return False
         if doing is not self.doing:
             self._settle(doing)
+            if doing is Doing.MISSION:
+                self._begin_leg()
         return True
 
     def arm(self, wanted: bool) -> bool:
@@ -91,6 +95,7 @@ class FlightLogic:
             return False
         if self.dialect.needs_setpoints:
             self._settle(Doing.TAKE_OFF)
+        self._control("take-off")
         self._wanted = Wanted(np.array([self._here[0], self._here[1], height]))
         return True
 
@@ -104,18 +109,35 @@ class FlightLogic:
         """Take a set-point."""
         self._set_at = t
         if self.doing is Doing.GUIDED:
+            self._control(f"position {wanted.position is not None} velocity {wanted.velocity is not None}")
             self._wanted = wanted
+            self._heading = None
 
     def face(self, heading: float) -> None:
         """Turn to a heading."""
         self._heading = heading
 
-    def limit(self, kind: float, speed: float) -> None:
-        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3)."""
+    def _control(self, kind: str) -> None:
+        """A controller that starts anew goes back to its own speeds."""
+        if kind != self._controller:
+            self._controller = kind
+            self._speed = self._sink = math.inf
+
+    def limit(self, kind: float, speed: float) -> bool:
+        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3); False: not in this mode.
+
+        PX4 takes every kind for the speed over the ground, of missions alone.
+        """
+        if not self.dialect.speeds_by_command:
+            self._speed = speed
+            return True
+        if self.doing not in (Doing.GUIDED, Doing.MISSION, Doing.RETURN) or speed <= 0:
+            return False
         if kind in (0, 1):
             self._speed = speed
         elif kind == 3:
             self._sink = speed
+        return True
 
     def aim_landing(self, target: F64, t: float) -> None:
         """Take the place of a landing target, (3,) metres."""
@@ -129,13 +151,26 @@ class FlightLogic:
             return None
         wanted = self._by_mode(t)
         heading = self._heading if wanted.heading is None else wanted.heading
-        return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
+        if heading is None and self.dialect.turns_to_course and self.doing in (Doing.GUIDED, Doing.MISSION):
+            heading = self._course(wanted)
+        free = not self.dialect.speeds_by_command and self.doing is not Doing.MISSION
+        limits = (math.inf, math.inf) if free else (self._speed, self._sink)
+        return Wanted(wanted.position, wanted.velocity, heading, *limits)
+
+    def _course(self, wanted: Wanted) -> float | None:
+        if self._controller == "take-off" and self.doing is Doing.GUIDED:
+            return None
+        way = wanted.velocity if wanted.position is None else wanted.position - self._here
+        far = way is not None and math.hypot(*way[:2]) > _COURSE
+        return math.atan2(float(way[0]), float(way[1])) if far and way is not None else None
 
     def _settle(self, doing: Doing) -> None:
         self.doing = doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
-        self._arrived_at = None
+        self._arrived_at = self._heading = None
+        self._controller = ""
+        self._speed = self._sink = math.inf
 
     def _by_mode(self, t: float) -> Wanted:
         if self.doing is Doing.GUIDED:
@@ -173,18 +208,28 @@ class FlightLogic:
                 heading = item.parameters[3]
                 named = self.dialect.needs_setpoints and math.isfinite(heading)
                 return Wanted(item.position, heading=math.radians(heading) if named else None)
-            self._do(item)
+            self._arrived_at = None
             self.reached.append(self.current)
             self.current += 1
+            self._begin_leg()
         self._settle(Doing.HOLD)
         return Wanted(self._anchor)
 
-    def _do(self, item: FlightItem) -> None:
-        self._arrived_at = None
-        if item.command == SPEED:
-            self.limit(*item.parameters[:2])
-        elif item.command == YAW:
-            self._heading = math.radians(item.parameters[0])
+    def _begin_leg(self) -> None:
+        """Do what precedes a way-point: the first item before its leg starts, which loses a heading; then the rest."""
+        ahead = self.items[self.current :]
+        count = next((k for k, item in enumerate(ahead) if item.command not in (SPEED, YAW)), len(ahead))
+        for k, item in enumerate(ahead[:count]):
+            if item.command == SPEED:
+                self.limit(*item.parameters[:2])
+            elif k > 0 or not self.dialect.turns_to_course:
+                self._heading = math.radians(item.parameters[0])
+            if k == 0 and self.dialect.turns_to_course:
+                self._heading = None
+            self.reached.append(self.current)
+            self.current += 1
+        if not count and self.dialect.turns_to_course:
+            self._heading = None
 
     def _visited(self, item: FlightItem, t: float) -> bool:
         if not self._near(item.position):

@@ -259,8 +259,7 @@ class SimulatedAutopilot:
         if command == 300:
             return self._said(self.logic.start_mission())
         if command == 178:
-            self.logic.limit(p[0], p[1])
-            return _ACCEPTED
+            return self._said(self.logic.limit(p[0], p[1]))
         if command == 115 and not self.dialect.needs_setpoints:
             self.logic.face(math.radians(p[0]))
             return _ACCEPTED
