@@ -224,6 +224,8 @@ def test_a_helicopter_of_ardupilot_is_a_vehicle_too() -> None:
     rig = Rig(step=0.04, kind=4)
     rig.up_and_flying(5.0)
     assert rig.sim.estimated[2] > 4.4
+    assert rig.ours.telemetry is not None
+    assert rig.ours.telemetry.armed
 
 
 @BOTH

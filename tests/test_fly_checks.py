@@ -21,8 +21,9 @@ from alight_sim import default_rig
 GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
 
 
-def hovering(seconds: float = 6.0) -> PilotRig:
+def hovering(seconds: float = 6.0, wind: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PilotRig:
     r = PilotRig(Ground({}).seen)
+    r.sim.vehicle.wind_world = np.array(wind)
     r.up_and_flying(20.0)
     r.run(seconds)
     return r
@@ -34,11 +35,24 @@ def vehicle_checks(r: PilotRig, missing: str = "", take_off: bool = False, dry: 
 
 
 def test_all_is_well_in_the_air() -> None:
-    r = hovering()
+    r = hovering(wind=(1.0, 0.0, 0.0))
     assert {c.verdict for c in vehicle_checks(r).values()} == {GOOD}
     link = p.judge_link("udp:x", r.ours.counts.messages, r.vehicle, "")
     assert [c.verdict for c in link] == [GOOD, GOOD]
     assert "ArduPilot" in link[1].evidence
+
+
+def test_a_wind_of_exactly_nothing_is_one_that_ardupilot_does_not_estimate() -> None:
+    assert vehicle_checks(hovering())["wind"].verdict is UNKNOWN
+
+
+def test_checks_before_arming_that_are_off_are_told() -> None:
+    r = PilotRig(Ground({}).seen)
+    r.sim.checks = False
+    r.run(10.0)
+    found = vehicle_checks(r, take_off=True)["ready"]
+    assert found.verdict is WARNING
+    assert "ARMING_CHECK" in found.mend
 
 
 def test_each_fault_is_found() -> None:

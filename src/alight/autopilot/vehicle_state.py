@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import border
 from alight.autopilot.firmware import Firmware
-from alight.records import Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
+from alight.records import PRE_ARM, Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
 
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _NAN = float("nan")
@@ -157,13 +157,18 @@ class VehicleState:
 
     def _sys_status(self, m: Any) -> None:
         battery = Battery(_measured(m.battery_remaining, 1e-2, -1), _measured(m.voltage_battery, 1e-3, 0xFFFF))
-        self._now = replace(self._now, sensors_healthy=int(m.onboard_control_sensors_health), battery=battery)
+        bits = int(m.onboard_control_sensors_health)
+        off = bool(m.onboard_control_sensors_present & PRE_ARM and not m.onboard_control_sensors_enabled & PRE_ARM)
+        self._now = replace(self._now, sensors_healthy=bits, checks_off=off, battery=battery)
 
     def _home_position(self, m: Any) -> None:
         self._now = replace(self._now, home=Place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 0.0))
 
     def _wind(self, m: Any) -> None:
-        """ArduPilot's: where the wind comes from, in degrees."""
+        """ArduPilot's: where the wind comes from, in degrees; a speed of exactly 0 is no estimate."""
+        if m.speed == 0.0:
+            self._blow(_NAN, _NAN, _NAN)
+            return
         towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else _NAN
         self._blow(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 

@@ -31,6 +31,7 @@ class Dialect(Protocol):
     needs_setpoints: bool  # leaves guided flight when they stop
     turns_to_course: bool  # turns the nose to where it flies where no heading is named
     speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
+    stores_at_once: bool  # each item of a mission as it comes, over the one that was there
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
@@ -51,6 +52,7 @@ class SpokenArduPilot:
     needs_setpoints = False
     turns_to_course = True
     speeds_by_command = True
+    stores_at_once = True
     _numbers: Mapping[Doing, int] = {
         Doing.PILOT: 5,  # LOITER
         Doing.GUIDED: 4,
@@ -83,6 +85,7 @@ class SpokenPx4:
     needs_setpoints = True
     turns_to_course = False
     speeds_by_command = False
+    stores_at_once = False
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
         Doing.GUIDED: (6, 0),

@@ -15,7 +15,9 @@ WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # 
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands
 _ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
-_DISARM_AFTER = 1.0  # s on the ground
+_DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground, after a landing, and armed without a take-off
+_STREAM = 0.5  # s of set-points that are needed before guided flight
+_RUN_UP = 4.0  # s, of a helicopter's rotor
 _COURSE = 1.0  # m, of a way that has a course
 
 
@@ -34,6 +36,7 @@ class FlightLogic:
 
     dialect: Dialect
     armed: bool = False
+    interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
     items: list[FlightItem] = field(default_factory=list)
     current: int = 0
@@ -42,7 +45,8 @@ class FlightLogic:
 
     def __post_init__(self) -> None:
         self._wanted = Wanted()
-        self._set_at = -math.inf
+        self._set_at = self._set_since = -math.inf
+        self._turning_since: float | None = None  # a helicopter's rotor
         self._speed = self._sink = math.inf
         self._heading: float | None = None
         self._target: tuple[float, F64] | None = None
@@ -67,7 +71,7 @@ class FlightLogic:
 
     def enter(self, doing: Doing, t: float) -> bool:
         """Change the mode; False: refused."""
-        stale = t - self._set_at > _SETPOINT_AGE / 2
+        stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
         if doing is Doing.MISSION and len(self.items) <= self.dialect.first_item:
@@ -93,6 +97,8 @@ class FlightLogic:
         """Climb to a height above the home."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
+        if self.interlock is False or not self._stands:
+            return False
         if self.dialect.needs_setpoints:
             self._settle(Doing.TAKE_OFF)
         self._control("take-off")
@@ -107,6 +113,8 @@ class FlightLogic:
 
     def guide(self, wanted: Wanted, t: float) -> None:
         """Take a set-point."""
+        if t - self._set_at > _STREAM:
+            self._set_since = t
         self._set_at = t
         if self.doing is Doing.GUIDED:
             self._control(f"position {wanted.position is not None} velocity {wanted.velocity is not None}")
@@ -147,7 +155,7 @@ class FlightLogic:
         """What to do now; None: the motors stand still."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
-        if not self.armed:
+        if not self.armed or not self._runs(t):
             return None
         wanted = self._by_mode(t)
         heading = self._heading if wanted.heading is None else wanted.heading
@@ -156,6 +164,16 @@ class FlightLogic:
         free = not self.dialect.speeds_by_command and self.doing is not Doing.MISSION
         limits = (math.inf, math.inf) if free else (self._speed, self._sink)
         return Wanted(wanted.position, wanted.velocity, heading, *limits)
+
+    def _runs(self, t: float) -> bool:
+        """Whether the rotor turns as fast as it must; it keeps turning in the air."""
+        if self.interlock is None or not self._stands:
+            return True
+        if not self.interlock:
+            self._turning_since = None
+        elif self._turning_since is None:
+            self._turning_since = t
+        return self._turning_since is not None and t - self._turning_since > _RUN_UP
 
     def _course(self, wanted: Wanted) -> float | None:
         if self._controller == "take-off" and self.doing is Doing.GUIDED:
@@ -258,10 +276,11 @@ class FlightLogic:
     def _disarm_on_ground(self, t: float) -> None:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
         landing |= self.doing is Doing.MISSION and self._item_command == LAND
-        if not (self.armed and self._stands and landing):
+        rises = self.doing is Doing.TAKE_OFF or (self._controller == "take-off" and self.interlock is not False)
+        if not (self.armed and self._stands) or (rises and not landing):
             self._stood_since = None
         elif self._stood_since is None:
             self._stood_since = t
-        elif t - self._stood_since > _DISARM_AFTER:
+        elif t - self._stood_since > (_DISARM_AFTER if landing else _DISARM_IDLE):
             self.armed = False
             self.spoken.append("Disarming motors")

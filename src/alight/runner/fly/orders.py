@@ -221,19 +221,27 @@ class OrderSender:
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
         """Over the place first, then down with the target reported: where that is not used it goes straight down."""
-        tie = self._tie(motion)
+        goal = self._report(place, motion, now_ns)
         here = motion.world_from_body.translation
         beside = self._mode is not FlightMode.LAND and math.hypot(*(place - here)[:2]) > CENTRED
         if beside or not self._fly_as(FlightMode.LAND, now_ns):
             return self._go(np.array([*place[:2], here[2]]), order, motion, now_ns)
+        return "land" if goal is None else f"land on {words_of(goal)}"
+
+    def _report(self, place: F64, motion: Motion, now_ns: int) -> Place | None:
+        """Report the target; return its place, None: not known now.
+
+        Before the landing, too: ArduPilot needs two seconds of it, and stops where it lands without.
+        """
+        tie = self._tie(motion)
         own, attitude = self._vehicle.place_at(now_ns), self._vehicle.telemetry.world_from_body
         if tie is None or own is None or attitude is None:
-            return "land"
+            return None
         goal = tie.place_of(place)
         there = self._local.to_enu(goal.latitude, goal.longitude, goal.altitude_msl)
         way = there - self._local.to_enu(own.latitude, own.longitude, own.altitude_msl)
         self.hand.land_on(now_ns, way, attitude)
-        return f"land on {words_of(goal)}"
+        return goal
 
     def _tie(self, motion: Motion) -> EstimateTie | None:
         return self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
