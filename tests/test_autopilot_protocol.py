@@ -451,6 +451,7 @@ def test_time_outs_wait_for_a_slow_autopilot() -> None:
     rig.run(8.0)
     rig.answered(rig.vehicle.change_speed(3.0), 30)
     assert seen.count(178) == 1
+    assert not rig.of(NoticeKind.LINK_LOST)  # its heartbeats come every ten seconds
 
 
 def test_texts_of_the_autopilot_are_passed_on() -> None:

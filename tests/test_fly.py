@@ -230,7 +230,7 @@ def test_the_nose_stays_and_the_speeds_are_those_of_the_orders() -> None:
     step = r.each_step
     r.each_step = lambda: (step(), look())  # type: ignore[func-returns-value]
     assert r.fly(S.COMMIT)
-    assert max(turned) < 0.02
+    assert max(turned) < 0.1  # what a lean makes of the heading where guidance began
     assert max(rushed) < 0.3
 
 
@@ -242,6 +242,7 @@ def test_the_target_is_reported_before_the_landing_begins() -> None:
     begun = next(t for t, m in reversed(r.wire) if m.get_type() == "COMMAND_LONG" and m.command == 176)
     early = [t for t, m in r.wire if m.get_type() == "LANDING_TARGET" and t < begun]
     assert len(early) > 5
+    assert r.run(3.0, lambda: r.sim.vehicle.velocity[2] < -0.2)  # it would wait for seven seconds without a target
 
 
 def test_a_pilot_who_switches_just_before_an_order_is_not_switched_back() -> None:

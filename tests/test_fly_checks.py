@@ -21,9 +21,9 @@ from alight_sim import default_rig
 GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
 
 
-def hovering(seconds: float = 6.0, wind: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> PilotRig:
+def hovering(seconds: float = 6.0, silent: frozenset[int] = frozenset()) -> PilotRig:
     r = PilotRig(Ground({}).seen)
-    r.sim.vehicle.wind_world = np.array(wind)
+    r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
     r.run(seconds)
     return r
@@ -35,15 +35,19 @@ def vehicle_checks(r: PilotRig, missing: str = "", take_off: bool = False, dry: 
 
 
 def test_all_is_well_in_the_air() -> None:
-    r = hovering(wind=(1.0, 0.0, 0.0))
+    r = hovering()
     assert {c.verdict for c in vehicle_checks(r).values()} == {GOOD}
     link = p.judge_link("udp:x", r.ours.counts.messages, r.vehicle, "")
     assert [c.verdict for c in link] == [GOOD, GOOD]
     assert "ArduPilot" in link[1].evidence
 
 
-def test_a_wind_of_exactly_nothing_is_one_that_ardupilot_does_not_estimate() -> None:
-    assert vehicle_checks(hovering())["wind"].verdict is UNKNOWN
+def test_a_copter_that_does_not_estimate_the_wind_may_be_flown() -> None:
+    """It accepts the request for WIND, and stays silent."""
+    found = vehicle_checks(hovering(silent=frozenset({168})))
+    assert found["wind"].verdict is UNKNOWN
+    assert "EK3_DRAG" in found["wind"].evidence
+    assert found["streams"].verdict is WARNING
 
 
 def test_checks_before_arming_that_are_off_are_told() -> None:

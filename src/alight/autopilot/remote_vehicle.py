@@ -29,6 +29,7 @@ _FIRST_TIMESYNCS = 10
 _BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
 _HELICOPTER = 4  # MAV_TYPE
 _LINK_NS = 3_500_000_000  # without a heartbeat
+_LINK_PACE_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
 _BROADCAST = 0
 
@@ -62,7 +63,7 @@ class RemoteVehicle:
         self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
         self._target: Target | None = None
         self._target_ns = self._timesync_ns = self._now_ns = 0
-        self._timesyncs = self._uploads = 0
+        self._timesyncs = self._uploads = self._heartbeat_pace_ns = 0
         self._aiming_ns = 0  # since when set-points have been sent without a pause
         self._torn = False  # the newest upload failed: what the autopilot holds is no whole mission
         self.alive = True  # its heartbeat is heard
@@ -246,7 +247,8 @@ class RemoteVehicle:
 
     def _watch_link(self) -> None:
         heard = self._state.heard_ns("HEARTBEAT")
-        if self.alive and heard is not None and self._now_ns - heard > _LINK_NS:
+        late = heard is not None and self._now_ns - heard > _LINK_NS
+        if self.alive and late and self._pace.t_ns - self._heartbeat_pace_ns > _LINK_PACE_NS:
             self.alive = False
             self._note(NoticeKind.LINK_LOST, "no heartbeat of the vehicle any more", ok=False)
 
@@ -284,6 +286,7 @@ class RemoteVehicle:
             self._rebooted()
 
     def _heartbeat(self) -> None:
+        self._heartbeat_pace_ns = self._pace.t_ns
         if not self.alive:
             self.alive = True
             self._note(NoticeKind.LINK_BACK, "the vehicle is heard again")

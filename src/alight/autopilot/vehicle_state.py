@@ -165,10 +165,7 @@ class VehicleState:
         self._now = replace(self._now, home=Place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 0.0))
 
     def _wind(self, m: Any) -> None:
-        """ArduPilot's: where the wind comes from, in degrees; a speed of exactly 0 is no estimate."""
-        if m.speed == 0.0:
-            self._blow(_NAN, _NAN, _NAN)
-            return
+        """ArduPilot's: where the wind comes from, in degrees."""
         towards = math.radians(m.direction) + math.pi if math.isfinite(m.direction) else _NAN
         self._blow(m.speed * math.cos(towards), m.speed * math.sin(towards), m.speed_z)
 

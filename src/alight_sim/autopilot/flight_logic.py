@@ -15,6 +15,7 @@ WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # 
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands
 _ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
+_TARGET_GAP, _TARGET_WAIT = 0.5, 7.0  # s between reports, at most; for which a landing waits for the first target
 _DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground, after a landing, and armed without a take-off
 _STREAM = 0.5  # s of set-points that are needed before guided flight
 _RUN_UP = 4.0  # s, of a helicopter's rotor
@@ -50,6 +51,9 @@ class FlightLogic:
         self._speed = self._sink = math.inf
         self._heading: float | None = None
         self._target: tuple[float, F64] | None = None
+        self._target_since = math.inf
+        self._target_seen = False
+        self._landing_since: float | None = None
         self._controller = ""  # of guided flight: for a take-off, positions, velocities, or both
         self._stood_since: float | None = None
         self._arrived_at: float | None = None
@@ -149,6 +153,8 @@ class FlightLogic:
 
     def aim_landing(self, target: F64, t: float) -> None:
         """Take the place of a landing target, (3,) metres."""
+        if self._target is None or t - self._target[0] > _TARGET_GAP:
+            self._target_since = t
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
@@ -186,7 +192,7 @@ class FlightLogic:
         self.doing = doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
-        self._arrived_at = self._heading = None
+        self._arrived_at = self._heading = self._landing_since = None
         self._controller = ""
         self._speed = self._sink = math.inf
 
@@ -260,10 +266,14 @@ class FlightLogic:
     def _landing(self, place: F64, t: float) -> Wanted:
         """First over the place, then down, towards the target where one is reported."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
+        seen &= t - self._target_since >= self.dialect.target_delay
+        self._target_seen |= seen
+        self._landing_since = t if self._landing_since is None else self._landing_since
+        waits = self.dialect.target_delay > 0 and not self._target_seen and t - self._landing_since < _TARGET_WAIT
         goal = self._target[1] if seen and self._target is not None else place
         fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
         sink = _RUSH if fast else _SINK
-        near = bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
+        near = not waits and bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
         velocity = np.array([0.0, 0.0, -sink if near else 0.0])
         return Wanted(np.array([goal[0], goal[1], self._here[2]]), velocity)
 

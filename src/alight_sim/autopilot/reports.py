@@ -60,6 +60,7 @@ class Reports:
         self._heartbeat = 0.0
         self.sticks = [1500, 1500, 1100, 1500]
         self.lacks: set[int] = set()  # messages that this build cannot send
+        self.silent: set[int] = set()  # messages that it could send and has nothing to say in
         self._make: dict[int, Callable[[SimulatedState], Any]] = {
             1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 27: self._raw_imu,
             30: self._attitude, 31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission,
@@ -83,7 +84,7 @@ class Reports:
             number = self._dialect.number(now.logic.doing)
             self._send(mavlink.MAVLink_heartbeat_message(self._kind, self._dialect.autopilot, base, number, 4, 3))
         for message, interval in self._interval.items():
-            if interval > 0 and t >= self._due[message] - 1e-9:
+            if message not in self.silent and interval > 0 and t >= self._due[message] - 1e-9:
                 self._due[message] = max(self._due[message] + interval, t)
                 self._send(self._make[message](now))
         self._events(now)

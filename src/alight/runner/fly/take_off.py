@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from alight.autopilot import RemoteVehicle
-from alight.records import FlightMode, Telemetry
+from alight.records import FlightMode, Landed, Telemetry
 from alight.runner.fly.orders import OrderTaker
 
 NEAR = 0.95  # share of the height that counts as all of it
@@ -31,7 +31,7 @@ class TakeOff:
     @property
     def hint(self) -> str:
         """What a person has to do for the take-off now; empty: nothing."""
-        if self._vehicle.helicopter and self._step == "take off" and self._above < LIFTED:
+        if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
             return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
         return ""
 
@@ -39,6 +39,12 @@ class TakeOff:
     def _above(self) -> float:
         place = self._vehicle.telemetry.place
         return 0.0 if place is None else place.above_home
+
+    @property
+    def _lifted(self) -> bool:
+        """By its word; by its height where it does not say, as a height may be off by a metre on the ground."""
+        landed = self._vehicle.telemetry.landed
+        return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 
     def tick(self, now_ns: int) -> None:
         """Give the next order that is due."""
@@ -62,7 +68,7 @@ class TakeOff:
             return
         self._armed = heard.armed
         step = "take off" if heard.armed else "arm" if heard.mode is FlightMode.GUIDED else "guided mode"
-        if step == "take off" and self._step == step and self._above > LIFTED:
+        if step == "take off" and self._step == step and self._lifted:
             return  # on its way
         if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
             return
