@@ -451,7 +451,20 @@ def test_time_outs_wait_for_a_slow_autopilot() -> None:
     rig.run(8.0)
     rig.answered(rig.vehicle.change_speed(3.0), 30)
     assert seen.count(178) == 1
-    assert not rig.of(NoticeKind.LINK_LOST)  # its heartbeats come every ten seconds
+
+
+def test_a_slow_autopilot_is_not_lost() -> None:
+    """At a tenth of our speed its heartbeats come every ten seconds; the rest of the telemetry shows that it lives."""
+    rig = met(Rig())
+    rig.run(3)
+    step = rig.sim.step
+    rig.sim.step = lambda dt: step(0.1 * dt)  # type: ignore[method-assign]
+    rig.run(25)
+    assert not rig.of(NoticeKind.LINK_LOST)
+    rig.down.loss = 1.0
+    lost = rig.t
+    assert rig.run(15, lambda: bool(rig.of(NoticeKind.LINK_LOST)))
+    assert rig.t - lost < 5.0
 
 
 def test_texts_of_the_autopilot_are_passed_on() -> None:

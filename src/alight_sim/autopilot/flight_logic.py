@@ -172,7 +172,10 @@ class FlightLogic:
         return Wanted(wanted.position, wanted.velocity, heading, *limits)
 
     def _runs(self, t: float) -> bool:
-        """Whether the rotor turns as fast as it must; it keeps turning in the air."""
+        """Whether the motors lift: ArduPilot waits for the order to take off, a helicopter for its rotor."""
+        waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
+        if waits and not self.dialect.needs_setpoints:
+            return False
         if self.interlock is None or not self._stands:
             return True
         if not self.interlock:
