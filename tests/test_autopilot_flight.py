@@ -93,6 +93,30 @@ def test_a_setpoint_is_flown_to_no_faster_than_it_says(dialect: str) -> None:
     assert not [n for n in rig.of(NoticeKind.COMMAND) if not n.ok]
 
 
+def test_a_speed_is_given_again_where_its_setpoint_was_lost() -> None:
+    """The set-point after the speed starts ArduPilot's controller, and with it the speed is gone."""
+    rig = flying("ardupilot")
+    rig.vehicle.set_mode(FlightMode.HOLD)
+    rig.run(2.0)
+    rig.vehicle.set_mode(FlightMode.GUIDED)
+    rig.run(2.0)
+    guide, dropped = rig.sim._guide, [0]
+
+    def lossy(m: object, position: np.ndarray) -> None:
+        dropped[0] += 1
+        if dropped[0] > 3:
+            guide(m, position)
+
+    rig.sim._guide = lossy  # type: ignore[method-assign]
+    speeds = []
+    for _ in range(60):
+        rig.vehicle.guide(Setpoint(np.array([60.0, 0.0, 15.0]), heading=0.0, speed=2.0), aligned(rig))
+        rig.run(0.1)
+        speeds.append(float(np.hypot(*rig.sim.vehicle.velocity[:2])))
+    assert max(speeds) > 2.5  # for a moment
+    assert max(speeds[-25:]) < 2.15
+
+
 def test_ardupilot_turns_its_nose_where_no_heading_is_named() -> None:
     rig = flying("ardupilot")
     assert rig.sim.vehicle.heading == pytest.approx(0.0, abs=0.01)
