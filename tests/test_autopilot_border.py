@@ -195,6 +195,21 @@ def test_a_setpoint_without_sense_is_refused(setpoint: Setpoint) -> None:
         target_of(setpoint, tie())
     with pytest.raises(ValueError, match="one instant"):
         target_of(Setpoint(np.zeros(3)), None)
+    with pytest.raises(ValueError, match="speeds above 0"):
+        target_of(Setpoint(np.zeros(3), speed=0.0), tie())
+
+
+def test_a_setpoint_ahead_is_as_far_as_its_speed_allows() -> None:
+    """30 m north and 10 m down, at 2 m/s and 0.5 m/s: with 0.5 1/s it is 4 m ahead and 1 m lower."""
+    here = Place(47.6, 13.4, 540.0, 40.0)
+    far = target_of(Setpoint(np.array([3.0, 30.0, 30.0]), speed=2.0, sink=0.5), tie())
+    near = far.ahead(here, 0.5).place
+    assert near is not None
+    assert (near.latitude - here.latitude) * 111_132 == pytest.approx(4.0, abs=0.01)
+    assert (near.longitude, near.altitude_msl) == (pytest.approx(13.4, abs=1e-9), pytest.approx(539.0))
+    assert near.above_home == pytest.approx(39.0)
+    up = target_of(Setpoint(np.array([3.0, 1.0, 60.0]), speed=2.0, sink=0.5), tie())
+    assert up.ahead(here, 0.5).place == up.place
 
 
 def some_route() -> Route:
@@ -210,9 +225,9 @@ def some_route() -> Route:
 def test_a_mission_by_hand() -> None:
     """Heights above the vehicle's own home: we are 40 m over it, whatever our own zero is."""
     items = mission_of(some_route(), tie(), look_time=2.0)
-    assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 115, 21]
+    assert [i.command for i in items] == [178, 115, 16, 178, 115, 16, 178, 115, 21]
     speeds = [i.parameters[:3] for i in items if i.command == 178]
-    assert speeds == [(1.0, 5.0, -1.0), (3.0, 1.0, -1.0)]  # over the ground; then straight down
+    assert speeds == [(1.0, 5.0, -1.0), (3.0, 1.0, -1.0), (3.0, 1.0, -1.0)]  # over the ground; then straight down
     turned = [i.parameters[0] for i in items if i.command == 115]
     assert turned == [pytest.approx(math.degrees(1.5))] * 3
     first, second, last = (i for i in items if i.place is not None)
@@ -231,7 +246,7 @@ def test_item_0_is_the_home_for_ardupilot_only() -> None:
     assert len(copter) == len(items) + 1
     m = copter[0].message(0, 1, 1)
     assert (m.frame, m.command, m.x, m.z, m.current) == (0, 16, 470000000, 480.0, 1)
-    assert [i.command for i in px4] == [178, 16, 178, 16, 21]
+    assert [i.command for i in px4] == [178, 16, 16, 21]  # it takes a speed downwards for one over the ground
 
 
 def test_a_mission_needs_the_height_above_home() -> None:

@@ -165,6 +165,14 @@ def test_reading_waits_no_longer_than_told() -> None:
     link.close()
 
 
+def parameters(binary: Path, folder: Path) -> str:
+    """Files of parameters: those of ArduPilot's own tree where the binary lies in it, and a precision landing."""
+    own = folder / "alight.parm"
+    own.write_text("FRAME_CLASS 1\nPLND_ENABLED 1\nPLND_TYPE 1\nPLND_STRICT 0\n")
+    trees = [p / "Tools/autotest/default_params/copter.parm" for p in binary.resolve().parents]
+    return ",".join(str(p) for p in (*trees, own) if p.exists())
+
+
 @pytest.fixture
 def sitl(tmp_path: Path) -> Any:
     """A running ArduPilot Copter, in a folder of its own."""
@@ -172,6 +180,7 @@ def sitl(tmp_path: Path) -> Any:
     if not binary:
         pytest.skip("no ArduPilot SITL: set ALIGHT_SITL to its arducopter binary")
     command = [binary, "--model", "quad", "--speedup", "1", "--home", "47.6,13.4,500,0", "--wipe", "-I0"]
+    command += ["--defaults", parameters(Path(binary), tmp_path)]
     with (
         (tmp_path / "sitl.log").open("wb") as log,
         subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log) as run,

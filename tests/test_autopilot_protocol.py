@@ -9,8 +9,9 @@ import pytest
 from autopilot_rig import LOCAL, Rig
 
 from alight.autopilot import EstimateTie, MissionItem, Setpoint, mission_of
+from alight.autopilot.firmware import ArduPilotFirmware
 from alight.autopilot.mission_item import MissionItem as Item
-from alight.records import FlightMode, NoticeKind, Place, Route, Telemetry, Waypoint
+from alight.records import FlightMode, ImuSample, NoticeKind, Place, Route, Telemetry, Waypoint
 from alight_sim.autopilot.dialects import Doing
 
 BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
@@ -51,7 +52,7 @@ def test_an_upload_arrives_whole_over_a_bad_link(dialect: str, seed: int) -> Non
     items = long_mission()
     got = rig.answered(rig.vehicle.upload(items), 240, NoticeKind.UPLOAD)
     assert got.ok, got.text
-    wanted = [i for i in items if dialect == "ardupilot" or i.command != 115]
+    wanted = [i for i in items if dialect == "ardupilot" or not (i.command == 115 or i.parameters[0] == 3.0)]
     assert stored(rig)[rig.sim.dialect.first_item :] == sent(tuple(wanted))
     assert len(rig.of(NoticeKind.UPLOAD)) == 1
 
@@ -95,10 +96,10 @@ def test_a_transfer_that_the_autopilot_gave_up_is_begun_again(dialect: str) -> N
 def test_a_lost_last_acknowledgement_does_not_fail_the_upload(dialect: str) -> None:
     rig = met(Rig(dialect))
     ticket = rig.vehicle.upload(long_mission(6))
-    last = 5 if dialect == "px4" else 11
-    assert rig.run(10, lambda: len(rig.sim.missions._coming) == last)
+    missions = rig.sim.missions
+    assert rig.run(10, lambda: missions.receiving and len(missions._coming) == missions._count - 1)
     rig.down.loss = 1.0
-    assert rig.run(1, lambda: bool(rig.sim.missions.items))
+    assert rig.run(1, lambda: not missions.receiving)
     rig.down.loss = 0.0
     assert not rig.of(NoticeKind.UPLOAD)
     assert rig.answered(ticket, 60, NoticeKind.UPLOAD).ok
@@ -127,6 +128,38 @@ def test_a_refused_mission_says_why(dialect: str) -> None:
     got = rig.answered(rig.vehicle.upload(many), 20, NoticeKind.UPLOAD)
     assert not got.ok
     assert "space" in got.text
+    rig.run(1)
+    assert not stored(rig)
+
+
+def test_a_part_of_a_mission_is_neither_kept_nor_flown() -> None:
+    """ArduPilot stores items as they come, over the mission that it had: what is left after a failure is neither."""
+    rig = Rig()
+    rig.up_and_flying(15.0)
+    assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
+    got = rig.answered(rig.vehicle.upload((*long_mission(4), Item(31_000))), 20, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert "deleted" in got.text
+    early = rig.answered(rig.vehicle.start_mission())
+    assert not early.ok
+    assert "whole" in early.text
+    rig.run(3)
+    assert not stored(rig)
+    assert rig.sim.logic.doing is Doing.GUIDED
+    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
+    rig.vehicle.upload(long_mission(8))
+    rig.step()
+    assert "under way" in rig.answered(rig.vehicle.start_mission()).text
+    assert rig.run(20, lambda: not rig.sim.missions.receiving)
+    rig.run(1)
+    assert rig.answered(rig.vehicle.start_mission()).ok
+
+
+def test_a_deletion_waits_for_a_transfer_that_ardupilot_still_expects() -> None:
+    rig = met(Rig())
+    rig.vehicle.upload(long_mission())
+    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
+    assert rig.answered(rig.vehicle.upload(()), 30, NoticeKind.UPLOAD).ok
     assert not stored(rig)
 
 
@@ -163,6 +196,25 @@ def test_it_is_ready_when_the_autopilot_says_so(dialect: str) -> None:
     assert not rig.ours.telemetry.ready
 
 
+def test_it_is_ready_where_the_user_has_switched_off_the_checks() -> None:
+    """ARMING_CHECK = 0: the pre-arm bit is present, and neither enabled nor healthy."""
+    rig = Rig()
+    rig.sim.checks = False
+    rig.run(8)
+    assert place(rig).checks_off
+    assert place(rig).ready
+    assert rig.answered(rig.vehicle.arm()).ok
+
+
+def test_px4_gets_setpoints_before_the_order_to_fly_guided() -> None:
+    """It looks at them twice a second, and refuses the mode until it has seen them."""
+    rig = met(Rig("px4"))
+    assert rig.answered(rig.vehicle.set_mode(FlightMode.GUIDED)).ok
+    rig.run(1.5)
+    assert rig.sim.logic.doing is Doing.GUIDED
+    assert not [n for n in rig.of(NoticeKind.COMMAND) if not n.ok]
+
+
 def test_nothing_is_streamed_unasked() -> None:
     rig = Rig(step=0.1)
     rig.up.loss = 1.0
@@ -193,6 +245,27 @@ def test_streams_come_at_their_rates(dialect: str) -> None:
     assert rates["GLOBAL_POSITION_INT"] == pytest.approx(10, rel=0.1)
     assert rates["HIGHRES_IMU"] == pytest.approx(25, rel=0.1)
     assert "RC_CHANNELS" not in rates
+
+
+def test_a_build_without_highres_imu_is_asked_for_raw_imu() -> None:
+    """ArduPilot denies what it does not have. A ground station that streams RAW_IMU as well doubles no sample."""
+    rig = Rig(rates={"HIGHRES_IMU": 25.0}, step=0.02)
+    rig.sim.reports.lacks = {105}
+    met(rig).run(3)
+    times = [s.t_ns for s in rig.samples if isinstance(s, ImuSample)]
+    assert len(times) > 40
+    assert "HIGHRES_IMU" not in rig.vehicle.missing_streams
+    both = met(Rig(rates={"HIGHRES_IMU": 25.0, "RAW_IMU": 10.0}, step=0.02))
+    both.run(3)
+    both.samples.clear()
+    both.run(4)
+    times = [s.t_ns for s in both.samples if isinstance(s, ImuSample)]
+    assert len(times) == pytest.approx(100, abs=5)
+
+
+def test_ardupilot_has_room_for_all_intervals() -> None:
+    """It keeps ten different intervals a link, and a ground station may use some."""
+    assert len({*ArduPilotFirmware.rates.values(), 100.0}) <= 6
 
 
 @BOTH
@@ -236,7 +309,7 @@ def test_a_stream_that_never_comes_is_not_asked_for_all_the_time() -> None:
 def test_commands_get_through_and_are_answered_once(dialect: str) -> None:
     rig = met(Rig(dialect, seed=3, link=BAD))
     tickets = [rig.vehicle.set_mode(FlightMode.GUIDED), rig.vehicle.arm(), rig.vehicle.change_speed(3.0)]
-    rig.run(30)
+    assert rig.run(30, lambda: len(rig.of(NoticeKind.COMMAND)) == len(tickets))
     notices = rig.of(NoticeKind.COMMAND)
     assert sorted(n.ticket or 0 for n in notices) == sorted(tickets)
     assert rig.sim.logic.armed
@@ -378,6 +451,20 @@ def test_time_outs_wait_for_a_slow_autopilot() -> None:
     rig.run(8.0)
     rig.answered(rig.vehicle.change_speed(3.0), 30)
     assert seen.count(178) == 1
+
+
+def test_a_slow_autopilot_is_not_lost() -> None:
+    """At a tenth of our speed its heartbeats come every ten seconds; the rest of the telemetry shows that it lives."""
+    rig = met(Rig())
+    rig.run(3)
+    step = rig.sim.step
+    rig.sim.step = lambda dt: step(0.1 * dt)  # type: ignore[method-assign]
+    rig.run(25)
+    assert not rig.of(NoticeKind.LINK_LOST)
+    rig.down.loss = 1.0
+    lost = rig.t
+    assert rig.run(15, lambda: bool(rig.of(NoticeKind.LINK_LOST)))
+    assert rig.t - lost < 5.0
 
 
 def test_texts_of_the_autopilot_are_passed_on() -> None:

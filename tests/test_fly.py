@@ -216,6 +216,35 @@ def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
     assert r.sim.logic.doing is Doing.RETURN
 
 
+def test_the_nose_stays_and_the_speeds_are_those_of_the_orders() -> None:
+    """ArduPilot would turn to where it flies, and fly and sink as fast as it likes."""
+    r = rig()
+    before, turned, rushed = r.sim.vehicle.heading, [0.0], [0.0]
+
+    def look() -> None:
+        turned.append(abs(r.sim.vehicle.heading - before))
+        order = r.pilot.executive._order(r.view.situation) if r.pilot and r.view else None
+        if order is not None and order.what == "fly":
+            rushed.append(-float(r.sim.vehicle.velocity[2]) - order.sink)
+
+    step = r.each_step
+    r.each_step = lambda: (step(), look())  # type: ignore[func-returns-value]
+    assert r.fly(S.COMMIT)
+    assert max(turned) < 0.1  # what a lean makes of the heading where guidance began
+    assert max(rushed) < 0.3
+
+
+def test_the_target_is_reported_before_the_landing_begins() -> None:
+    """ArduPilot needs two seconds of it, and PX4 searches where it has none."""
+    r = rig()
+    assert r.fly(S.COMMIT)
+    assert r.run(20.0, lambda: r.sim.logic.doing is Doing.LAND)
+    begun = next(t for t, m in reversed(r.wire) if m.get_type() == "COMMAND_LONG" and m.command == 176)
+    early = [t for t, m in r.wire if m.get_type() == "LANDING_TARGET" and t < begun]
+    assert len(early) > 5
+    assert r.run(3.0, lambda: r.sim.vehicle.velocity[2] < -0.2)  # it would wait for seven seconds without a target
+
+
 def test_a_pilot_who_switches_just_before_an_order_is_not_switched_back() -> None:
     """Who flies is seen once a second, by the heartbeat: a change of mode waits for the next one."""
     r = rig()
@@ -253,6 +282,30 @@ def test_it_takes_off(dialect: str) -> None:
     assert r.sim.estimated[2] > 11.0
     r.run(5.0)
     assert r.sim.estimated[2] == pytest.approx(12.0, abs=0.5)
+
+
+def test_a_helicopter_waits_for_its_interlock_and_says_so() -> None:
+    r = PilotRig(Ground({}).seen, kind=4)
+    assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
+    climb = TakeOff(r.vehicle, r.vehicle, 12.0, r.now_ns)
+    r.each_step = lambda: climb.tick(r.now_ns)
+    assert r.run(10, lambda: "interlock" in climb.hint)
+    r.run(4.0)
+    r.sim.logic.interlock = True
+    assert r.run(60, lambda: climb.done)
+    assert not climb.hint
+
+
+def test_motors_that_somebody_stops_are_not_started_again() -> None:
+    """A helicopter without its interlock is disarmed after 10 s; a pilot may stop the motors any time."""
+    r = PilotRig(Ground({}).seen, kind=4)
+    assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
+    climb = TakeOff(r.vehicle, r.vehicle, 12.0, r.now_ns)
+    r.each_step = lambda: climb.tick(r.now_ns)
+    assert r.run(30, lambda: bool(climb.failed))
+    assert "stopped" in climb.failed
+    r.run(8.0)
+    assert not r.sim.logic.armed
 
 
 def test_a_take_off_ends_when_somebody_else_flies() -> None:

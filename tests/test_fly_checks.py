@@ -21,8 +21,9 @@ from alight_sim import default_rig
 GOOD, BAD, WARNING, UNKNOWN = Judged.GOOD, Judged.BAD, Judged.WARNING, Judged.UNKNOWN
 
 
-def hovering(seconds: float = 6.0) -> PilotRig:
+def hovering(seconds: float = 6.0, silent: frozenset[int] = frozenset()) -> PilotRig:
     r = PilotRig(Ground({}).seen)
+    r.sim.reports.silent |= silent
     r.up_and_flying(20.0)
     r.run(seconds)
     return r
@@ -39,6 +40,23 @@ def test_all_is_well_in_the_air() -> None:
     link = p.judge_link("udp:x", r.ours.counts.messages, r.vehicle, "")
     assert [c.verdict for c in link] == [GOOD, GOOD]
     assert "ArduPilot" in link[1].evidence
+
+
+def test_a_copter_that_does_not_estimate_the_wind_may_be_flown() -> None:
+    """It accepts the request for WIND, and stays silent."""
+    found = vehicle_checks(hovering(silent=frozenset({168})))
+    assert found["wind"].verdict is UNKNOWN
+    assert "EK3_DRAG" in found["wind"].evidence
+    assert found["streams"].verdict is WARNING
+
+
+def test_checks_before_arming_that_are_off_are_told() -> None:
+    r = PilotRig(Ground({}).seen)
+    r.sim.checks = False
+    r.run(10.0)
+    found = vehicle_checks(r, take_off=True)["ready"]
+    assert found.verdict is WARNING
+    assert "ARMING_CHECK" in found.mend
 
 
 def test_each_fault_is_found() -> None:

@@ -262,13 +262,14 @@ def test_plan_is_what_qgroundcontrol_reads(out: Path) -> None:
     needed = {"version", "firmwareType", "vehicleType", "cruiseSpeed", "hoverSpeed", "items", "plannedHomePosition"}
     assert needed <= set(mission)
     items = mission["items"]
-    assert [i["command"] for i in items] == [16, 178, 115, 16, 115, 21]  # speed and heading on the way to each place
-    assert [i["doJumpId"] for i in items] == [1, 2, 3, 4, 5, 6]
+    commands = [i["command"] for i in items]
+    assert commands == [16, 178, 115, 16, 178, 115, 21]  # speed and heading on the way to each place
+    assert [i["doJumpId"] for i in items] == [1, 2, 3, 4, 5, 6, 7]
     assert all(i["type"] == "SimpleItem" and len(i["params"]) == 7 for i in items)
     places = [i for i in items if i["command"] in (16, 21)]
     assert all(i["frame"] == 3 for i in places)
     assert [i["params"][6] for i in places] == pytest.approx([29.88, 10.0, 0.0], abs=1e-3)  # above the site
-    assert [i["params"][:3] for i in items if i["command"] == 178] == [[1.0, 5.0, -1.0]]
+    assert [i["params"][:3] for i in items if i["command"] == 178] == [[1.0, 5.0, -1.0], [3.0, 5.0, -1.0]]
     assert {i["params"][0] for i in items if i["command"] == 115} == {330.0}
     lat, lon, ground = mission["plannedHomePosition"]
     np.testing.assert_allclose(LOCAL.to_enu(lat, lon, ground), [5.0, -2.0, 2.12], atol=1e-3)

@@ -120,7 +120,8 @@ class Autopilot:
             return None
         self._framing.speak_as(system, self._component)
         self._note(NoticeKind.FOUND, f"{firmware.name}, system {system}")
-        return RemoteVehicle(firmware, system, (system, self._component), self._rates, self._send, self._note)
+        us = (system, self._component)
+        return RemoteVehicle(firmware, system, us, self._rates, self._send, self._note, m.type)
 
     def _refuse(self, system: int, what: str) -> None:
         if system not in self._refused:

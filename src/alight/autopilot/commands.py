@@ -12,7 +12,7 @@ from alight.autopilot.pymavlink_dialect import message
 _TRIES = 6
 _ANSWER_NS = 1_000_000_000  # until a command is sent again
 _PROGRESS_NS = 30_000_000_000  # until one that is in progress counts as lost
-_IN_PROGRESS = 5
+_NOT_NOW, _IN_PROGRESS = 1, 5
 _PARAMETERS = 7
 RESULTS = {
     0: "accepted",
@@ -43,6 +43,7 @@ class CommandAnswer:
     name: str
     ok: bool
     text: str
+    refused: bool = False  # by an answer of the autopilot that no second try will change
 
 
 class CommandQueue:
@@ -58,7 +59,14 @@ class CommandQueue:
         self._tickets = 0
         self.target = (0, 0)  # system and component
 
-    def submit(self, name: str, number: int, parameters: Sequence[float], t_ns: int, flies: bool = True) -> int:
+    def ticket(self) -> int:
+        """Return a new ticket, for an order that is answered without the autopilot."""
+        self._tickets += 1
+        return self._tickets
+
+    def submit(
+        self, name: str, number: int, parameters: Sequence[float], t_ns: int, flies: bool = True, wait_ns: int = 0
+    ) -> int:
         """Send a command, or line it up behind one of its kind.
 
         Args:
@@ -67,22 +75,23 @@ class CommandQueue:
             parameters: the first of its seven; the others are 0.
             t_ns: now.
             flies: it moves the vehicle, and is given up at a takeover.
+            wait_ns: until it is sent for the first time.
 
         Returns:
             The ticket that its answer will bear.
         """
-        self._tickets += 1
+        ticket = self.ticket()
         full = (*parameters, *(0.0,) * (_PARAMETERS - len(parameters)))
         queue = self._queues.setdefault(number, deque())
-        queue.append(_Command(self._tickets, name, number, full, flies))
-        if len(queue) == 1:
+        queue.append(_Command(ticket, name, number, full, flies, t_ns + wait_ns))
+        if len(queue) == 1 and not wait_ns:
             self._transmit(queue[0], t_ns)
-        return self._tickets
+        return ticket
 
-    def replace(self, name: str, number: int, parameters: Sequence[float], t_ns: int) -> int:
+    def replace(self, name: str, number: int, parameters: Sequence[float], t_ns: int, wait_ns: int = 0) -> int:
         """As `submit`, but commands of its kind that are under way or lined up are given up first."""
         self._queues.pop(number, None)
-        return self.submit(name, number, parameters, t_ns)
+        return self.submit(name, number, parameters, t_ns, wait_ns=wait_ns)
 
     def waiting(self, number: int) -> int:
         """The number of commands of a MAV_CMD that are under way or lined up."""
@@ -111,7 +120,8 @@ class CommandQueue:
         if result == _IN_PROGRESS:
             queue[0].deadline_ns = t_ns + _PROGRESS_NS
             return None
-        return self._finish(queue, result == 0, RESULTS.get(result, f"result {result}"), t_ns)
+        text = RESULTS.get(result, f"result {result}")
+        return self._finish(queue, result == 0, text, t_ns, refused=result not in (0, _NOT_NOW))
 
     def tick(self, t_ns: int) -> list[CommandAnswer]:
         """Send again what was not answered in time; return the answers of commands that were tried often enough."""
@@ -124,11 +134,11 @@ class CommandQueue:
                     out.append(self._finish(queue, False, f"no answer to {_TRIES} tries", t_ns))
         return out
 
-    def _finish(self, queue: deque[_Command], ok: bool, text: str, t_ns: int) -> CommandAnswer:
+    def _finish(self, queue: deque[_Command], ok: bool, text: str, t_ns: int, refused: bool = False) -> CommandAnswer:
         done = queue.popleft()
         if queue:
             self._transmit(queue[0], t_ns)
-        return CommandAnswer(done.ticket, done.name, ok, f"{done.name}: {text}")
+        return CommandAnswer(done.ticket, done.name, ok, f"{done.name}: {text}", refused)
 
     def _transmit(self, command: _Command, t_ns: int) -> None:
         system, component = self.target

@@ -10,7 +10,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.autopilot import border
-from alight.autopilot.mission_item import CONDITION_YAW, MissionItem, home_item
+from alight.autopilot.mission_item import CONDITION_YAW, DO_CHANGE_SPEED, MissionItem, SpeedKind, home_item
 from alight.autopilot.pymavlink_dialect import message
 from alight.records import FlightMode, Place, Telemetry
 
@@ -24,16 +24,16 @@ _COPTER = """
 STABILIZE ACRO ALT_HOLD AUTO GUIDED LOITER RTL CIRCLE POSITION LAND OF_LOITER DRIFT 12 SPORT FLIP AUTOTUNE POSHOLD BRAKE
 THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTATE AUTO_RTL TURTLE RATE_ACRO
 """
-_RATES: Mapping[str, float] = {  # Hz
+_RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten different intervals a link, the next is rounded
     "ATTITUDE_QUATERNION": 20.0,
     "GLOBAL_POSITION_INT": 10.0,
     "LOCAL_POSITION_NED": 5.0,
     "GPS_RAW_INT": 5.0,
-    "RC_CHANNELS": 4.0,
-    "EXTENDED_SYS_STATE": 4.0,
+    "RC_CHANNELS": 5.0,
+    "EXTENDED_SYS_STATE": 5.0,
     "SYS_STATUS": 2.0,
     "MISSION_CURRENT": 2.0,
-    "HOME_POSITION": 0.5,
+    "HOME_POSITION": 1.0,
 }
 
 
@@ -43,6 +43,7 @@ class Firmware(Protocol):
     name: str
     rates: Mapping[str, float]  # Hz of the messages to ask for
     repeats_setpoints: bool  # whether a set-point must be sent again and again
+    position_gain: float | None  # 1/s, speed per metre to a set-point; None: it takes speeds as commands
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
     home_items: int  # items of its missions that are not ours
 
@@ -78,6 +79,7 @@ class ArduPilotFirmware:
     name = "ArduPilot"
     rates: Mapping[str, float] = {**_RATES, "EKF_STATUS_REPORT": 2.0, "WIND": 1.0}
     repeats_setpoints = False
+    position_gain: float | None = None
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
     home_items = 1
     _names = tuple(_COPTER.split())
@@ -88,6 +90,7 @@ class ArduPilotFirmware:
         "BRAKE": FlightMode.HOLD,
         "RTL": FlightMode.RETURN,
         "SMART_RTL": FlightMode.RETURN,
+        "AUTO_RTL": FlightMode.RETURN,
         **dict.fromkeys(("STABILIZE", "ACRO", "ALT_HOLD", "LOITER", "DRIFT", "SPORT", "POSHOLD"), FlightMode.PILOT),
     }
     _numbers: Mapping[FlightMode, float] = {
@@ -133,6 +136,7 @@ class Px4Firmware:
     name = "PX4"
     rates: Mapping[str, float] = {**_RATES, "ESTIMATOR_STATUS": 2.0, "WIND_COV": 1.0}
     repeats_setpoints = True
+    position_gain: float | None = 0.95  # MPC_XY_P; that of the height, MPC_Z_P, is 1.0
     natural = frozenset(
         {
             (FlightMode.TAKE_OFF, FlightMode.HOLD),
@@ -181,8 +185,11 @@ class Px4Firmware:
         return (0.0, 0.0, 0.0, _NAN, _NAN, _NAN, sea)
 
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
-        """Without CONDITION_YAW, which PX4 refuses: the way-points have the heading."""
-        return tuple(i for i in items if i.command != CONDITION_YAW)
+        """Without CONDITION_YAW, which PX4 refuses (the way-points have the heading), and without speeds downwards.
+
+        PX4 takes every DO_CHANGE_SPEED for the speed over the ground.
+        """
+        return tuple(i for i in items if i.command != CONDITION_YAW and not _is_descent_speed(i))
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
         """Position in the estimator's local frame."""
@@ -194,6 +201,10 @@ class Px4Firmware:
             distance=float(np.linalg.norm(target_world)), size_x=0.0, size_y=0.0, x=x, y=y, z=z,
             q=[1.0, 0.0, 0.0, 0.0], type=2, position_valid=1,
         )  # fmt: skip
+
+
+def _is_descent_speed(item: MissionItem) -> bool:
+    return item.command == DO_CHANGE_SPEED and item.parameters[0] == SpeedKind.DESCENT.value
 
 
 def firmware_of(autopilot: int) -> Firmware | None:

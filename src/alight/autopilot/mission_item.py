@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 from typing import Any
 
@@ -14,9 +15,16 @@ from alight.records import Place, Route, Waypoint
 NAV_WAYPOINT, NAV_LAND = 16, 21  # MAV_CMD
 CONDITION_YAW, DO_CHANGE_SPEED = 115, 178
 GLOBAL, MISSION, ABOVE_HOME = 0, 2, 3  # MAV_FRAME
-_GROUND_SPEED, _DESCENT_SPEED, _AS_IT_IS = 1.0, 3.0, -1.0  # SPEED_TYPE, and a throttle that stays
+_AS_IT_IS = -1.0  # a throttle that stays
 _STEEP = 0.5  # m sideways, below which a leg goes straight down
 LOOK_TIME = 3.0  # s, of a hold where the ground is looked at
+
+
+class SpeedKind(Enum):
+    """SPEED_TYPE."""
+
+    GROUND = 1.0
+    DESCENT = 3.0
 
 
 @dataclass(frozen=True)
@@ -62,8 +70,8 @@ def change_speed(speed: float, downwards: bool = False) -> MissionItem:
         speed: m/s.
         downwards: of the descent; else over the ground.
     """
-    kind = _DESCENT_SPEED if downwards else _GROUND_SPEED
-    return MissionItem(DO_CHANGE_SPEED, (kind, speed, _AS_IT_IS, 0.0))
+    kind = SpeedKind.DESCENT if downwards else SpeedKind.GROUND
+    return MissionItem(DO_CHANGE_SPEED, (kind.value, speed, _AS_IT_IS, 0.0))
 
 
 def face(heading: float) -> MissionItem:
@@ -89,16 +97,19 @@ def mission_of(
         raise ValueError("the autopilot's height above its home is not known")
     *way, touchdown = route.waypoints
     items = [_stop(way[0], tie, look_time)] if with_start else []
-    set_before: MissionItem | None = None
     for here, there in pairwise(way):
-        speed = _speed(here, there)
-        items += [] if speed == set_before else [speed]
-        items += [
-            face(there.heading),
-            _stop(there, tie, look_time),
-        ]  # what precedes a way-point is done on the way to it
-        set_before = speed
-    return (*items, face(touchdown.heading), land(tie.place_of(touchdown.position_world), touchdown.heading))
+        items += [*_leg(here, there), _stop(there, tie, look_time)]
+    end = land(tie.place_of(touchdown.position_world), touchdown.heading)
+    return (*items, *_leg(way[-1], touchdown), end)
+
+
+def _leg(here: Waypoint, there: Waypoint) -> tuple[MissionItem, MissionItem]:
+    """Speed and heading of a leg, in this order and both every time.
+
+    What precedes a way-point is done on the way to it. But ArduPilot does the first item before it starts the leg, and
+    that start resets the heading: the heading must be the second.
+    """
+    return _speed(here, there), face(there.heading)
 
 
 def _stop(w: Waypoint, tie: EstimateTie, look_time: float) -> MissionItem:

@@ -11,7 +11,7 @@ from alight.autopilot.pymavlink_dialect import message
 
 _AGAIN_NS = 1_000_000_000  # without a request, until the last message is sent again
 _TRIES = 8  # of one message
-_STARTS = 6  # of the whole transfer: an acceptance that is lost costs one
+_STARTS = 10  # of the whole transfer, longer than ArduPilot waits for an item: until then it refuses a deletion
 _ACCEPTED, _OUT_OF_TURN = 0, 13  # MAV_MISSION_RESULT
 _INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a copy of an item or a transfer that timed out brings
 REFUSALS = {
@@ -36,6 +36,7 @@ class TransferResult:
     ok: bool
     text: str
     items: int
+    begun: bool = False  # items were asked for: an autopilot that stores them as they come may hold a part
 
 
 class MissionTransfer:
@@ -60,6 +61,11 @@ class MissionTransfer:
         """Begin a transfer that is under way anew: the vehicle has forgotten it."""
         if self.active:
             self._begin(t_ns)
+
+    def delete_part(self) -> None:
+        """Delete what a failed upload may have left; nobody waits for the answer."""
+        system, component = self.target
+        self._send(message("MISSION_CLEAR_ALL", target_system=system, target_component=component, mission_type=0))
 
     def stop(self) -> None:
         """Give up the transfer that is under way, without a result."""
@@ -132,8 +138,8 @@ class MissionTransfer:
                         mission_type=0)
             )  # fmt: skip
         else:
-            self._send(message("MISSION_CLEAR_ALL", target_system=system, target_component=component, mission_type=0))
+            self.delete_part()
 
     def _end(self, ok: bool, text: str) -> TransferResult:
         self.active = False
-        return TransferResult(ok, text, len(self._items))
+        return TransferResult(ok, text, len(self._items), bool(self._asked))

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from alight.arrays import F64
 from alight.autopilot.border import EstimateTie
 from alight.autopilot.clock import Pace, VehicleClock
-from alight.autopilot.commands import CommandQueue
+from alight.autopilot.commands import CommandAnswer, CommandQueue
 from alight.autopilot.control import ControlWatch
 from alight.autopilot.firmware import Firmware
 from alight.autopilot.framing import Heard
-from alight.autopilot.mission_item import CONDITION_YAW, DO_CHANGE_SPEED, MissionItem
+from alight.autopilot.mission_item import DO_CHANGE_SPEED, MissionItem, SpeedKind
 from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
+from alight.autopilot.speeds import SpeedKeeper
 from alight.autopilot.streams import StreamKeeper
 from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
@@ -26,7 +26,10 @@ AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
 _SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 1_000_000_000, 100_000_000
 _FIRST_TIMESYNCS = 10
+_BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
+_HELICOPTER = 4  # MAV_TYPE
 _LINK_NS = 3_500_000_000  # without a heartbeat
+_LINK_PACE_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
 _BROADCAST = 0
 
@@ -47,18 +50,22 @@ class RemoteVehicle:
         rates: Mapping[str, float],
         send: Callable[[Any], None],
         note: Callable[..., None],
+        kind: int = 0,
     ) -> None:
         self.firmware, self.system, self._us = firmware, system, us
+        self.helicopter = kind == _HELICOPTER
         self._send, self._note = send, note
         self._state, self._control = VehicleState(firmware), ControlWatch(firmware)
         self.clock, self._pace = VehicleClock(), Pace()
         self._commands, self._transfer = CommandQueue(send), MissionTransfer(send)
         self._commands.target = self._transfer.target = (system, AUTOPILOT)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
-        self._streams = StreamKeeper(wanted, self._commands)
+        self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
         self._target: Target | None = None
         self._target_ns = self._timesync_ns = self._now_ns = 0
-        self._timesyncs = self._uploads = 0
+        self._timesyncs = self._uploads = self._heartbeat_pace_ns = 0
+        self._aiming_ns = 0  # since when set-points have been sent without a pause
+        self._torn = False  # the newest upload failed: what the autopilot holds is no whole mission
         self.alive = True  # its heartbeat is heard
         self.starts = 1  # counted up by each reboot
         self._handshakes: dict[str, Callable[[Any], None]] = {
@@ -128,8 +135,11 @@ class RemoteVehicle:
         elif self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED and now.place is not None:
             self._aim(hold_at(now.place))  # the mode is refused without a set-point, and an old one must not be flown
         self._control.ordered(mode, self._pace.t_ns)
+        wait_ns = 0
+        if mode is FlightMode.GUIDED and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED:
+            wait_ns = max(_BEFORE_GUIDED_NS - (self._now_ns - self._aiming_ns), 0)
         parameters = self.firmware.mode_parameters(mode)
-        return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns)
+        return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns, wait_ns)
 
     def arm(self) -> int:
         """Start the motors; refused by the autopilot while its own checks fail."""
@@ -142,6 +152,7 @@ class RemoteVehicle:
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
         self._control.ordered(FlightMode.TAKE_OFF, self._pace.t_ns)
+        self._speeds.forget()
         self._target = None
         parameters = self.firmware.take_off_parameters(height, self.telemetry)
         return self._commands.submit("take off", _TAKEOFF, parameters, self._pace.t_ns)
@@ -153,12 +164,9 @@ class RemoteVehicle:
         self._commands.drop()
 
     def change_speed(self, speed: float) -> int:
-        """Fly at so many m/s over the ground."""
-        return self._commands.submit("speed", DO_CHANGE_SPEED, (1.0, speed, -1.0), self._pace.t_ns)
-
-    def face(self, heading: float) -> int:
-        """Turn to a heading, rad clockwise from north (PX4 takes it with a set-point only)."""
-        return self._commands.submit("heading", CONDITION_YAW, (math.degrees(heading) % 360.0,), self._pace.t_ns)
+        """Fly a mission at so many m/s over the ground; guided flight takes its speed with the set-point."""
+        parameters = (SpeedKind.GROUND.value, speed, -1.0)
+        return self._commands.submit("speed of the mission", DO_CHANGE_SPEED, parameters, self._pace.t_ns)
 
     def upload(self, items: tuple[MissionItem, ...]) -> int:
         """Send a mission; without items, delete the one that is there."""
@@ -168,7 +176,11 @@ class RemoteVehicle:
         return self._uploads
 
     def start_mission(self) -> int:
-        """Fly the mission; the command changes the mode by itself."""
+        """Fly the mission; the command changes the mode by itself. One that did not arrive whole is not started."""
+        if self._torn or self._transfer.active:
+            ticket, why = self._commands.ticket(), "is under way" if self._transfer.active else "did not arrive whole"
+            self._note(NoticeKind.COMMAND, f"start of the mission: not sent, the upload {why}", False, ticket=ticket)
+            return ticket
         self._control.ordered(FlightMode.MISSION, self._pace.t_ns)
         self._target = None
         return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
@@ -180,7 +192,7 @@ class RemoteVehicle:
             False: not sent, somebody else flies.
 
         Raises:
-            ValueError: the set-point is empty, not finite, or has a position and no tie.
+            ValueError: the set-point is empty, not finite, without speed, or has a position and no tie.
         """
         target = target_of(setpoint, tie)
         if self._control.in_control:
@@ -206,8 +218,14 @@ class RemoteVehicle:
         return True
 
     def _aim(self, target: Target) -> None:
+        if self._target is None:
+            self._aiming_ns = self._now_ns
         self._target, self._target_ns = target, self._now_ns
-        self._send(target.message(self._now_ns, self.system, AUTOPILOT))
+        gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
+        now = target if gain is None or here is None else target.ahead(here, gain)
+        self._send(now.message(self._now_ns, self.system, AUTOPILOT))
+        if gain is None and self._state.mode is FlightMode.GUIDED:
+            self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
 
     # time
 
@@ -222,14 +240,15 @@ class RemoteVehicle:
         self._streams.tick(self._pace.t_ns)
         self._uploaded(self._transfer.tick(self._pace.t_ns))
         for answer in self._commands.tick(self._pace.t_ns):
-            self._answered(answer.ticket, answer.ok, answer.text)
+            self._answered(answer)
         repeats = self._target is not None and self.firmware.repeats_setpoints
         if repeats and now_ns - self._target_ns >= _SETPOINT_NS and self._target is not None:
             self._aim(self._target)
 
     def _watch_link(self) -> None:
         heard = self._state.heard_ns("HEARTBEAT")
-        if self.alive and heard is not None and self._now_ns - heard > _LINK_NS:
+        late = heard is not None and self._now_ns - heard > _LINK_NS
+        if self.alive and late and self._pace.t_ns - self._heartbeat_pace_ns > _LINK_PACE_NS:
             self.alive = False
             self._note(NoticeKind.LINK_LOST, "no heartbeat of the vehicle any more", ok=False)
 
@@ -267,12 +286,15 @@ class RemoteVehicle:
             self._rebooted()
 
     def _heartbeat(self) -> None:
+        self._heartbeat_pace_ns = self._pace.t_ns
         if not self.alive:
             self.alive = True
             self._note(NoticeKind.LINK_BACK, "the vehicle is heard again")
         now, before = self._state.telemetry(self._now_ns), self._control.mode_name
         reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns)
         self._watch(reason)
+        if before != now.mode_name:
+            self._speeds.forget()
         if reason is None and before != now.mode_name:
             self._note(NoticeKind.MODE, now.mode_name, mode=now.mode)
 
@@ -301,11 +323,12 @@ class RemoteVehicle:
     def _command_ack(self, m: Any) -> None:
         answer = self._commands.hear(m.command, m.result, self._pace.t_ns) if self._is_for_us(m) else None
         if answer is not None:
-            self._answered(answer.ticket, answer.ok, answer.text)
+            self._answered(answer)
 
-    def _answered(self, ticket: int, ok: bool, text: str) -> None:
-        if not self._streams.is_ours(ticket):  # those that do not come are asked for again anyway
-            self._note(NoticeKind.COMMAND, text, ok, ticket=ticket)
+    def _answered(self, answer: CommandAnswer) -> None:
+        streams = self._streams.answered(answer.ticket, answer.refused)  # those that do not come are asked for again
+        if not (streams or self._speeds.is_quiet(answer.ticket, answer.ok)):
+            self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
 
     def _mission_request(self, m: Any) -> None:
         if self._is_for_us(m) and not m.mission_type:
@@ -316,8 +339,13 @@ class RemoteVehicle:
             self._uploaded(self._transfer.acknowledge(m.type, self._pace.t_ns))
 
     def _uploaded(self, result: TransferResult | None) -> None:
-        if result is not None:
-            self._note(NoticeKind.UPLOAD, result.text, result.ok, ticket=self._uploads)
+        if result is None:
+            return
+        self._torn, text = not result.ok, result.text
+        if self._torn and result.begun:  # ArduPilot stores items as they come, over those that it had
+            self._transfer.delete_part()
+            text += "; the part that it may hold is deleted"
+        self._note(NoticeKind.UPLOAD, text, result.ok, ticket=self._uploads)
 
     def _timesync(self, m: Any) -> None:
         if m.tc1 == 0:  # a question; its stamp comes back with ours

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from alight.records import Place
 
 _GLOBAL_MSL, _LOCAL_NED = 5, 1  # MAV_FRAME_GLOBAL_INT, MAV_FRAME_LOCAL_NED
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448, 1024, 2048
+_METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,9 @@ class Setpoint:
 
     position_world: F64 | None = None  # (3,) metres
     velocity_world: F64 | None = None  # (3,) m/s; with a position: the speed there
-    heading: float | None = None  # rad, clockwise from north
+    heading: float | None = None  # rad, clockwise from north; None: ArduPilot turns the nose to where it flies
+    speed: float = math.inf  # m/s over the ground on the way to a position; inf: the autopilot's own
+    sink: float = math.inf  # m/s downwards on the way to a position
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +36,29 @@ class Target:
     place: Place | None
     velocity_ned: F64 | None
     heading: float | None
+    speed: float = math.inf
+    sink: float = math.inf
+
+    def ahead(self, here: Place, gain: float) -> Target:
+        """The set-point of now on the way to the same place, for an autopilot whose speed grows with the distance.
+
+        Args:
+            here: the vehicle.
+            gain: 1/s, speed per metre of distance.
+        """
+        if self.place is None:
+            return self
+        north = (self.place.latitude - here.latitude) * _METRES_PER_DEGREE
+        per_degree = _METRES_PER_DEGREE * math.cos(math.radians(here.latitude))
+        away = math.hypot(north, (self.place.longitude - here.longitude) * per_degree)
+        share = min(1.0, self.speed / gain / max(away, 1e-6))
+        lower = max(here.altitude_msl - self.sink / gain - self.place.altitude_msl, 0.0)  # than it may be for now
+        return replace(self, place=Place(
+            here.latitude + share * (self.place.latitude - here.latitude),
+            here.longitude + share * (self.place.longitude - here.longitude),
+            self.place.altitude_msl + lower,
+            self.place.above_home + lower,
+        ))  # fmt: skip
 
     def message(self, t_ns: int, system: int, component: int) -> Any:
         """Make the message: a place above sea level, or a velocity in the local frame.
@@ -69,13 +95,16 @@ def target_of(setpoint: Setpoint, tie: EstimateTie | None) -> Target:
     """
     position, velocity, heading = setpoint.position_world, setpoint.velocity_world, setpoint.heading
     given = [v for v in (position, velocity) if v is not None]
+    limits = setpoint.speed, setpoint.sink
     if not given or not all(np.isfinite(v).all() for v in given) or not math.isfinite(heading or 0.0):
         raise ValueError("a set-point needs a position or a velocity, of finite numbers")
+    if not min(limits) > 0:
+        raise ValueError("a set-point needs speeds above 0")
     if position is None:
         return Target(None, ned(given[0]), heading)
     if tie is None:
         raise ValueError("a position needs our position and the autopilot's of one instant")
-    return Target(tie.place_of(position), None if velocity is None else ned(velocity), heading)
+    return Target(tie.place_of(position), None if velocity is None else ned(velocity), heading, *limits)
 
 
 def hold_at(place: Place) -> Target:

@@ -10,6 +10,7 @@ from alight.autopilot.pymavlink_dialect import message_id
 
 SET_MESSAGE_INTERVAL = 511  # MAV_CMD
 _PATIENCE_NS = 2_000_000_000  # a stream has dried up after this and three of its periods
+_SUBSTITUTES = {"HIGHRES_IMU": "RAW_IMU"}  # of ArduPilot's small boards and older versions
 _FIRST_NS, _LONGEST_NS = 3_000_000_000, 60_000_000_000  # between two requests for a stream that does not come
 
 
@@ -40,13 +41,20 @@ class StreamKeeper:
         if stream is not None:
             stream.heard_ns, stream.wait_ns = t_ns, _FIRST_NS
 
-    def is_ours(self, ticket: int) -> bool:
-        """Whether an answer belongs to a request for a stream."""
-        return self._tickets.pop(ticket, None) is not None
+    def answered(self, ticket: int, refused: bool) -> bool:
+        """Take an answer; False: it belongs to no request for a stream.
+
+        A message that the autopilot does not have is replaced by the one that says the same, where there is one.
+        """
+        name = self._tickets.pop(ticket, None)
+        other = _SUBSTITUTES.get(name or "")
+        if refused and name in self._streams and other is not None:
+            self._streams.setdefault(other, _Stream(self._streams.pop(name).rate))
+        return name is not None
 
     def tick(self, t_ns: int) -> None:
         """Ask for each stream that has not come or has dried up, at growing intervals."""
-        for name, stream in self._streams.items():
+        for name, stream in list(self._streams.items()):
             if self._missing(stream, t_ns):
                 self._ask(name, stream, t_ns)
 

@@ -18,6 +18,7 @@ from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
 _MILLI = 1e-3
 _GAP_NS = 300_000_000  # between two attitudes, at most, to turn from one to the other
 _REACH_NS = 100_000_000  # from an attitude, at most, to turn on at its rate
+_IMU = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")  # the best first
 _WAITING = 20  # positions that wait for an attitude
 
 
@@ -38,8 +39,9 @@ class TelemetryEvents:
     """Rows of GPS/INS from the autopilot's own solution, with its receiver's accuracies, on our clock.
 
     A row is made for each GLOBAL_POSITION_INT with the attitude of the same instant, interpolated. It leaves as soon as
-    an attitude of a later instant has come. HIGHRES_IMU, SCALED_IMU and RAW_IMU (as ArduPilot scales it) become IMU
-    samples. Nothing is given out before TIMESYNC has tied the clocks.
+    an attitude of a later instant has come. HIGHRES_IMU, RAW_IMU (as ArduPilot scales it) or SCALED_IMU become IMU
+    samples: the first of these that comes, as the others repeat it with less. Nothing is given out before TIMESYNC has
+    tied the clocks.
 
     Args:
         local: the world; None: made at the first good position.
@@ -54,6 +56,7 @@ class TelemetryEvents:
         self._flags: int | None = None
         self._attitudes: deque[_Attitude] = deque(maxlen=10)
         self._waiting: deque[_Fix] = deque()
+        self._imu_rank = len(_IMU)  # of the best kind that has come
         self.starts = 1  # of the autopilot, that these events belong to
 
     @property
@@ -82,11 +85,17 @@ class TelemetryEvents:
         """
         self.starts = starts
         self._gps = self._flags = None
+        self._imu_rank = len(_IMU)
         self._attitudes.clear()
         self._waiting.clear()
 
     def feed(self, name: str, message: Any, clock: VehicleClock) -> list[NavSample | ImuSample]:
         """Take a message of the vehicle; give the samples that are complete now, in order."""
+        if name in _IMU:
+            rank = _IMU.index(name)
+            if rank > self._imu_rank:
+                return []
+            self._imu_rank = rank
         take = getattr(self, f"_{name.lower()}", None)
         found: ImuSample | None = None if take is None else take(message, clock)
         return [*self._complete(clock), *([] if found is None else [found])]

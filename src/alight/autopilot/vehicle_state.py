@@ -12,7 +12,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import border
 from alight.autopilot.firmware import Firmware
-from alight.records import Battery, GpsQuality, Landed, Place, Telemetry
+from alight.records import PRE_ARM, Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
 
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _NAN = float("nan")
@@ -57,6 +57,16 @@ class VehicleState:
     def telemetry(self, now_ns: int) -> Telemetry:
         """Return everything heard so far, with the age in seconds of each message."""
         return replace(self._now, ages={name: (now_ns - t) * 1e-9 for name, t in self._heard.items()})
+
+    @property
+    def mode(self) -> FlightMode:
+        """Of the newest heartbeat."""
+        return self._now.mode
+
+    @property
+    def place(self) -> Place | None:
+        """The newest, of whatever age; None: none yet."""
+        return self._now.place
 
     def heard_ns(self, name: str) -> int | None:
         """The instant of our clock at which a message was last heard; None: never."""
@@ -147,7 +157,9 @@ class VehicleState:
 
     def _sys_status(self, m: Any) -> None:
         battery = Battery(_measured(m.battery_remaining, 1e-2, -1), _measured(m.voltage_battery, 1e-3, 0xFFFF))
-        self._now = replace(self._now, sensors_healthy=int(m.onboard_control_sensors_health), battery=battery)
+        bits = int(m.onboard_control_sensors_health)
+        off = bool(m.onboard_control_sensors_present & PRE_ARM and not m.onboard_control_sensors_enabled & PRE_ARM)
+        self._now = replace(self._now, sensors_healthy=bits, checks_off=off, battery=battery)
 
     def _home_position(self, m: Any) -> None:
         self._now = replace(self._now, home=Place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 0.0))

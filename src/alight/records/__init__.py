@@ -27,6 +27,7 @@ from alight.records.surface import (
 )
 from alight.records.telemetry import (
     FIX_3D,
+    PRE_ARM,
     Battery,
     FlightMode,
     GpsQuality,
@@ -44,6 +45,7 @@ __all__ = [
     "LANDABLE",
     "NOTHING_MISSING",
     "PHOTO_COLUMNS",
+    "PRE_ARM",
     "REFUSED",
     "AlightError",
     "Battery",

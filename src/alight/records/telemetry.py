@@ -129,6 +129,7 @@ class Telemetry:
     angular_velocity_body: F64 = field(default_factory=_unknown)  # (3,) rad/s
     gps: GpsQuality = GpsQuality()
     sensors_healthy: int | None = None  # bits of MAV_SYS_STATUS_SENSOR
+    checks_off: bool = False  # the user has switched off the autopilot's own checks before arming
     estimator_flags: int | None = None  # EKF_STATUS_REPORT or ESTIMATOR_STATUS
     home: Place | None = None
     wind_world: F64 = field(default_factory=_unknown)  # (3,) m/s, where the air goes
@@ -150,8 +151,8 @@ class Telemetry:
 
     @property
     def ready(self) -> bool:
-        """Whether it may be armed: pre-arm checks passed, and an absolute position."""
-        return self.has_position and bool((self.sensors_healthy or 0) & PRE_ARM)
+        """Whether it may be armed: pre-arm checks passed (or switched off), and an absolute position."""
+        return self.has_position and (self.checks_off or bool((self.sensors_healthy or 0) & PRE_ARM))
 
     @property
     def is_down(self) -> bool:

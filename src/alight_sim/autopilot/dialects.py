@@ -29,6 +29,10 @@ class Dialect(Protocol):
     asks_with_int: bool  # MISSION_REQUEST_INT instead of MISSION_REQUEST
     mission_commands: frozenset[int]
     needs_setpoints: bool  # leaves guided flight when they stop
+    turns_to_course: bool  # turns the nose to where it flies where no heading is named
+    speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
+    stores_at_once: bool  # each item of a mission as it comes, over the one that was there
+    target_delay: float  # s of reports until a landing target is used; a landing waits for the first one
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
@@ -47,6 +51,10 @@ class SpokenArduPilot:
     asks_with_int = False
     mission_commands = frozenset({16, 19, 20, 21, 22, 115, 178})
     needs_setpoints = False
+    turns_to_course = True
+    speeds_by_command = True
+    stores_at_once = True
+    target_delay = 2.0
     _numbers: Mapping[Doing, int] = {
         Doing.PILOT: 5,  # LOITER
         Doing.GUIDED: 4,
@@ -77,6 +85,10 @@ class SpokenPx4:
     asks_with_int = True
     mission_commands = frozenset({16, 19, 20, 21, 22, 178})
     needs_setpoints = True
+    turns_to_course = False
+    speeds_by_command = False
+    stores_at_once = False
+    target_delay = 0.0
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
         Doing.GUIDED: (6, 0),

@@ -15,7 +15,11 @@ WAYPOINT, RETURN_HOME, LAND, TAKE_OFF, YAW, SPEED = 16, 20, 21, 22, 115, 178  # 
 _SINK, _RUSH, _SLOW_BELOW = 0.5, 1.5, 10.0  # m/s, m/s above so many metres: how it lands
 _ARRIVED = 0.4  # m
 _TARGET_AGE, _VELOCITY_AGE, _SETPOINT_AGE = 1.0, 3.0, 1.0  # s, for which each is believed
-_DISARM_AFTER = 1.0  # s on the ground
+_TARGET_GAP, _TARGET_WAIT = 0.5, 7.0  # s between reports, at most; for which a landing waits for the first target
+_DISARM_AFTER, _DISARM_IDLE = 1.0, 10.0  # s on the ground, after a landing, and armed without a take-off
+_STREAM = 0.5  # s of set-points that are needed before guided flight
+_RUN_UP = 4.0  # s, of a helicopter's rotor
+_COURSE = 1.0  # m, of a way that has a course
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +37,7 @@ class FlightLogic:
 
     dialect: Dialect
     armed: bool = False
+    interlock: bool | None = None  # whether a helicopter's rotor may turn; None: it has no such switch
     doing: Doing = Doing.PILOT
     items: list[FlightItem] = field(default_factory=list)
     current: int = 0
@@ -41,10 +46,15 @@ class FlightLogic:
 
     def __post_init__(self) -> None:
         self._wanted = Wanted()
-        self._set_at = -math.inf
+        self._set_at = self._set_since = -math.inf
+        self._turning_since: float | None = None  # a helicopter's rotor
         self._speed = self._sink = math.inf
         self._heading: float | None = None
         self._target: tuple[float, F64] | None = None
+        self._target_since = math.inf
+        self._target_seen = False
+        self._landing_since: float | None = None
+        self._controller = ""  # of guided flight: for a take-off, positions, velocities, or both
         self._stood_since: float | None = None
         self._arrived_at: float | None = None
         self._here = np.zeros(3)
@@ -65,13 +75,15 @@ class FlightLogic:
 
     def enter(self, doing: Doing, t: float) -> bool:
         """Change the mode; False: refused."""
-        stale = t - self._set_at > _SETPOINT_AGE / 2
+        stale = t - self._set_at > _SETPOINT_AGE / 2 or t - self._set_since < _STREAM
         if doing is Doing.GUIDED and self.dialect.needs_setpoints and stale:
             return False
         if doing is Doing.MISSION and len(self.items) <= self.dialect.first_item:
             return False
         if doing is not self.doing:
             self._settle(doing)
+            if doing is Doing.MISSION:
+                self._begin_leg()
         return True
 
     def arm(self, wanted: bool) -> bool:
@@ -89,8 +101,11 @@ class FlightLogic:
         """Climb to a height above the home."""
         if not self.armed or (self.doing is not Doing.GUIDED and not self.dialect.needs_setpoints):
             return False
+        if self.interlock is False or not self._stands:
+            return False
         if self.dialect.needs_setpoints:
             self._settle(Doing.TAKE_OFF)
+        self._control("take-off")
         self._wanted = Wanted(np.array([self._here[0], self._here[1], height]))
         return True
 
@@ -102,40 +117,87 @@ class FlightLogic:
 
     def guide(self, wanted: Wanted, t: float) -> None:
         """Take a set-point."""
+        if t - self._set_at > _STREAM:
+            self._set_since = t
         self._set_at = t
         if self.doing is Doing.GUIDED:
+            self._control(f"position {wanted.position is not None} velocity {wanted.velocity is not None}")
             self._wanted = wanted
+            self._heading = None
 
     def face(self, heading: float) -> None:
         """Turn to a heading."""
         self._heading = heading
 
-    def limit(self, kind: float, speed: float) -> None:
-        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3)."""
+    def _control(self, kind: str) -> None:
+        """A controller that starts anew goes back to its own speeds."""
+        if kind != self._controller:
+            self._controller = kind
+            self._speed = self._sink = math.inf
+
+    def limit(self, kind: float, speed: float) -> bool:
+        """Fly no faster over the ground (SPEED_TYPE 0 and 1), or downwards (3); False: not in this mode.
+
+        PX4 takes every kind for the speed over the ground, of missions alone.
+        """
+        if not self.dialect.speeds_by_command:
+            self._speed = speed
+            return True
+        if self.doing not in (Doing.GUIDED, Doing.MISSION, Doing.RETURN) or speed <= 0:
+            return False
         if kind in (0, 1):
             self._speed = speed
         elif kind == 3:
             self._sink = speed
+        return True
 
     def aim_landing(self, target: F64, t: float) -> None:
         """Take the place of a landing target, (3,) metres."""
+        if self._target is None or t - self._target[0] > _TARGET_GAP:
+            self._target_since = t
         self._target = (t, target)
 
     def step(self, t: float, here: F64, stands: bool) -> Wanted | None:
         """What to do now; None: the motors stand still."""
         self._here, self._stands = here, stands
         self._disarm_on_ground(t)
-        if not self.armed:
+        if not self.armed or not self._runs(t):
             return None
         wanted = self._by_mode(t)
         heading = self._heading if wanted.heading is None else wanted.heading
-        return Wanted(wanted.position, wanted.velocity, heading, self._speed, self._sink)
+        if heading is None and self.dialect.turns_to_course and self.doing in (Doing.GUIDED, Doing.MISSION):
+            heading = self._course(wanted)
+        free = not self.dialect.speeds_by_command and self.doing is not Doing.MISSION
+        limits = (math.inf, math.inf) if free else (self._speed, self._sink)
+        return Wanted(wanted.position, wanted.velocity, heading, *limits)
+
+    def _runs(self, t: float) -> bool:
+        """Whether the motors lift: ArduPilot waits for the order to take off, a helicopter for its rotor."""
+        waits = self._stands and self.doing is Doing.GUIDED and self._controller != "take-off"
+        if waits and not self.dialect.needs_setpoints:
+            return False
+        if self.interlock is None or not self._stands:
+            return True
+        if not self.interlock:
+            self._turning_since = None
+        elif self._turning_since is None:
+            self._turning_since = t
+        return self._turning_since is not None and t - self._turning_since > _RUN_UP
+
+    def _course(self, wanted: Wanted) -> float | None:
+        if self._controller == "take-off" and self.doing is Doing.GUIDED:
+            return None
+        way = wanted.velocity if wanted.position is None else wanted.position - self._here
+        far = way is not None and math.hypot(*way[:2]) > _COURSE
+        return math.atan2(float(way[0]), float(way[1])) if far and way is not None else None
 
     def _settle(self, doing: Doing) -> None:
         self.doing = doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
-        self._arrived_at = None
+        self._arrived_at = self._heading = self._landing_since = None
+        self._controller = ""
+        self._speed = self._sink = math.inf
 
     def _by_mode(self, t: float) -> Wanted:
         if self.doing is Doing.GUIDED:
@@ -173,18 +235,28 @@ class FlightLogic:
                 heading = item.parameters[3]
                 named = self.dialect.needs_setpoints and math.isfinite(heading)
                 return Wanted(item.position, heading=math.radians(heading) if named else None)
-            self._do(item)
+            self._arrived_at = None
             self.reached.append(self.current)
             self.current += 1
+            self._begin_leg()
         self._settle(Doing.HOLD)
         return Wanted(self._anchor)
 
-    def _do(self, item: FlightItem) -> None:
-        self._arrived_at = None
-        if item.command == SPEED:
-            self.limit(*item.parameters[:2])
-        elif item.command == YAW:
-            self._heading = math.radians(item.parameters[0])
+    def _begin_leg(self) -> None:
+        """Do what precedes a way-point: the first item before its leg starts, which loses a heading; then the rest."""
+        ahead = self.items[self.current :]
+        count = next((k for k, item in enumerate(ahead) if item.command not in (SPEED, YAW)), len(ahead))
+        for k, item in enumerate(ahead[:count]):
+            if item.command == SPEED:
+                self.limit(*item.parameters[:2])
+            elif k > 0 or not self.dialect.turns_to_course:
+                self._heading = math.radians(item.parameters[0])
+            if k == 0 and self.dialect.turns_to_course:
+                self._heading = None
+            self.reached.append(self.current)
+            self.current += 1
+        if not count and self.dialect.turns_to_course:
+            self._heading = None
 
     def _visited(self, item: FlightItem, t: float) -> bool:
         if not self._near(item.position):
@@ -197,10 +269,14 @@ class FlightLogic:
     def _landing(self, place: F64, t: float) -> Wanted:
         """First over the place, then down, towards the target where one is reported."""
         seen = self._target is not None and t - self._target[0] < _TARGET_AGE
+        seen &= t - self._target_since >= self.dialect.target_delay
+        self._target_seen |= seen
+        self._landing_since = t if self._landing_since is None else self._landing_since
+        waits = self.dialect.target_delay > 0 and not self._target_seen and t - self._landing_since < _TARGET_WAIT
         goal = self._target[1] if seen and self._target is not None else place
         fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
         sink = _RUSH if fast else _SINK
-        near = bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
+        near = not waits and bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
         velocity = np.array([0.0, 0.0, -sink if near else 0.0])
         return Wanted(np.array([goal[0], goal[1], self._here[2]]), velocity)
 
@@ -213,10 +289,11 @@ class FlightLogic:
     def _disarm_on_ground(self, t: float) -> None:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
         landing |= self.doing is Doing.MISSION and self._item_command == LAND
-        if not (self.armed and self._stands and landing):
+        rises = self.doing is Doing.TAKE_OFF or (self._controller == "take-off" and self.interlock is not False)
+        if not (self.armed and self._stands) or (rises and not landing):
             self._stood_since = None
         elif self._stood_since is None:
             self._stood_since = t
-        elif t - self._stood_since > _DISARM_AFTER:
+        elif t - self._stood_since > (_DISARM_AFTER if landing else _DISARM_IDLE):
             self.armed = False
             self.spoken.append("Disarming motors")

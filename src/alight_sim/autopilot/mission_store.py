@@ -10,12 +10,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from alight_sim.autopilot.dialects import Dialect
 
 _AGAIN, _GIVE_UP = 1.0, 8.0  # s
-_ACCEPTED, _ERROR, _UNSUPPORTED, _NO_SPACE, _OUT_OF_TURN, _CANCELLED = 0, 1, 3, 4, 13, 15
+_ACCEPTED, _ERROR, _UNSUPPORTED, _NO_SPACE, _OUT_OF_TURN, _DENIED, _CANCELLED = 0, 1, 3, 4, 13, 14, 15
 _MOST = 700
 
 
 class MissionStore:
-    """Holds the messages of the mission that was accepted last."""
+    """Holds the messages of a mission: that which was accepted last, or what has come of one that is stored at once."""
 
     def __init__(self, dialect: Dialect, send: Callable[[Any], None]) -> None:
         self._dialect, self._send = dialect, send
@@ -24,15 +24,25 @@ class MissionStore:
         self._peer = (0, 0)
         self._asked_at = self._heard_at = 0.0
         self.items: list[Any] = []
-        self.fresh = False  # a new mission came since this was read
+        self.fresh = False  # items have changed since this was read
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a transfer is under way."""
+        return self._count > 0
 
     def announce(self, m: Any, sender: tuple[int, int], t: float) -> None:
         """MISSION_COUNT."""
+        if self._count and sender != self._peer:
+            self._acknowledge(_DENIED, sender)
+            return
         self._peer, self._coming = sender, []
         if m.count > _MOST:
             self._count = 0
             self._acknowledge(_NO_SPACE)
             return
+        if self._dialect.stores_at_once:
+            self.items, self.fresh = self.items[: m.count], True
         self._count, self._heard_at = m.count, t
         self._ask(t)
 
@@ -51,6 +61,8 @@ class MissionStore:
             return
         self._coming.append(m)
         self._heard_at = t
+        if self._dialect.stores_at_once:
+            self.items, self.fresh = [*self._coming, *self.items[len(self._coming) :]], True
         if len(self._coming) < self._count:
             self._ask(t)
             return
@@ -59,6 +71,9 @@ class MissionStore:
 
     def clear(self, sender: tuple[int, int]) -> None:
         """MISSION_CLEAR_ALL."""
+        if self._count and self._dialect.stores_at_once:
+            self._acknowledge(_ERROR, sender)
+            return
         self._peer, self._coming, self._count = sender, [], 0
         self.items, self.fresh = [], True
         self._acknowledge(_ACCEPTED)
@@ -78,5 +93,5 @@ class MissionStore:
         )  # fmt: skip
         self._send(kind(*self._peer, len(self._coming), 0))
 
-    def _acknowledge(self, result: int) -> None:
-        self._send(mavlink.MAVLink_mission_ack_message(*self._peer, result, 0))
+    def _acknowledge(self, result: int, to: tuple[int, int] | None = None) -> None:
+        self._send(mavlink.MAVLink_mission_ack_message(*(to or self._peer), result, 0))

@@ -37,6 +37,7 @@ class SimulatedState:
     boot: float  # s
     middle: float  # s, of the interval that inertial measurements are of
     battery: float  # share
+    checks: bool = True  # whether it checks itself before arming
 
     @property
     def boot_ms(self) -> int:
@@ -58,16 +59,18 @@ class Reports:
         self._due: dict[int, float] = {}
         self._heartbeat = 0.0
         self.sticks = [1500, 1500, 1100, 1500]
+        self.lacks: set[int] = set()  # messages that this build cannot send
+        self.silent: set[int] = set()  # messages that it could send and has nothing to say in
         self._make: dict[int, Callable[[SimulatedState], Any]] = {
-            1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 30: self._attitude,
-            31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission, 65: self._sticks,
-            105: self._highres_imu, 242: self._home, 245: self._extended,
+            1: self._sys_status, 2: self._system_time, 24: self._gps, 26: self._imu, 27: self._raw_imu,
+            30: self._attitude, 31: self._quaternion, 32: self._local, 33: self._position, 42: self._mission,
+            65: self._sticks, 105: self._highres_imu, 242: self._home, 245: self._extended,
             dialect.estimator_message: self._estimator, dialect.wind_message: self._wind,
         }  # fmt: skip
 
     def ask(self, message: int, interval_us: float) -> bool:
         """SET_MESSAGE_INTERVAL; False: there is no such message."""
-        if message not in self._make:
+        if message not in self._make or message in self.lacks:
             return False
         self._interval[message] = interval_us * 1e-6
         self._due.setdefault(message, 0.0)
@@ -81,7 +84,7 @@ class Reports:
             number = self._dialect.number(now.logic.doing)
             self._send(mavlink.MAVLink_heartbeat_message(self._kind, self._dialect.autopilot, base, number, 4, 3))
         for message, interval in self._interval.items():
-            if interval > 0 and t >= self._due[message] - 1e-9:
+            if message not in self.silent and interval > 0 and t >= self._due[message] - 1e-9:
                 self._due[message] = max(self._due[message] + interval, t)
                 self._send(self._make[message](now))
         self._events(now)
@@ -95,10 +98,11 @@ class Reports:
         now.logic.spoken.clear()
 
     def _sys_status(self, now: SimulatedState) -> Any:
-        bits = _PRE_ARM if now.ready else 0
+        bits = _PRE_ARM if now.checks and (now.ready or now.logic.armed) else 0
+        enabled = _PRE_ARM if now.checks else 0
         volts = round((10.5 + 2.1 * now.battery) * 1e3)
         return mavlink.MAVLink_sys_status_message(
-            _PRE_ARM, _PRE_ARM, bits, 300, volts, 900, round(100 * now.battery), 0, 0, 0, 0, 0, 0
+            _PRE_ARM, enabled, bits, 300, volts, 900, round(100 * now.battery), 0, 0, 0, 0, 0, 0
         )
 
     def _system_time(self, now: SimulatedState) -> Any:
@@ -119,6 +123,11 @@ class Reports:
         force, rates = self._imu_values(now)
         mg = [round(v / 9.80665 * 1e3) for v in force]
         return mavlink.MAVLink_scaled_imu_message(now.boot_ms, *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
+
+    def _raw_imu(self, now: SimulatedState) -> Any:
+        force, rates = self._imu_values(now)
+        mg = [round(v / 9.80665 * 1e3) for v in force]
+        return mavlink.MAVLink_raw_imu_message(round(now.middle * 1e6), *mg, *[round(v * 1e3) for v in rates], 0, 0, 0)
 
     def _highres_imu(self, now: SimulatedState) -> Any:
         force, rates = self._imu_values(now)

@@ -23,6 +23,7 @@ _ENDURANCE = 1200.0  # s of flight with a full battery
 _ACCEPTED, _FOR_NOW, _DENIED, _UNSUPPORTED, _FAILED = 0, 1, 2, 3, 4
 _IGNORE_POSITION, _IGNORE_VELOCITY, _IGNORE_YAW = 7, 56, 1024
 _RELATIVE_FRAMES, _BODY_FRD = (3, 6), 12
+_HELICOPTER = 4  # MAV_TYPE
 
 
 class TrueVehicle(Protocol):
@@ -102,7 +103,7 @@ class SimulatedAutopilot:
         self.vehicle: TrueVehicle = vehicle or PointMass()
         self.home = home or SimulatedHome()
         self.estimate = estimate or EstimateError()
-        self.healthy = True
+        self.healthy = self.checks = True  # checks: before arming, switched on
         self._drift, self._system, self._kind = drift, system, kind
         self._mavlink = mavlink.MAVLink(None, srcSystem=system, srcComponent=1)
         self._mavlink.robust_parsing = True
@@ -112,7 +113,7 @@ class SimulatedAutopilot:
 
     def _start(self) -> None:
         self._boot = self._middle = 0.0  # s, of its own clock
-        self.logic = FlightLogic(self.dialect)
+        self.logic = FlightLogic(self.dialect, interlock=False if self._kind == _HELICOPTER else None)
         self.missions = MissionStore(self.dialect, self._send)
         self.reports = Reports(self.dialect, self._send, self._kind)
         self._mavlink.seq = 0
@@ -125,7 +126,7 @@ class SimulatedAutopilot:
     @property
     def ready(self) -> bool:
         """Whether it may be armed."""
-        return self.healthy and self._boot > _START_UP
+        return self.healthy and self._boot > _START_UP and (self.logic.armed or not self.logic.interlock)
 
     @property
     def estimated(self) -> F64:
@@ -164,7 +165,8 @@ class SimulatedAutopilot:
         if self.missions.fresh:
             self.missions.fresh = False
             self.logic.items = [self._flight_item(m) for m in self.missions.items]
-            self.logic.current = self.dialect.first_item
+            if not self.missions.receiving:
+                self.logic.current = self.dialect.first_item
         self.reports.step(self._boot, self._snapshot())
 
     def _in_truth(self, wanted: Wanted) -> Wanted:
@@ -176,7 +178,7 @@ class SimulatedAutopilot:
         here = self.home.degrees(self.estimated)
         return SimulatedState(
             self.logic, self.vehicle, here, self.estimated, self.home, self.ready, self._boot, self._middle,
-            max(0.0, 1 - self._flown / _ENDURANCE),
+            max(0.0, 1 - self._flown / _ENDURANCE), self.checks,
         )  # fmt: skip
 
     def _flight_item(self, m: Any) -> FlightItem:
@@ -259,8 +261,7 @@ class SimulatedAutopilot:
         if command == 300:
             return self._said(self.logic.start_mission())
         if command == 178:
-            self.logic.limit(p[0], p[1])
-            return _ACCEPTED
+            return self._said(self.logic.limit(p[0], p[1]))
         if command == 115 and not self.dialect.needs_setpoints:
             self.logic.face(math.radians(p[0]))
             return _ACCEPTED

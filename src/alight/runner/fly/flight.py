@@ -33,7 +33,7 @@ from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource, open_live
 
 STEP = 0.05  # s between two ticks
-PATIENCE = 45.0  # s that the checks may take until nothing is bad
+PATIENCE = 90.0  # s that the checks may take until nothing is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are taken as they are
 TELL_EVERY, TELEMETRY_EVERY = 0.2, 0.2  # s
 WINDOW = 3.0  # s over which the rate of the cameras is counted
@@ -336,9 +336,14 @@ class _Cabin:
     def _take_off(self, height: float) -> str:
         """Climb to a height, metres above the home; return why it did not work, or an empty string."""
         climb = TakeOff(self._vehicle, self._hand, height, time.monotonic_ns())
+        told = ""
         while not climb.done and not climb.failed:
             with self._feed.lock:
                 climb.tick(time.monotonic_ns())
+                hint = climb.hint
+            if hint and hint != told:
+                told = hint
+                self.note("take-off", hint)
             self._feed.flush()
             self._status("take-off")
             time.sleep(STEP)

@@ -17,6 +17,8 @@ from alight.records.executive import FlightState, Order
 CENTRED = 0.4  # m beside the place, within which the descent begins
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
 SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
+SAID_SPEED = 0.1  # m/s, the same of its speed
+LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
 
 
 class OrderTaker(Protocol):
@@ -44,9 +46,6 @@ class OrderTaker(Protocol):
             False: not sent.
         """
 
-    def change_speed(self, speed: float) -> int:
-        """Fly at so many m/s over the ground."""
-
     def arm(self) -> int:
         """Start the motors."""
 
@@ -67,6 +66,7 @@ class SpokenVehicle:
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self._last = say, ""
         self._place: Place | None = None
+        self._speed = math.inf
         self.in_control = False
 
     def set_mode(self, mode: FlightMode) -> int:
@@ -75,9 +75,12 @@ class SpokenVehicle:
         return self._spoken(f"mode: {mode.value}")
 
     def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Say the set-point."""
+        """Say the set-point, and its speed where it is a new one."""
         assert tie is not None
         assert setpoint.position_world is not None
+        if math.isfinite(setpoint.speed) and not abs(setpoint.speed - self._speed) < SAID_SPEED:
+            self._speed = setpoint.speed
+            self._spoken(f"speed: {setpoint.speed:.1f} m/s")
         place = tie.place_of(setpoint.position_world)
         if self._place is None or _apart(place, self._place) > SAID_AGAIN:
             self._place = place
@@ -91,10 +94,6 @@ class SpokenVehicle:
         if words != self._last:
             self._spoken(words)
         return self.in_control
-
-    def change_speed(self, speed: float) -> int:
-        """Say the speed."""
-        return self._spoken(f"speed: {speed:.1f} m/s")
 
     def arm(self) -> int:
         """Say it."""
@@ -144,7 +143,7 @@ class OrderSender:
         self._vehicle, self.hand, self._local = vehicle, hand, local
         self._mode: FlightMode | None = None  # asked for
         self._ticket, self._refused_ns = -1, -AGAIN_NS
-        self._speed = math.nan
+        self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
         self._wanted: tuple[FlightMode, int] | None = None  # to be asked for, and since when
         self._held: Place | None = None
 
@@ -186,7 +185,7 @@ class OrderSender:
         age_ns = round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3) if self.hand.in_control else 0)
         if now_ns - age_ns < self._wanted[1] or now_ns - self._refused_ns < AGAIN_NS:
             return False
-        self._wanted = None
+        self._wanted = self._heading = None
         self._mode = mode
         self._ticket = self.hand.set_mode(mode)
         return True
@@ -199,8 +198,16 @@ class OrderSender:
             return "hold"
         self._fly_as(FlightMode.GUIDED, now_ns)
         self._held = self._held or here
-        self.hand.guide(Setpoint(np.zeros(3)), EstimateTie(self._local, np.zeros(3), self._held))
+        stay = Setpoint(np.zeros(3), heading=self._nose())
+        self.hand.guide(stay, EstimateTie(self._local, np.zeros(3), self._held))
         return "stay"
+
+    def _nose(self) -> float | None:
+        """The heading at which guidance began: without one ArduPilot turns the nose, and the pictures, on every leg."""
+        R = self._vehicle.telemetry.world_from_body
+        if self._heading is None and R is not None:
+            self._heading = math.atan2(float(R[0, 0]), float(R[1, 0]))
+        return self._heading
 
     def _go(self, to: F64, order: Order, motion: Motion, now_ns: int) -> str:
         tie = self._tie(motion)
@@ -208,27 +215,33 @@ class OrderSender:
             return "stay: the autopilot's place at the last exposure is not known"
         self._fly_as(FlightMode.GUIDED, now_ns)
         self._held = None
-        if not abs(order.speed - self._speed) < 0.1:
-            self._speed = order.speed
-            self.hand.change_speed(order.speed)
-        self.hand.guide(Setpoint(to), tie)
+        speeds = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
+        self.hand.guide(Setpoint(to, None, self._nose(), *speeds), tie)
         return f"fly to {words_of(tie.place_of(to))}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
         """Over the place first, then down with the target reported: where that is not used it goes straight down."""
-        tie = self._tie(motion)
+        goal = self._report(place, motion, now_ns)
         here = motion.world_from_body.translation
         beside = self._mode is not FlightMode.LAND and math.hypot(*(place - here)[:2]) > CENTRED
         if beside or not self._fly_as(FlightMode.LAND, now_ns):
             return self._go(np.array([*place[:2], here[2]]), order, motion, now_ns)
+        return "land" if goal is None else f"land on {words_of(goal)}"
+
+    def _report(self, place: F64, motion: Motion, now_ns: int) -> Place | None:
+        """Report the target; return its place, None: not known now.
+
+        Before the landing, too: ArduPilot needs two seconds of it, and stops where it lands without.
+        """
+        tie = self._tie(motion)
         own, attitude = self._vehicle.place_at(now_ns), self._vehicle.telemetry.world_from_body
         if tie is None or own is None or attitude is None:
-            return "land"
+            return None
         goal = tie.place_of(place)
         there = self._local.to_enu(goal.latitude, goal.longitude, goal.altitude_msl)
         way = there - self._local.to_enu(own.latitude, own.longitude, own.altitude_msl)
         self.hand.land_on(now_ns, way, attitude)
-        return f"land on {words_of(goal)}"
+        return goal
 
     def _tie(self, motion: Motion) -> EstimateTie | None:
         return self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)

@@ -126,7 +126,7 @@ def _battery(heard: Telemetry, least: float) -> CheckResult:
 def _wind(heard: Telemetry, most: float) -> CheckResult:
     speed = math.hypot(*heard.wind_world[:2])
     if math.isnan(speed):
-        return unknown("wind", "the autopilot does not report it: judge it yourself")
+        return unknown("wind", "the autopilot does not report it (ArduPilot: EK3_DRAG_...): judge it yourself")
     if speed > most:
         return bad("wind", f"{speed:.1f} m/s, limit {most:.1f}", "wait, or set executive.most_wind if the vehicle can")
     return good("wind", f"{speed:.1f} m/s, limit {most:.1f}")
@@ -135,6 +135,8 @@ def _wind(heard: Telemetry, most: float) -> CheckResult:
 def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
     above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
     if heard.landed is Landed.GROUND or not heard.armed:
+        if take_off and heard.ready and heard.checks_off:
+            return warning("ready", "the autopilot's own checks before arming are off", "set ARMING_CHECK to 1")
         if take_off and heard.ready:
             return good("ready", "on the ground, and may be armed")
         if take_off:

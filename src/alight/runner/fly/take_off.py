@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from alight.autopilot import RemoteVehicle
-from alight.records import FlightMode, Telemetry
+from alight.records import FlightMode, Landed, Telemetry
 from alight.runner.fly.orders import OrderTaker
 
 NEAR = 0.95  # share of the height that counts as all of it
+LIFTED = 1.0  # m above home, from which it is on its way
 AGAIN_NS = 3_000_000_000  # until an order that shows no effect is given again
 LONGEST_NS = 120_000_000_000
 
@@ -24,8 +25,26 @@ class TakeOff:
     def __init__(self, vehicle: RemoteVehicle, hand: OrderTaker, height: float, begin_ns: int) -> None:
         self._vehicle, self._hand, self._height, self._begin_ns = vehicle, hand, height, begin_ns
         self._step, self._ordered_ns = "", begin_ns
-        self._took = False
+        self._took = self._armed = False
         self.done, self.failed = False, ""
+
+    @property
+    def hint(self) -> str:
+        """What a person has to do for the take-off now; empty: nothing."""
+        if self._vehicle.helicopter and self._step == "take off" and not self._lifted:
+            return "switch on the motor interlock now: a helicopter that is armed without it is disarmed after 10 s"
+        return ""
+
+    @property
+    def _above(self) -> float:
+        place = self._vehicle.telemetry.place
+        return 0.0 if place is None else place.above_home
+
+    @property
+    def _lifted(self) -> bool:
+        """By its word; by its height where it does not say, as a height may be off by a metre on the ground."""
+        landed = self._vehicle.telemetry.landed
+        return self._above > LIFTED if landed is Landed.UNKNOWN else landed is not Landed.GROUND
 
     def tick(self, now_ns: int) -> None:
         """Give the next order that is due."""
@@ -41,12 +60,15 @@ class TakeOff:
             self._go_on(self._vehicle.telemetry, now_ns)
 
     def _go_on(self, heard: Telemetry, now_ns: int) -> None:
-        above = 0.0 if heard.place is None else heard.place.above_home
-        self.done = heard.armed and above > NEAR * self._height
+        self.done = heard.armed and self._above > NEAR * self._height
         if self.done:
             return
+        if self._armed and not heard.armed:  # whoever stopped the motors wants them to stand
+            self.failed = "the motors were stopped again"
+            return
+        self._armed = heard.armed
         step = "take off" if heard.armed else "arm" if heard.mode is FlightMode.GUIDED else "guided mode"
-        if step == "take off" and self._step == step and above > 1.0:
+        if step == "take off" and self._step == step and self._lifted:
             return  # on its way
         if step == self._step and now_ns - self._ordered_ns < AGAIN_NS:
             return
