@@ -11,12 +11,15 @@ from alight.records import InputError, Terrain
 from alight_sim import cameras, coarser
 from alight_sim.cameras import Eye, Shutter, rays_in_pixel
 from alight_sim.kernels import block, texture
+from alight_sim.kernels.block import DU, DV, PARAM, TX, TY, B, N, noise_at, values_at
 from alight_sim.kernels.boxes import hit_box
+from alight_sim.kernels.ground import PLAIN, STEP, beside
 from alight_sim.kernels.noise import gradient_noise, noise32, seed32
 from alight_sim.light import Clouds, Light, Wind
 from alight_sim.looks import Look
 from alight_sim.materials import MATERIALS, tables
 from alight_sim.movers import Mover, Traffic, boxes_at
+from alight_sim.patch import GroundPatch
 from alight_sim.world import world_of
 
 DOWN = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # image top is east, image right is south
@@ -74,6 +77,56 @@ def test_noise_in_32_bits_agrees_with_the_one_in_64():
         got = noise32(np.float32(x), np.float32(y), np.int32(i), np.int32(j), np.uint32(seed32(9)))
         expected = gradient_noise(i + float(np.float32(x)), j + float(np.float32(y)), 9)
         assert np.abs(np.array(got) - expected).max() < 2e-4
+
+
+def test_noise_of_a_block_is_that_of_its_pixels_within_one_cell_and_over_many():
+    rng = np.random.default_rng(3)
+    for wavelength in (200.0, 0.3):
+        buf, base = np.zeros(PARAM, np.float32), np.array([12.0, -7.0, 0.0])
+        buf[TX : TX + B], buf[TY : TY + B] = rng.uniform(1, 6, (2, B)).astype(np.float32)
+        noise_at(buf, base, wavelength, 0.8, 0.6, 5)
+        got = [buf[k : k + B].copy() for k in (N, DU, DV)]
+        values_at(buf, base, wavelength, 0.8, 0.6, 5)
+        assert np.array_equal(buf[N : N + B], got[0])
+        x, y = base[0] + buf[TX : TX + B].astype(float), base[1] + buf[TY : TY + B].astype(float)
+        u, v = (0.8 * x - 0.6 * y) / wavelength, (0.6 * x + 0.8 * y) / wavelength
+        assert (np.ptp(np.floor(u)) + np.ptp(np.floor(v)) == 0) == (wavelength > 100)
+        for k in range(B):
+            expected = gradient_noise(float(u[k]), float(v[k]), 5)
+            assert np.allclose([part[k] for part in got], expected, atol=2e-3)
+
+
+def test_a_cell_knows_whether_all_about_it_is_alike_and_whether_it_lies_at_a_step():
+    rng = np.random.default_rng(4)
+    height = (0.03 * rng.random((30, 33))).astype(np.float32)
+    height[10:14, 20:25] += 0.5
+    label = np.full(height.shape, Terrain.BARE, np.uint8)
+    label[20:, :9] = Terrain.PAVED
+    look = np.zeros(height.shape, np.uint8)
+    look[3, 4] = Look.SAND
+    cells = GroundPatch(Grid(0.0, 0.0, 0.1, *height.shape), height, label, np.ones(1), look).cells
+    assert cells[3, 4, 0] == Look.SAND
+    assert cells[25, 3, 0] == Look.ASPHALT
+    for r, c in np.ndindex(height.shape):
+        near = slice(max(r - 3, 0), r + 4), slice(max(c - 3, 0), c + 4)
+        alike = np.ptp(label[near]) == 0 and np.ptp(look[near]) == 0
+        assert bool(cells[r, c, 1] & PLAIN) == alike
+        inside = 1 <= r <= 27 and 1 <= c <= 30
+        assert bool(cells[r, c, 1] & STEP) == bool(inside and np.ptp(height[r : r + 2, c : c + 2]) >= 0.06)
+
+
+def test_beside_a_step_the_nearest_cell_of_the_own_side_counts():
+    rng = np.random.default_rng(6)
+    for _ in range(400):
+        height, (gx, gy) = rng.uniform(0, 1, (8, 8)).astype(np.float32), rng.uniform(2.0, 5.0, 2)
+        z = rng.uniform(0, 1)
+        rows, cols = np.mgrid[int(gy) - 1 : int(gy) + 3, int(gx) - 1 : int(gx) + 3]
+        near = height[rows, cols].astype(float)
+        middle = 0.5 * (near.max() + near.min())
+        upper = z > min(middle, near.min() + 0.25)
+        away = np.where((near > middle) == upper, np.hypot(cols - gx, rows - gy), np.inf)
+        best = np.unravel_index(np.argmin(away), away.shape)
+        assert beside(height, gx, gy, z) == (rows[best], cols[best], upper)
 
 
 def test_small_functions_agree_with_numpy():

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from alight.geometry import Camera, Grid, Pose
+from alight.geometry import Camera, Grid, Pose, so3_exp
 from alight.records import Terrain
 from alight_sim.cameras import Eye
 from alight_sim.kernels.noise import MASK, UNIT_STD, gradient_noise, hash3
 from alight_sim.kernels.raycast import cast_ray, cast_rays, max_pyramid
 from alight_sim.light import Light
+from alight_sim.patch import GroundPatch
 from alight_sim.world import world_of
 
 LENSES = {
@@ -87,6 +88,24 @@ def subpixel_depth(world, camera, pose, pixels):
         patch.height, *patch.pyramid, origins, camera.rays(pixels)[None], (to_grid @ pose.rotation)[None], low, out
     )
     return out[0]
+
+
+def test_rays_that_fall_freely_meet_what_a_walk_from_the_camera_meets():
+    rng = np.random.default_rng(8)
+    for up, lean in ((30.0, 0.0), (14.0, 25.0), (11.0, 60.0)):
+        height = rng.normal(0, 0.4, (120, 140)).astype(np.float32)
+        for r, c in rng.integers(0, 110, (25, 2)):  # towers, and pits beside them
+            height[r : r + rng.integers(1, 8), c : c + rng.integers(1, 8)] += rng.uniform(-4, 9)
+        pyramid = max_pyramid(height)
+        patch = GroundPatch(Grid(0.0, 0.0, 1.0, *height.shape), height, np.zeros(height.shape, np.uint8), np.ones(1))
+        turn = np.diag([1.0, 1.0, -1.0]) @ so3_exp(np.array([np.radians(lean), 0.0, 0.3]))
+        rays = np.ones((37, 45, 3))
+        rays[..., 0], rays[..., 1] = np.meshgrid(np.linspace(-0.8, 0.8, 45), np.linspace(-0.6, 0.6, 37))
+        origin, out = np.array([60.2, 55.7, up]), np.empty((37, 45))
+        cast_rays(height, *patch.pyramid, origin[None], rays, turn[None], float(height.min()), out)
+        expected = [[cast_ray(height, *pyramid, origin, turn @ ray) for ray in row] for row in rays]
+        assert np.abs(out - expected).max() < 1e-9
+        assert (out > 0).mean() > 0.5
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -20,8 +20,9 @@ from alight_sim.materials import tables
 from alight_sim.movers import boxes_at
 
 if TYPE_CHECKING:  # the world's scene names a rig, and rigs are made here
+    from alight_sim.patch import GroundPatch
     from alight_sim.things.base import Box
-    from alight_sim.world import GroundPatch, World
+    from alight_sim.world import World
 
 Poses = Callable[[F64], tuple[F64, F64]]  # seconds (N,) -> world_from_cam: rotations (N, 3, 3), places (N, 3)
 COARSEST = 4  # halvings of the layers of looks
@@ -119,13 +120,13 @@ class Eye:
         turns, places = np.ascontiguousarray(turns), np.ascontiguousarray(places)
         if boxes.shape[1]:
             cast_boxes(boxes, places, self.rays[sample], turns, depth, faces)
-        none = np.zeros((0, 0), np.uint8), np.zeros((1, 0, 3), np.float32)
-        look, tint = none[0] if patch.look is None else patch.look, none[1] if patch.tint is None else patch.tint
-        height = none[1][0] if patch.level else patch.height
+        height = np.zeros((0, 0), np.float32) if patch.level else patch.height
         level = float(np.concatenate([patch.height[[0, -1]].ravel(), patch.height[:, [0, -1]].ravel()]).mean())
+        looks, _, wet = tables()
         shade(
-            height, patch.label, look, patch.light, tint, patch.skin_place, *tables(), places, self.rays[sample], turns,
-            depth, faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF, weight, out,
+            height, patch.label, patch.cells, patch.skin, patch.skin_place, looks, wet, places, self.rays[sample],
+            turns, depth, faces, boxes, pixel, level, world.light.numbers(middle), seconds, world.seed & 0xFFFF,
+            weight, out,
         )  # fmt: skip
 
 

@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from alight.arrays import F32, F64, U8
+from alight.arrays import F32, U8
 from alight.geometry import Grid, LocalFrame
 from alight.records import InputError, Terrain
 from alight_sim import rasters
 from alight_sim.coarser import mean_of, mean_shadow, most_of
+from alight_sim.kernels.ground import SKIN
 from alight_sim.kernels.layers import BLOCK, box_mean, ground_light, sun_margin, tile_block_tops
-from alight_sim.kernels.raycast import max_pyramid
 from alight_sim.light import Light, Sun
 from alight_sim.movers import Mover, Moving
+from alight_sim.patch import GroundPatch
 from alight_sim.rasters import Arrays
 from alight_sim.scene import Origin, Scene, built_in, read_scene
 from alight_sim.things.base import Box
@@ -31,46 +31,6 @@ SHADOW_REACH = 60.0  # metres: longer shadows end here
 HOLLOWS = ((0.5, 2.0), (3.0, 0.5))  # width in metres, gain a metre: hollows of two sizes are darker
 TILE_BYTES, PATCH_BYTES = 768 << 20, 512 << 20  # what is kept of what was made
 MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
-
-
-@dataclass(frozen=True, eq=False)
-class GroundPatch:
-    """A rectangle of the world as arrays: heights are bilinear between cell centres, and nothing else is drawn."""
-
-    grid: Grid
-    height: F32  # (R, C) metres above the origin, topmost surface
-    label: U8  # (R, C) Terrain codes; this and what follows: of blocks of 2^level cells, means or what most are
-    light: F32  # (R, C, 5) slope east, slope north, shadow margin, share of open sky, water depth
-    look: U8 | None = None  # (R, C) codes of Look; None: all by class
-    tint: F32 | None = None  # (R, C, 3) factor on the look's reflectance; None: 1
-    level: int = 0
-
-    @cached_property
-    def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64]]:
-        """The pyramid of maxima that speeds up the rays."""
-        return max_pyramid(self.height)
-
-    @cached_property
-    def place(self) -> F64:
-        """(3,) east and north of cell (0, 0), and the cell: what the kernels take."""
-        return np.array([self.grid.east, self.grid.north, self.grid.cell])
-
-    @cached_property
-    def skin_place(self) -> F64:
-        """The same of the layers that are not heights."""
-        shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
-        return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
-
-    @cached_property
-    def low(self) -> float:
-        """The lowest height."""
-        return float(self.height.min())
-
-    @property
-    def nbytes(self) -> int:
-        """Memory, the pyramid included."""
-        parts = (self.height, self.label, self.light, self.look, self.tint)
-        return sum(p.nbytes for p in parts if p is not None) + self.height.nbytes * 4 // 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,17 +180,20 @@ class World:
         i0, j0, i1, j1 = box[0] * SIDE, box[1] * SIDE, (box[2] + 1) * SIDE - 1, (box[3] + 1) * SIDE - 1
         height = self._window(i0, j0, i1, j1, ("height",))["height"]
         shape, side = (height.shape[0] >> level, height.shape[1] >> level), SIDE >> level
-        light, layers = np.empty((*shape, 5), np.float32), dict[str, Any]()
+        skin, layers, tinted = np.ones((*shape, SKIN), np.float32), dict[str, Any](), False
         for tj in range(box[1], box[3] + 1):
             for ti in range(box[0], box[2] + 1):
                 rows = slice((box[3] - tj) * side, (box[3] - tj + 1) * side)
                 cols = slice((ti - box[0]) * side, (ti - box[0] + 1) * side)
-                self._lay_light(ti, tj, sun, level, light[rows, cols])
-                for name, layer in zip(("label", "look", "tint"), self._skin(ti, tj, level), strict=True):
-                    _copy(layers, name, layer, (rows, cols), slice(None), shape)
-        look = layers["look"] if layers["look"].any() else None
+                self._lay_light(ti, tj, sun, level, skin[rows, cols])
+                label, look, tint = self._skin(ti, tj, level)
+                _copy(layers, "label", label, (rows, cols), slice(None), shape)
+                _copy(layers, "look", look, (rows, cols), slice(None), shape)
+                if tint is not None:
+                    skin[rows, cols, 5:], tinted = tint, True
+        looks = layers["look"] if layers["look"].any() else None
         grid = self._grid(i0, j1, *height.shape)
-        return GroundPatch(grid, height, layers["label"], light, look, layers.get("tint"), level)
+        return GroundPatch(grid, height, layers["label"], skin, looks, tinted, level)
 
     def _skin(self, i: int, j: int, level: int) -> tuple[U8, U8, F32 | None]:
         """Class, look and tint of a tile's blocks of 2^level cells."""
@@ -242,12 +205,13 @@ class World:
         return (codes % 16).astype(np.uint8), (codes // 16).astype(np.uint8), tint
 
     def _lay_light(self, i: int, j: int, sun: Sun, level: int, out: F32) -> None:
-        """Fill (SIDE >> level)^2 of one tile; its own apron makes it the same whatever lies loaded beside it."""
+        """Fill the light of (SIDE >> level)^2 of a tile; its own apron makes it the same whatever lies beside it."""
         sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
         shadow = self._tiles.get(
             ("shadow", i, j, sun, level), lambda: mean_shadow(self._make_shadow(i, j, sun), level), lambda a: a.nbytes
         )
-        out[..., [0, 1, 3]], out[..., 2], out[..., 4] = sky, shadow, mean_of(self._tile(i, j).depth, level)
+        out[..., :2], out[..., 2], out[..., 3] = sky[..., :2], shadow, sky[..., 2]
+        out[..., 4] = mean_of(self._tile(i, j).depth, level)
 
     def _make_sky(self, i: int, j: int) -> F32:
         halves = [round(0.5 * width / self.cell) for width, _ in HOLLOWS]
@@ -288,12 +252,9 @@ def _patch(value: Any) -> GroundPatch:
 
 
 def _copy(out: dict[str, Any], name: str, layer: Any, to: Any, of: Any, shape: tuple[int, int]) -> None:
-    """One tile's part of one layer; a layer of tints begins with the first tile that has any."""
-    if layer is None:
-        return
+    """One tile's part of one layer."""
     if name not in out:
-        new = np.ones if name == "tint" else np.empty
-        out[name] = new((*shape, *layer.shape[2:]), layer.dtype)
+        out[name] = np.empty((*shape, *layer.shape[2:]), layer.dtype)
     out[name][to] = layer[of]
 
 

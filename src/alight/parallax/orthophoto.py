@@ -159,7 +159,7 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
             wants = ~upsample(unseen[rows, cols], factor)
             mean, number, pixel = _block([views[k] for k in near], [rays[k] for k in near], fine, up, wants, count)
             seen = number > 0
-            out[to][seen] = np.rint(mean[seen]).clip(0, 255).astype(np.uint8)
+            np.copyto(out[to], np.rint(mean).clip(0, 255).astype(np.uint8), where=seen[..., None])
             middle = (slice(factor // 2, None, factor),) * 2
             np.copyto(sampling[rows, cols], pixel[middle], where=seen[middle])
     return out, sampling

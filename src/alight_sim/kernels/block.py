@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from alight.compiled import kernel, pixelwise
-from alight_sim.kernels.noise import noise32, seed32
+from alight_sim.kernels.noise import blend32, corners32, floor32, noise32, seed32
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I32 = NDArray[np.int32]
 
 f32, u32, i32 = np.float32, np.uint32, np.int32
-B = 128  # pixels of a block
+B = 64  # pixels of a block: half of a wider one went to waste at the right rim of 320, and all slots stay near
 
 # where it is: relative to the block's base point, metres; unit vector to the camera; distance; ground a pixel covers
 X, Y, Z, VX, VY, VZ, DIST, FOOT = (k * B for k in range(8))
@@ -74,9 +74,39 @@ def _coordinates(buf: F32, a: np.float32, b: np.float32, u0: np.float32, v0: np.
 
 
 @kernel
+def _one_cell(buf: F32) -> bool:
+    """Whether all coordinates lie in one cell of the lattice."""
+    i, j = floor32(buf[U]), floor32(buf[V])
+    if floor32(buf[U + B - 1]) != i or floor32(buf[V + B - 1]) != j:
+        return False
+    apart = i32(0)
+    for k in range(B):
+        apart |= (floor32(buf[U + k]) ^ i) | (floor32(buf[V + k]) ^ j)
+    return bool(apart == 0)
+
+
+@kernel
 def _noise(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
-    for i in range(B):
-        buf[N + i], buf[DU + i], buf[DV + i] = noise32(buf[U + i], buf[V + i], i0, j0, seed)
+    if _one_cell(buf):  # its corners are hashed once, which is half of the work
+        i, j = floor32(buf[U]), floor32(buf[V])
+        corners, left, low = corners32(i32(i + i0), i32(j + j0), seed), f32(i), f32(j)
+        for k in range(B):
+            buf[N + k], buf[DU + k], buf[DV + k] = blend32(buf[U + k] - left, buf[V + k] - low, corners)
+    else:
+        for k in range(B):
+            buf[N + k], buf[DU + k], buf[DV + k] = noise32(buf[U + k], buf[V + k], i0, j0, seed)
+
+
+@kernel
+def _values(buf: F32, i0: np.int32, j0: np.int32, seed: np.uint32) -> None:
+    if _one_cell(buf):
+        i, j = floor32(buf[U]), floor32(buf[V])
+        corners, left, low = corners32(i32(i + i0), i32(j + j0), seed), f32(i), f32(j)
+        for k in range(B):
+            buf[N + k] = blend32(buf[U + k] - left, buf[V + k] - low, corners)[0]
+    else:
+        for k in range(B):
+            buf[N + k] = noise32(buf[U + k], buf[V + k], i0, j0, seed)[0]
 
 
 @kernel
@@ -87,6 +117,16 @@ def noise_at(
     u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
     _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
     _noise(buf, i32(i), i32(j), seed32(seed))
+
+
+@kernel
+def values_at(
+    buf: F32, base: F64, wavelength: float, c: float, s: float, seed: int, dx: float = 0.0, dy: float = 0.0
+) -> None:
+    """As `noise_at`, without the slopes: N alone."""
+    u, v, i, j = noise_lattice(base, wavelength, c, s, dx, dy)
+    _coordinates(buf, f32(c / wavelength), f32(s / wavelength), f32(u), f32(v))
+    _values(buf, i32(i), i32(j), seed32(seed))
 
 
 @kernel

@@ -39,6 +39,7 @@ from alight_sim.kernels.block import (  # fmt: skip
     noise_at,
     smallest,
     smoothstep,
+    values_at,
 )
 from alight_sim.kernels.texture import P_COARSE, P_DEEP, P_LIFT, P_OPEN, P_SWAY
 
@@ -92,14 +93,14 @@ def foliage(buf: F32, base: F64, seed: int) -> None:
         finest = smallest(buf, FOOT)
         copy(buf, TX, KEPT_X)
         copy(buf, TY, KEPT_Y)
-        noise_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer hang at many heights
+        values_at(buf, base, 0.33, 0.28, 0.96, seed + 77)  # leaves of a layer hang at many heights
         _hang(buf)
         for k, (part, gain, opaque) in enumerate(((0.0, 1.2, 0.0), (0.4, 0.55, 0.35), (1.0, 0.2, 9.0))):
             fill(buf, WEIGHT, 0.0)
             _shift(buf, f32(part))
             for m, wavelength in enumerate((0.41, 0.17, 0.062)):
                 if wavelength > 1.2 * finest and k < 2:
-                    noise_at(buf, base, wavelength, math.cos(k + 2.0 * m), math.sin(k + 2.0 * m), seed + 10 * k + m)
+                    values_at(buf, base, wavelength, math.cos(k + 2.0 * m), math.sin(k + 2.0 * m), seed + 10 * k + m)
                     _sift(buf, f32(wavelength), f32(1.0 - 0.5 * m))
             _choose(buf, f32(part), f32(gain), f32(opaque))
         _settle(buf)

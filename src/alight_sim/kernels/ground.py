@@ -22,8 +22,6 @@ from alight_sim.kernels.block import (  # fmt: skip
     I32,
     SLOPE_E,
     SLOPE_N,
-    TINT_B,
-    TINT_G,
     TINT_R,
     TX,
     TY,
@@ -45,7 +43,11 @@ U8 = NDArray[np.uint8]
 # codes of records.Terrain whose borders are edges of height: colours keep to them
 TREE, ROCK, PAVED, STRUCTURE = 4, 6, 7, 8
 STEEP = 3.0  # slope of a side
-STEP, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; up to here its side is the ground's
+EDGE, FOOT_OF = 0.06, 0.25  # metres: four cells that differ by more are an edge; up to here its side is the ground's
+STEP, PLAIN = 1, 2  # bits of a cell: the four from it on are an edge; all within WIDE cells have its class and look
+WIDE = 3
+FAR = 2.5  # cells: a border that wanders farther ends beyond WIDE
+SKIN = 8  # layers that are read at once
 
 
 @kernel
@@ -60,22 +62,19 @@ def _hard(kind: int) -> bool:
 
 
 @kernel
-def _beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
-    """Return the nearest cell on the point's own side of a step, and whether that is the upper; row -1: no step."""
-    rows, cols = height.shape
+def beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool]:
+    """Return the nearest cell on the point's own side of a step, and whether that is the upper."""
     ix, iy = int(gx), int(gy)
-    if ix < 1 or iy < 1 or ix > cols - 3 or iy > rows - 3 or gx < 1.0 or gy < 1.0:
-        return -1, -1, True
-    a, b, c, d = height[iy, ix], height[iy, ix + 1], height[iy + 1, ix], height[iy + 1, ix + 1]
-    if max(max(a, b), max(c, d)) - min(min(a, b), min(c, d)) < f32(STEP):
-        return -1, -1, True
     top, low = height[iy, ix], height[iy, ix]
     for r in range(iy - 1, iy + 3):
         for q in range(ix - 1, ix + 3):
             top, low = max(top, height[r, q]), min(low, height[r, q])
     middle = 0.5 * (float(top) + float(low))
     upper = z > min(middle, float(low) + FOOT_OF)
-    best, row, col = 1e9, -1, -1
+    row, col = math.ceil(gy - 0.5), math.ceil(gx - 0.5)
+    if (float(height[row, col]) > middle) == upper:  # the nearest of all
+        return row, col, upper
+    best = 1e9
     for r in range(iy - 1, iy + 3):
         for q in range(ix - 1, ix + 3):
             away = (q - gx) * (q - gx) + (r - gy) * (r - gy)
@@ -87,12 +86,11 @@ def _beside(height: F32, gx: float, gy: float, z: float) -> tuple[int, int, bool
 @kernel
 def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
     """Return the cell whose look a place has. Borders between two kinds of ground wander, as real ones do."""
-    steep = math.hypot(buf[SLOPE_E + i], buf[SLOPE_N + i])
+    east, north = float(buf[SLOPE_E + i]), float(buf[SLOPE_N + i])
+    steep = math.sqrt(east * east + north * north)
     if steep > STEEP:  # the side of a thing shows the thing, not the stair of cells at its foot
-        gx, gy = gx + buf[SLOPE_E + i] / steep, gy - buf[SLOPE_N + i] / steep
+        return _class_near(label, gx + east / steep, gy - north / steep)
     r, c = _class_near(label, gx, gy)
-    if steep > STEEP:
-        return r, c
     q, p = _class_near(label, gx + buf[TX + i], gy + buf[TY + i])
     if label[r, c] == PAVED or label[q, p] == PAVED:  # what people lay has a border
         q, p = _class_near(label, gx + f32(0.25) * buf[TX + i], gy + f32(0.25) * buf[TY + i])
@@ -102,46 +100,47 @@ def _near(buf: F32, i: int, label: U8, gx: float, gy: float) -> tuple[int, int]:
 
 @kernel
 def look_up_layers(
-    buf: F32, height: F32, label: U8, looks_layer: U8, light: F32, tint: F32, by_class: I32, place: F64, base: F64,
-    wet: F32, look: I32,
-) -> None:  # fmt: skip
-    """Fill look, light and tint; `height` is empty where the layers are coarser than it.
+    buf: F32, height: F32, label: U8, cells: U8, skin: F32, place: F64, base: F64, wet: F32, look: I32
+) -> None:
+    """Fill look, light and tint; see `shade`.
 
-    TX, TY hold how far the borders of a class wander: see `wander`.
+    TX, TY hold how far the borders of a class wander: see `wander_borders`.
     """
-    per = 1.0 / place[2]
+    per, plain, far = 1.0 / place[2], PLAIN, False
+    for i in range(B):
+        far |= max(abs(buf[TX + i]), abs(buf[TY + i])) > f32(FAR)
+    if far:
+        plain = 0
     for i in range(B):
         gx = (base[0] - place[0] + buf[X + i]) * per
         gy = (place[1] - base[1] - buf[Y + i]) * per
-        _layers_at(buf, i, SLOPE_E, light, 5, gx, gy)
-        r, c, upper = _beside(height, gx, gy, base[2] + buf[Z + i])
-        if r >= 0:
-            gx, gy = float(c), float(r)
+        _skin_at(buf, i, skin, gx, gy)
+        r, c = min(max(int(gy), 0), label.shape[0] - 1), min(max(int(gx), 0), label.shape[1] - 1)
+        about = cells[r, c, 1]
+        if about & STEP:
+            r, c, upper = beside(height, gx, gy, base[2] + buf[Z + i])
             if not upper and not _hard(label[r, c]):  # ground at the foot of a thing: level, however cells slope
                 buf[SLOPE_E + i], buf[SLOPE_N + i] = f32(0.1) * buf[SLOPE_E + i], f32(0.1) * buf[SLOPE_N + i]
-        else:
+            for k in range(3):
+                buf[TINT_R + k * B + i] = skin[r, c, 5 + k]
+        elif not about & plain:
             r, c = _near(buf, i, label, gx, gy)
-        look[i] = int(looks_layer[r, c]) if looks_layer.size > 0 else 0
-        if look[i] == 0:
-            look[i] = by_class[label[r, c]]
+        look[i] = cells[r, c, 0]
         buf[WATER + i] = wet[look[i]]
-        if tint.size > 0:
-            _layers_at(buf, i, TINT_R, tint, 3, gx, gy)
-        else:
-            buf[TINT_R + i], buf[TINT_G + i], buf[TINT_B + i] = F1, F1, F1
 
 
 @kernel
-def _layers_at(buf: F32, i: int, slot: int, layers: F32, count: int, gx: float, gy: float) -> None:
-    """Fill `count` slots from `slot` on with the layers (R, C, count) at a place of the grid, bilinear."""
-    rows, cols = layers.shape[0], layers.shape[1]
+def _skin_at(buf: F32, i: int, skin: F32, gx: float, gy: float) -> None:
+    """Fill light and tint of a pixel with the layers (R, C, SKIN) at a place of the grid, bilinear."""
+    rows, cols = skin.shape[0], skin.shape[1]
     gx, gy = min(max(gx, 0.0), cols - 1.001), min(max(gy, 0.0), rows - 1.001)
     ix, iy = int(gx), int(gy)
     u, v = f32(gx - ix), f32(gy - iy)
     a, b, c, d = (F1 - u) * (F1 - v), u * (F1 - v), (F1 - u) * v, u * v
-    for k in range(count):
-        upper = layers[iy, ix, k] * a + layers[iy, ix + 1, k] * b
-        buf[slot + k * B + i] = upper + layers[iy + 1, ix, k] * c + layers[iy + 1, ix + 1, k] * d
+    for k in range(SKIN):
+        upper = skin[iy, ix, k] * a + skin[iy, ix + 1, k] * b
+        slot = SLOPE_E + k * B if k < 5 else TINT_R + (k - 5) * B
+        buf[slot + i] = upper + skin[iy + 1, ix, k] * c + skin[iy + 1, ix + 1, k] * d
 
 
 @kernel

@@ -49,8 +49,8 @@ from alight_sim.kernels.block import (  # fmt: skip
     f32,
     fading,
     fill,
-    noise_at,
     smoothstep,
+    values_at,
 )
 from alight_sim.kernels.texture import P_BUMP, P_GLOSS, P_HOT
 
@@ -111,7 +111,7 @@ def sunshine(buf: F32, base: F64, lights: F64, time: float, seed: int) -> None:
     copy(buf, Y, TY)
     size, de, dn = lights[CLOUD_SIZE], -lights[DRIFT] * time, -lights[DRIFT + 1] * time
     for k, w in enumerate((0.75, 0.5, 0.3)):
-        noise_at(buf, base, size * 0.45**k, 0.8, 0.6, seed + k, de, dn)
+        values_at(buf, base, size * 0.45**k, 0.8, 0.6, seed + k, de, dn)
         for i in range(B):
             buf[CLOUD + i] += f32(w) * buf[N + i]
     edge, dark = f32(lights[CLOUDS]), f32(lights[CLOUD_DARK])

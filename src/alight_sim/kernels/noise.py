@@ -73,6 +73,8 @@ def gradient_noise(x: float, y: float, seed: int) -> tuple[float, float, float]:
 
 # ---- the same in 32 bits, for loops over a block of pixels that LLVM turns into vector code -------------------------
 
+Two = tuple[np.float32, np.float32]
+Three = tuple[np.float32, np.float32, np.float32]
 f32, u32, i32 = np.float32, np.uint32, np.int32
 _FIRST, _I, _J, _LAST = u32(0x21F0AAAD), u32(0x2DA6B343), u32(0x58163841), u32(0x735A2D97)
 _STEP, _STD, _LOW = f32(UNIT_STD / 32768.0), f32(UNIT_STD), u32(0xFFFF)
@@ -114,10 +116,34 @@ def seed32(seed: int) -> np.uint32:
 
 
 @pixelwise
-def _slope32(h: np.uint32, x: np.float32, y: np.float32) -> tuple[np.float32, np.float32, np.float32]:
-    """One lattice point's slopes, and its plane's height at (x, y) from it."""
-    a, b = f32(u32(h & _LOW)) * _STEP - _STD, f32(u32(h >> _16)) * _STEP - _STD
-    return a, b, a * x + b * y
+def _slopes32(h: np.uint32) -> Two:
+    """One lattice point's two slopes."""
+    return f32(u32(h & _LOW)) * _STEP - _STD, f32(u32(h >> _16)) * _STEP - _STD
+
+
+@pixelwise
+def corners32(i: np.int32, j: np.int32, seed: np.uint32) -> tuple[Two, Two, Two, Two]:
+    """Slopes of the four lattice points about a cell, (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
+    left, right, up = column32(i, seed), column32(i32(i + i32(1)), seed), i32(j + i32(1))
+    return (
+        _slopes32(point32(left, j)), _slopes32(point32(right, j)),
+        _slopes32(point32(left, up)), _slopes32(point32(right, up)),
+    )  # fmt: skip
+
+
+@pixelwise
+def blend32(u: np.float32, v: np.float32, corners: tuple[Two, Two, Two, Two]) -> Three:
+    """Noise and its two derivatives at (u, v) of a cell, from the slopes of its corners."""
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = corners
+    a, b = ax * u + ay * v, bx * (u - _F1) + by * v
+    c, d = cx * u + cy * (v - _F1), dx * (u - _F1) + dy * (v - _F1)
+    fu, fv = u * u * u * (u * (u * _F6 - _F15) + _F10), v * v * v * (v * (v * _F6 - _F15) + _F10)
+    gu, gv = _F30 * u * u * (u * (u - _F2) + _F1), _F30 * v * v * (v * (v - _F2) + _F1)
+    k = a - b - c + d
+    value = a + fu * (b - a) + fv * (c - a) + fu * fv * k
+    slope_x = ax + fu * (bx - ax) + fv * (cx - ax) + fu * fv * (ax - bx - cx + dx) + gu * (fv * k + b - a)
+    slope_y = ay + fu * (by - ay) + fv * (cy - ay) + fu * fv * (ay - by - cy + dy) + gv * (fu * k + c - a)
+    return value, slope_x, slope_y
 
 
 @pixelwise
@@ -126,17 +152,4 @@ def noise32(
 ) -> tuple[np.float32, np.float32, np.float32]:
     """`gradient_noise` at (i0 + x, j0 + y), in single precision: whole lattice steps apart, so exact far from zero."""
     i, j = floor32(x), floor32(y)
-    u, v = x - f32(i), y - f32(j)
-    left, right = column32(i32(i + i0), seed), column32(i32(i + i0 + i32(1)), seed)
-    low, high = i32(j + j0), i32(j + j0 + i32(1))
-    ax, ay, a = _slope32(point32(left, low), u, v)
-    bx, by, b = _slope32(point32(right, low), u - _F1, v)
-    cx, cy, c = _slope32(point32(left, high), u, v - _F1)
-    dx, dy, d = _slope32(point32(right, high), u - _F1, v - _F1)
-    fu, fv = u * u * u * (u * (u * _F6 - _F15) + _F10), v * v * v * (v * (v * _F6 - _F15) + _F10)
-    gu, gv = _F30 * u * u * (u * (u - _F2) + _F1), _F30 * v * v * (v * (v - _F2) + _F1)
-    k = a - b - c + d
-    value = a + fu * (b - a) + fv * (c - a) + fu * fv * k
-    slope_x = ax + fu * (bx - ax) + fv * (cx - ax) + fu * fv * (ax - bx - cx + dx) + gu * (fv * k + b - a)
-    slope_y = ay + fu * (by - ay) + fv * (cy - ay) + fu * fv * (ay - by - cy + dy) + gv * (fu * k + c - a)
-    return value, slope_x, slope_y
+    return blend32(x - f32(i), y - f32(j), corners32(i32(i + i0), i32(j + j0), seed))

@@ -24,7 +24,8 @@ I64 = NDArray[np.int64]
 Three = tuple[float, float, float]
 
 MISS = -1.0
-START_LEVEL = 2  # of the pyramid, under a ceiling
+NEAR = 4  # the coarsest level of the pyramid by which rays fall freely
+FALLS = 6  # at most, at each level
 STRIP = 16  # pixels of a row that start their rays together
 
 
@@ -94,10 +95,8 @@ def _walk(
         ty = ((ny + ahead_y << level) - oy) * per_y if ry != 0.0 else math.inf
         t1 = max(t, min(tx, ty, t_end))
         low = oz + min(t * rz, t1 * rz)
-        if low <= pyramid[offsets[level] + ny * widths[level] + nx] + 1e-9:
-            if level > 0:
-                level -= 1
-                continue
+        under = low <= pyramid[offsets[level] + ny * widths[level] + nx] + 1e-9
+        if under and level == 0:
             corners = (
                 np.float64(height[iy, ix]),  # float() would stay float32 here, and cost a micrometre
                 np.float64(height[iy, ix + 1]),
@@ -107,20 +106,19 @@ def _walk(
             s = _patch_hit(corners, (ox + t * rx - ix, oy + t * ry - iy, oz + t * rz), ray, t1 - t)
             if s >= 0.0:
                 return float(t + s)
-        if t1 >= t_end:
+            under = False
+        if not under and t1 >= t_end:
             return MISS
-        t = t1
-        x0, y0 = nx << level, ny << level
-        size = 1 << level
-        if tx <= ty:
-            ix = x0 + size if ahead_x else x0 - 1
-            iy = min(max(math.floor(oy + t * ry), y0), y0 + size - 1)
-        else:
-            iy = y0 + size if ahead_y else y0 - 1
-            ix = min(max(math.floor(ox + t * rx), x0), x0 + size - 1)
+        # down a level or on to the next node, by choices instead of branches: nobody can predict them
+        size, x0, y0, across = 1 << level, nx << level, ny << level, tx <= ty
+        jx = min(max(int(ox + t1 * rx), x0), x0 + size - 1)
+        jy = min(max(int(oy + t1 * ry), y0), y0 + size - 1)
+        jx = (x0 + size if ahead_x else x0 - 1) if across else jx
+        jy = jy if across else (y0 + size if ahead_y else y0 - 1)
+        ix, iy, t = ix if under else jx, iy if under else jy, t if under else t1
+        level = level - 1 if under else min(level + 1, last)
         if ix < 0 or iy < 0 or ix > cols - 2 or iy > rows - 2:
             return MISS
-        level = min(level + 1, last)
 
 
 @kernel
@@ -192,36 +190,74 @@ def _turn_strip(directions: F32 | F64, r: int, first: int, last: int, turn: F64,
     return falls
 
 
+@kernel
+def _fall(
+    about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64, level: int
+) -> bool:
+    """Bring `starts` (STRIP,) down to the highest ground within 2^level cells, or so far aside; True: one ended aside.
+
+    Nothing is met before: the ray stays over the 3 x 3 nodes about its place.
+    """
+    aside = False
+    for k in range(STRIP):
+        rx, ry, rz, t = rays[k, 0], rays[k, 1], rays[k, 2], starts[k]
+        ix = min(max(int(origin[0] + t * rx), 0), shape[1] - 2) >> level
+        iy = min(max(int(origin[1] + t * ry), 0), shape[0] - 2) >> level
+        down = (about[offsets[level] + iy * widths[level] + ix] + 1e-6 - origin[2]) / rz
+        out = t + (1 << level) / max(abs(rx), abs(ry), 1e-9)
+        starts[k] = max(t, min(down, out))
+        aside |= out < down
+    return aside
+
+
+@kernel
+def _fall_freely(
+    about: F32, offsets: I64, widths: I64, shape: tuple[int, int], origin: F64, rays: F64, starts: F64
+) -> None:
+    """Bring the starts of a strip's rays down as far as the pyramid of maxima about each node allows."""
+    for k in range(min(NEAR, offsets.size - 1) + 1):
+        level = min(NEAR, offsets.size - 1) - k
+        for _ in range(FALLS):
+            if not _fall(about, offsets, widths, shape, origin, rays, starts, level):
+                break
+
+
 @parallel_kernel
 def cast_rays(
-    height: F32, pyramid: F32, offsets: I64, widths: I64, origins: F64, directions: F32 | F64, turns: F64, low: float,
-    out: F64,
+    height: F32, pyramid: F32, offsets: I64, widths: I64, about: F32, origins: F64, directions: F32 | F64, turns: F64,
+    low: float, out: F64,
 ) -> None:  # fmt: skip
     """Fill `out` (H, W) with each pixel's ray parameter at its first hit (depth along the optical axis), MISS without.
 
     `directions` (H, W, 3): rays in the camera, z = 1; `origins` (N, 3), `turns` (N, 3, 3): grid coordinates from the
-    camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. Rays start where the highest ground below
-    their strip begins: 2.5 to 3 times as fast as from the camera.
+    camera's axes, N = 1 for all rows or one each. `low`: no surface is lower. `about`: as `pyramid`, the maxima of the
+    3 x 3 nodes about each node. Rays start where the highest ground below their strip begins, 2.5 to 3 times as fast as
+    from the camera, and fall freely to the highest ground about their own place: a fifth less time.
     """
-    rows, cols = height.shape
+    shape = height.shape
     summit = float(pyramid[offsets[offsets.size - 1]])
     for band in prange(-(-out.shape[0] // STRIP)):  # squares of pixels: rows of a picture may run across the grid's
-        rays, fan = np.empty((STRIP, 3)), np.empty(4)
+        rays, fan, starts, ends = np.ones((STRIP, 3)), np.empty(4), np.zeros(STRIP), np.zeros(STRIP)
         for first in range(0, out.shape[1], STRIP):
             last = min(first + STRIP, out.shape[1])
             for r in range(band * STRIP, min((band + 1) * STRIP, out.shape[0])):
                 n = np.int64(r) if origins.shape[0] > 1 else np.int64(0)
                 top, level = math.inf, offsets.size - 1
-                if _turn_strip(directions, r, first, last, turns[n], rays, fan):
-                    top = _ceiling(pyramid, offsets, widths, (rows, cols), origins[n], fan, summit, low)
-                    level = min(level, START_LEVEL)
+                falls = _turn_strip(directions, r, first, last, turns[n], rays, fan)
+                if falls:
+                    top, level = _ceiling(pyramid, offsets, widths, shape, origins[n], fan, summit, low), 0
                 start = (origins[n, 0], origins[n, 1], origins[n, 2])
-                for c in range(first, last):
-                    ray = (rays[c - first, 0], rays[c - first, 1], rays[c - first, 2])
-                    t, t_end = _clip(start, ray, (rows, cols), min(summit, top))
-                    out[r, c] = MISS
-                    if t <= t_end:
-                        out[r, c] = _walk(height, pyramid, offsets, widths, start, ray, (t, t_end, 0.0), level)
+                for k in range(last - first):
+                    ray = (rays[k, 0], rays[k, 1], rays[k, 2])
+                    starts[k], ends[k] = _clip(start, ray, shape, min(summit, top))
+                if falls:
+                    _fall_freely(about, offsets, widths, shape, origins[n], rays, starts)
+                for k in range(last - first):
+                    span, ray = (starts[k], ends[k], 0.0), (rays[k, 0], rays[k, 1], rays[k, 2])
+                    hits = span[0] <= span[1]
+                    out[r, first + k] = (
+                        _walk(height, pyramid, offsets, widths, start, ray, span, level) if hits else MISS
+                    )
 
 
 def max_pyramid(height: F32) -> tuple[F32, I64, I64]:

@@ -1,6 +1,6 @@
 """The light that a hit point sends to a pixel: look by world position, sun with shadow, clouds, haze, moving water.
 
-Blocks of 128 pixels of a row go through passes that are vector loops (`alight_sim.kernels.block`). Linear radiance; a
+Blocks of 64 pixels of a row go through passes that are vector loops (`alight_sim.kernels.block`). Linear radiance; a
 white flat surface in the sun is about 1.
 """
 
@@ -65,39 +65,55 @@ PAINT, GLASS = 30, 34  # codes of simulate.materials.Look
 
 
 @kernel
-def _aim(
-    buf: F32, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float, level: float,
-    base: F64,
-) -> bool:  # fmt: skip
-    """Fill places, directions to the camera, distance (-1: sky) and footprint; False: the block sees only sky."""
-    last, seen = depth.shape[1] - 1, False
+def _turn(buf: F64, directions: F32, depth: F64, r: int, first: int, turn: F64) -> None:
+    """Fill four slots of `buf` with the rays of a block in the world, and how far along them the ground is."""
+    count = min(B, depth.shape[1] - first)
+    for i in range(count):
+        d0, d1, d2 = directions[r, first + i, 0], directions[r, first + i, 1], directions[r, first + i, 2]
+        for k in range(3):
+            buf[k * B + i] = turn[k, 0] * d0 + turn[k, 1] * d1 + turn[k, 2] * d2
+        buf[3 * B + i] = depth[r, first + i]
+    for k in range(4):  # beyond the picture: its last pixel
+        for i in range(count, B):
+            buf[k * B + i] = buf[k * B + count - 1]
+
+
+@kernel
+def _settle_base(ways: F64, centre: F64, base: F64) -> bool:
+    """Fill `base` with whole metres by the first pixel that sees ground; False: none does."""
     for i in range(B):
-        c = min(first + i, last)
-        d0, d1, d2 = float(directions[r, c, 0]), float(directions[r, c, 1]), float(directions[r, c, 2])
-        x = turn[0, 0] * d0 + turn[0, 1] * d1 + turn[0, 2] * d2
-        y = turn[1, 0] * d0 + turn[1, 1] * d1 + turn[1, 2] * d2
-        z = turn[2, 0] * d0 + turn[2, 1] * d1 + turn[2, 2] * d2
-        length = math.sqrt(x * x + y * y + z * z)
-        t = depth[r, c]
-        if t < 0.0 and z < -1e-3:
-            t = (level - centre[2]) / z
-        if t > 0.0 and not seen:
-            seen = True
-            for k, rate in enumerate((x, y, z)):
-                base[k] = math.floor(centre[k] + t * rate)
-        if not seen:
-            base[0], base[1], base[2] = centre[0], centre[1], centre[2]
-        there = max(t, 0.0)
-        buf[X + i] = f32(centre[0] + there * x - base[0])
-        buf[Y + i] = f32(centre[1] + there * y - base[1])
-        buf[Z + i] = f32(centre[2] + there * z - base[2])
+        t = ways[3 * B + i]
+        if t > 0.0:
+            for k in range(3):
+                base[k] = math.floor(centre[k] + t * ways[k * B + i])
+            return True
+    return False
+
+
+@kernel
+def _aim(
+    buf: F32, ways: F64, directions: F32, depth: F64, r: int, first: int, centre: F64, turn: F64, pixel: float,
+    level: float, base: F64,
+) -> bool:  # fmt: skip
+    """Fill places, directions to the camera, distance (-1: sky) and footprint; False: the block sees only sky.
+
+    `ways` (4 B,) is scratch.
+    """
+    _turn(ways, directions, depth, r, first, turn)
+    for i in range(B):  # where the patch ends, the plane goes on
+        t, z = ways[3 * B + i], ways[2 * B + i]
+        ways[3 * B + i] = (level - centre[2]) / z if t < 0.0 and z < -1e-3 else t
+    seen = _settle_base(ways, centre, base)
+    for i in range(B):
+        x, y, z, t = ways[i], ways[B + i], ways[2 * B + i], ways[3 * B + i]
+        length, ground = np.sqrt(x * x + y * y + z * z), t > 0.0
+        there = t if ground else 0.0
+        buf[X + i] = f32(centre[0] + there * x - base[0]) if ground else F0  # sky: anywhere
+        buf[Y + i] = f32(centre[1] + there * y - base[1]) if ground else F0
+        buf[Z + i] = f32(centre[2] + there * z - base[2]) if ground else F0
         buf[VX + i], buf[VY + i], buf[VZ + i] = f32(-x / length), f32(-y / length), f32(-z / length)
-        buf[DIST + i] = f32(t * length) if t > 0.0 else f32(-1.0)
+        buf[DIST + i] = f32(t * length) if ground else f32(-1.0)
         buf[FOOT + i] = f32(max(there * pixel, 1e-4))
-    if seen:  # sky before the first hit: anywhere
-        for i in range(B):
-            if buf[DIST + i] < F0:
-                buf[X + i], buf[Y + i], buf[Z + i] = F0, F0, F0
     return seen
 
 
@@ -166,15 +182,15 @@ def _texture(buf: F32, base: F64, lights: F64, time: float, seed: int, wet: bool
 
 @parallel_kernel
 def shade(
-    height: F32, label: U8, looks_layer: U8, light: F32, tint: F32, place: F64, looks: F32, by_class: I32, wet: F32,
-    centres: F64, directions: F32, turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float,
-    lights: F64, times: F64, seed: int, weight: float, out: F32,
+    height: F32, label: U8, cells: U8, skin: F32, place: F64, looks: F32, wet: F32, centres: F64, directions: F32,
+    turns: F64, depth: F64, faces: I16, boxes: F64, pixel: float, level: float, lights: F64, times: F64, seed: int,
+    weight: float, out: F32,
 ) -> None:  # fmt: skip
     """Add `weight` times each pixel's linear radiance to `out` (H, W, 3).
 
-    `height` (R, C; empty: the layers are coarser than it); `label`, `looks_layer` (R, C; empty: by class), `tint`
-    (R, C, 3; empty: none), `light` (R, C, 5): slope east, slope north, shadow margin, open sky, water depth. `place`:
-    east, north of cell (0, 0), cell. `looks` (L, PARAMS), `by_class` (9,) look of a class, `wet` (L,) 1 for water:
+    `height` (R, C; empty: the layers are coarser than it); `label` (R, C); `cells` (R, C, 2): look, and what is about
+    (`ground.STEP`, `ground.PLAIN`); `skin` (R, C, 8): slope east, slope north, shadow margin, open sky, water depth,
+    tint. `place`: east, north of cell (0, 0), cell. `looks` (L, PARAMS), `wet` (L,) 1 for water:
     `simulate.materials`. `centres` (N, 3), `turns` (N, 3, 3), `times` (N,) seconds, `boxes` (N, M, 12): of the whole
     picture (N = 1) or of each row; `directions` (H, W, 3) with z = 1; `depth` (H, W) from `cast_rays`; `faces` (H, W)
     from `cast_boxes`; `pixel`: angle of a pixel; `level`: height of the plane that goes on where the patch ends;
@@ -184,25 +200,25 @@ def shade(
     for r in prange(out.shape[0]):
         row = np.int64(r)
         n = row if centres.shape[0] > 1 else np.int64(0)
-        buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.empty(3)
+        buf, look, base = np.empty(PARAM + PARAMS * B, np.float32), np.empty(B, np.int32), np.zeros(3)
+        ways = np.empty(4 * B)
         fill(buf, WATER, 0.0)
         loaded = -1
         for first in range(0, out.shape[1], B):
-            if not _aim(buf, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
+            if not _aim(buf, ways, directions, depth, row, first, centres[n], turns[n], pixel, level, base):
                 fill(buf, DIST, -1.0)
                 haze(buf, lights32)
                 _put(buf, f32(weight), row, first, out)
                 continue
             wander_borders(buf, base)
-            look_up_layers(buf, height, label, looks_layer, light, tint, by_class, place, base, wet, look)
+            look_up_layers(buf, height, label, cells, skin, place, base, wet, look)
             cars = boxes.shape[1] > 0 and _board(buf, faces, row, first, boxes[n], base, look)
             under = dive(buf, looks, look)
             if under:
                 waves(buf, base, lights[WIND : WIND + 2], times[n], seed + 40)
             loaded = load_looks(buf, looks, look, P_BED, loaded)
             _texture(buf, base, lights, times[n], seed, under)
-            if cars or tint.size > 0:
-                dye(buf)
+            dye(buf)
             sunshine(buf, base, lights, times[n], seed + 950)
             if boxes.shape[1] > 0:
                 car_shadows(buf, boxes[n], base, lights)

@@ -56,6 +56,7 @@ from alight_sim.kernels.block import (  # fmt: skip
     fill,
     noise_at,
     smoothstep,
+    values_at,
 )
 from alight_sim.kernels.texture import P_BED, P_BLUE1, P_BLUE3, P_GREEN1, P_GREEN3, P_RED1, P_RED3, P_SCUM, P_WAVES
 
@@ -99,7 +100,7 @@ def waves(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
     fill(buf, WAVE_N, 0.0)
     fill(buf, WAVE_VAR, 0.0004)
     speed = max(math.hypot(wind[0], wind[1]), 0.3)
-    noise_at(buf, base, 14.0, 0.6, 0.8, seed + 90, -wind[0] * time, -wind[1] * time)
+    values_at(buf, base, 14.0, 0.6, 0.8, seed + 90, -wind[0] * time, -wind[1] * time)
     for i in range(B):  # gusts roughen the water here and leave it smooth there
         buf[CALM + i] *= f32(0.25) + f32(0.75) * smoothstep(f32(-1.0), f32(1.0), buf[N + i])
     for k, (wavelength, slope) in enumerate(TRAINS):
@@ -176,7 +177,7 @@ def scum(buf: F32, base: F64, wind: F64, time: float, seed: int) -> None:
     copy(buf, Y, TY)
     fill(buf, CLOUD, 0.0)
     for k, wavelength in enumerate((4.0, 1.1, 0.3)):
-        noise_at(buf, base, wavelength, 0.8, 0.6, seed + k, -0.02 * wind[0] * time, -0.02 * wind[1] * time)
+        values_at(buf, base, wavelength, 0.8, 0.6, seed + k, -0.02 * wind[0] * time, -0.02 * wind[1] * time)
         for i in range(B):
             buf[CLOUD + i] += (f32(0.8) - f32(0.15) * f32(k)) * buf[N + i]
     for i in range(B):

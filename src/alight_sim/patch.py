@@ -1,0 +1,97 @@
+"""A rectangle of the world as arrays: what the rays meet, and what the shading looks up there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from alight.arrays import F32, F64, U8, Mask
+from alight.geometry import Grid
+from alight_sim.kernels.ground import EDGE, PLAIN, STEP, WIDE
+from alight_sim.kernels.raycast import max_pyramid
+from alight_sim.materials import tables
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPatch:
+    """A rectangle of the world as arrays: heights are bilinear between cell centres, and nothing else is drawn."""
+
+    grid: Grid
+    height: F32  # (R, C) metres above the origin, topmost surface
+    label: U8  # (R, C) Terrain codes; this and what follows: of blocks of 2^level cells, means or what most are
+    skin: F32  # (R, C, SKIN): `light`, then `tint` (1 where there is none), side by side: a pixel reads all of a cell
+    look: U8 | None = None  # (R, C) codes of Look; None: all by class
+    tinted: bool = False
+    level: int = 0
+
+    @property
+    def light(self) -> F32:
+        """(R, C, 5) slope east, slope north, shadow margin, share of open sky, water depth."""
+        return self.skin[..., :5]
+
+    @property
+    def tint(self) -> F32 | None:
+        """(R, C, 3) factor on the look's reflectance; None: 1."""
+        return self.skin[..., 5:] if self.tinted else None
+
+    @cached_property
+    def pyramid(self) -> tuple[F32, NDArray[np.int64], NDArray[np.int64], F32]:
+        """The pyramids of maxima that speed up the rays."""
+        pyramid = max_pyramid(self.height)
+        return (*pyramid, _max_about(*pyramid))
+
+    @cached_property
+    def cells(self) -> U8:
+        """(R, C, 2) the look of each cell, and what is about it (`STEP`, `PLAIN`)."""
+        of_class = tables()[1].astype(np.uint8)[self.label]
+        looks = of_class if self.look is None else np.where(self.look == 0, of_class, self.look)
+        about = np.where(_is_plain(self.label.astype(np.uint16) + np.uint16(16) * looks), PLAIN, 0)
+        if self.level == 0:
+            about |= np.where(_is_step(self.height), STEP, 0)
+        return np.stack([looks, about.astype(np.uint8)], axis=-1)
+
+    @cached_property
+    def place(self) -> F64:
+        """(3,) east and north of cell (0, 0), and the cell: what the kernels take."""
+        return np.array([self.grid.east, self.grid.north, self.grid.cell])
+
+    @cached_property
+    def skin_place(self) -> F64:
+        """The same of the layers that are not heights."""
+        shift = 0.5 * ((1 << self.level) - 1) * self.grid.cell
+        return np.asarray(self.place * (1, 1, 1 << self.level) + np.array([shift, -shift, 0.0]))
+
+    @cached_property
+    def low(self) -> float:
+        """The lowest height."""
+        return float(self.height.min())
+
+    @property
+    def nbytes(self) -> int:
+        """Memory, with the pyramids and what is about the cells."""
+        parts = (self.height, self.label, self.skin, self.look)
+        return sum(p.nbytes for p in parts if p is not None) + self.height.nbytes * 8 // 3 + 2 * self.label.size
+
+
+def _is_plain(codes: NDArray[np.uint16]) -> Mask:
+    """(R, C) whether all cells within `WIDE` of a cell, those of the array, have its code."""
+    square = np.ones((2 * WIDE + 1, 2 * WIDE + 1), np.uint8)
+    return np.asarray(cv2.erode(codes, square) == cv2.dilate(codes, square))
+
+
+def _is_step(height: F32) -> Mask:
+    """(R, C) whether the four cells from a cell on differ by `EDGE` or more; not at the rim, where not all 16 are."""
+    out = np.zeros(height.shape, bool)
+    four = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
+    out[1:-2, 1:-2] = np.maximum.reduce(four) - np.minimum.reduce(four) >= np.float32(EDGE)
+    return out
+
+
+def _max_about(pyramid: F32, offsets: NDArray[np.int64], widths: NDArray[np.int64]) -> F32:
+    """The pyramid with the maxima of the 3 x 3 nodes about each node."""
+    levels = (p.reshape(-1, w) for p, w in zip(np.split(pyramid, offsets[1:]), widths, strict=True))
+    return np.concatenate([cv2.dilate(p, np.ones((3, 3), np.uint8)).ravel() for p in levels])
