@@ -62,7 +62,7 @@ def test_a_shift_of_a_part_of_a_pixel_is_found() -> None:
     large = ground(3, 800)
     first, second = (cv2.resize(large[:, k : 798 + k], (399, 400), interpolation=cv2.INTER_AREA) for k in (0, 1))
     a, b = (compared(detect(np.ascontiguousarray(p), CONTRAST)[:, [0, 1, 2, 4]]) for p in (first, second))
-    near, which = cKDTree(a).query(b + [0.5, 0, 0, 0, 0])
+    near, which = cKDTree(a).query(b + np.array([0.5, 0, 0, 0, 0]))
     assert (near < 1.0).mean() > 0.6
     shift = (a[which] - b)[near < 1.0]
     np.testing.assert_allclose(np.median(shift[:, :2], axis=0), [0.5, 0.0], atol=0.03)
@@ -83,7 +83,7 @@ def test_opencv_describes_them() -> None:
     own, table = sift.compute(picture, keypoints(found))
     theirs = sift.detect(picture, None)
     large = np.array([k.octave & 255 < 128 for k in theirs])
-    other = sift.compute(picture, [k for k, l in zip(theirs, large, strict=True) if l])[1]
+    other = sift.compute(picture, [k for k, its in zip(theirs, large, strict=True) if its])[1]
     assert len(own) == len(found)
     near, which = cKDTree(compared(found[:, [0, 1, 2, 4]])).query(compared(of_opencv(picture)[large]))
     apart = np.linalg.norm(table[which] - other, axis=1)[near < 0.5]

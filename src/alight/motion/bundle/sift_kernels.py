@@ -78,7 +78,7 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
 
 @kernel
 def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F64) -> None:
-    """Fill a smoothed histogram (`BINS`,) of the directions of the gradients about a pixel; `raw` has two more a side."""
+    """Fill a smoothed histogram (`BINS`,) of the gradients' directions about a pixel; `raw` has two more a side."""
     rows, cols = picture.shape
     reach, fall = int(np.rint(REACH * scale)), -0.5 / (WIDTH * scale) ** 2
     raw[:] = 0.0
