@@ -66,7 +66,8 @@ def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F6
         if max(abs(way[0]), abs(way[1]), abs(way[2])) < 0.5:
             place[0], place[1], place[2], place[3] = c + way[0], r + way[1], k + way[2], k
             place[4], place[5] = c, r
-            return abs(way[3]) >= least and way[4] < (FOLD + 1.0) ** 2 / FOLD
+            strong: bool = abs(way[3]) >= least and way[4] < (FOLD + 1.0) ** 2 / FOLD
+            return strong
         if max(abs(way[0]), abs(way[1]), abs(way[2])) > 1e6:
             return False
         c, r, k = c + int(np.rint(way[0])), r + int(np.rint(way[1])), k + int(np.rint(way[2]))
