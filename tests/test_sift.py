@@ -37,7 +37,7 @@ def compared(found: F64) -> F64:
 
 
 def test_features_are_those_of_opencv() -> None:
-    """A few lie at a limit. Its own lie a quarter of a pixel too far right and down: it doubles centres, not corners."""
+    """A few lie at a limit. OpenCV doubles centres, not corners: its own lie a quarter of a pixel too far right."""
     picture = ground(1)
     own, other = compared(detect(picture, CONTRAST)[:, [0, 1, 2, 4]]), compared(of_opencv(picture))
     assert len(own) == pytest.approx(len(other), rel=0.02)
