@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from heights_table import Row, head
+from photo_points import shared_points
 from photo_sets import DATA, DRAWN, FULL, OUT, REAL, Drawn, first, folder_of, true_poses
 from PIL import Image
 
@@ -146,11 +147,7 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
     assert run.grid is not None
     assert run.flags is not None
     z = np.load(path)
-    stamps, poses = read_tum(run.folder / "trajectory.tum", run.local)
-    own = {int(t) // 10**9: p.translation for t, p in zip(stamps, poses, strict=True)}
-    place = dict(zip(z["seconds"].tolist(), z["centres"], strict=True))
-    both = sorted(own.keys() & place.keys())
-    scale, turn, shift = similarity(np.array([own[k] for k in both]), np.array([place[k] for k in both]))
+    scale, turn, shift = to_truth(run, z)
     seen = (run.flags & np.uint16(Flag.UNSEEN | Flag.FEW)) == 0
     cells = np.flatnonzero(seen.ravel())[::7]
     e, n = (v.ravel()[cells] for v in np.meshgrid(*run.grid.xy()))
@@ -166,9 +163,8 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
         Row(
             f"{name}: given out of the cells seen by three photos, %",
             100 * float(np.isfinite(up).mean()),
-            (90.0, math.inf),
-            (97.0, math.inf),
         ),
+        *point_rows(name, run, (scale, turn, shift), shared_points(path.parent / "images"), above),
         Row(f"{name}: NMAD less a plane, % of height", 100 * nmad(left) / above, *NMAD.get(name, (None, None))),
         Row(f"{name}: bowing, % of height", 100 * bowing(points, left) / above),
         Row(
@@ -179,6 +175,39 @@ def truth_rows(name: str, run: Run, path: Path) -> list[Row]:
         Row(f"{name}: tilt that GPS left, mrad", 1000 * math.acos(min(float(turn[2, 2]), 1.0))),
         Row(f"{name}: scale that GPS left, %", 100 * abs(scale - 1)),
     ]
+
+
+def to_truth(run: Run, z: Any) -> tuple[float, F64, F64]:
+    """Scale, rotation and shift from a run's frame to the simulator's world, by their cameras."""
+    assert run.local is not None
+    stamps, poses = read_tum(run.folder / "trajectory.tum", run.local)
+    own = {int(t) // 10**9: p.translation for t, p in zip(stamps, poses, strict=True)}
+    place = dict(zip(z["seconds"].tolist(), z["centres"], strict=True))
+    both = sorted(own.keys() & place.keys())
+    return similarity(np.array([own[k] for k in both]), np.array([place[k] for k in both]))
+
+
+def point_rows(name: str, run: Run, truth_from_run: tuple[float, F64, F64], points: F64, above: float) -> list[Row]:
+    """Heights at points (N, 3) that three photos share: how many are given out, and how many of all are off."""
+    assert run.local is not None
+    assert run.height is not None
+    assert run.grid is not None
+    scale, turn, shift = truth_from_run
+    own = (points - shift) @ turn / scale
+    up = run.grid.nearest_at(world_up(run.height, run.grid, run.local), own[:, 0], own[:, 1])
+    given = np.isfinite(up)
+    found = scale * np.c_[own[:, :2], np.nan_to_num(up)] @ turn.T + shift
+    left = plane_of(points[given], (found - points)[given, 2])[1]
+    return [
+        Row(
+            f"{name}: given out at {len(points)} points of three photos, %",
+            100 * float(given.mean()), (90.0, math.inf), (97.0, math.inf),
+        ),
+        Row(
+            f"{name}: the same, off by more than 1 % of height, % of all points",
+            100 * float((np.abs(left) > BAD * above).sum() / len(points)), *OFF.get(name, (0.5, None)),
+        ),
+    ]  # fmt: skip
 
 
 def similarity(own: F64, true: F64) -> tuple[float, F64, F64]:

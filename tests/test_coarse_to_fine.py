@@ -32,6 +32,16 @@ def test_a_ray_tries_the_planes_about_what_was_found_beside_it() -> None:
     assert (LEVELS[spans.low[step]], LEVELS[spans.high[step]]) == pytest.approx((-0.2, 2.2), abs=0.11)
 
 
+def test_between_coarse_and_fine_a_ray_tries_what_was_found_some_cells_away() -> None:
+    """What coarse cells are too large for, a beam or a twig, stands near something that they show."""
+    found = np.zeros((20, 30), np.float32)
+    found[:, 20:] = 2.0
+    spans = Spans.about(found, (40, 60), LEVELS, sweeps.BROAD)
+    near, far = (20, 26), (20, 22)  # 7 and 9 coarse cells from the step
+    assert (LEVELS[spans.low[near]], LEVELS[spans.high[near]]) == pytest.approx((-0.8, 2.8), abs=0.11)
+    assert (LEVELS[spans.low[far]], LEVELS[spans.high[far]]) == pytest.approx((-0.8, 0.8), abs=0.11)
+
+
 def test_at_the_border_of_a_picture_a_ray_tries_the_nearest_heights() -> None:
     """Small pixels reach further towards the border than large ones; the lowest plane was given out there once."""
     found = np.full((20, 20), 1.5, np.float32)

@@ -113,7 +113,7 @@ def match_tile(images: Images, grid: Grid, low: float, high: float, settings: Pa
     swept = [[prepared[k] for k in few] for prepared in levels]
     start, ratio = fuse_sweeps([sweep(swept, grid, (low, high), ground, few.index(k), plan) for k in of])
     plan = plan.model_copy(update={"least_blocks": plan.unseen_blocks})
-    rest, its_ratio = sweep_unseen(levels, grid, (low, high), ground, np.isnan(start), plan, start)
+    rest, its_ratio = sweep_unseen(swept, grid, (low, high), ground, np.isnan(start), plan, start)
     start, ratio = (np.where(np.isnan(start), b, a) for a, b in ((start, rest), (ratio, its_ratio)))
     if not np.isfinite(start).any():
         return None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -23,13 +24,22 @@ from alight.settings.tuning.parallax import SweepTuning
 
 SEEN_BLOCK = 8  # cells: how finely the border of the reference is known
 LEAST_SIDE = 16  # coarse cells across which aggregation finds a surface
-BESIDE = 1  # coarse cells about one whose heights a ray tries
-BORDER = 6  # the same where none of these has a height
-SLACK = 2  # planes beyond these
+SLACK, BROAD_SLACK = 2, 8  # planes beyond what was found: at the finest cells, and at those between
 OUTSIDE = 0.5  # percent of the rays, at either end, whose heights do not widen the search
 CLOSE = 0.2  # of the height of the lowest view above the heights searched: what stands nearer to it is not swept
 MARGIN_SHARE, MARGIN_PLANES = 0.2, 5  # about the others, of what they span and coarse planes
 ABOUT, LEAST_ABOUT, MARGIN_ABOUT = 16, 50, 1.0  # cells about an unseen region; heights there, at least; metres
+
+
+class Reach(NamedTuple):
+    """About what was found with coarser cells a ray tries heights."""
+
+    beside: int  # coarse cells about one whose heights it tries
+    border: int  # the same where none of these has a height
+    slack: int  # planes beyond these
+
+
+NARROW, BROAD = Reach(1, 6, SLACK), Reach(8, 16, BROAD_SLACK)  # at the finest cells, and at those between
 
 Span = tuple[float, float]  # lowest and highest height, metres
 Where = tuple[slice, slice]  # rows and columns of a tile
@@ -211,19 +221,19 @@ class Spans:
         return cls(np.zeros(shape, np.int32), np.full(shape, count - 1, np.int32))
 
     @classmethod
-    def about(cls, found: F32, shape: tuple[int, int], levels: F32) -> Spans:
+    def about(cls, found: F32, shape: tuple[int, int], levels: F32, reach: Reach = NARROW) -> Spans:
         """Planes about the heights found at twice the cells (R / 2, C / 2), of a cell and those beside it.
 
         Beside a step a ray tries what stands on both sides of it and between (Rothermel et al. 2012, tSGM).
         """
-        low, high = extremes(found, BESIDE)
-        beyond = extremes(found, BORDER)  # smaller pixels reach further towards the border of a picture
+        low, high = extremes(found, reach.beside)
+        beyond = extremes(found, reach.border)  # smaller pixels reach further towards the border of a picture
         for end, further in zip((low, high), beyond, strict=True):
             np.copyto(end, further, where=~np.isfinite(end))
         none = low > high  # two views see nothing there, at any resolution
         low[none] = high[none] = levels[0]
         spacing, last = levels[1] - levels[0], len(levels) - 1
-        ends = np.floor((low - levels[0]) / spacing) - SLACK, np.ceil((high - levels[0]) / spacing) + SLACK
+        ends = np.floor((low - levels[0]) / spacing) - reach.slack, np.ceil((high - levels[0]) / spacing) + reach.slack
         wide = (doubled(v, shape) for v in ends)
         return cls(*(np.clip(v, 0, last).astype(np.int32) for v in wide))
 
@@ -279,7 +289,8 @@ def sweep(
         views = register(pyramid[k], of[k], ground, searched, reference)
         levels = planes(views.centres, *searched, of[k].cell, tuning.most_planes << (len(of) - 1 - k))
         narrow = k == 0 and len(of) > 1
-        spans = Spans.about(found, rays.shape, levels) if narrow else Spans.whole(of[k].shape, len(levels))
+        first, reach = k == len(of) - 1, NARROW if narrow else BROAD
+        spans = Spans.whole(of[k].shape, len(levels)) if first else Spans.about(found, of[k].shape, levels, reach)
         found, doubt = along_rays(views, of[k], levels, spans, about, tuning)
         ratio = np.fmax(doubt, doubled(ratio, rays.shape)) if narrow else doubt
         searched = narrowed(found, searched, float(levels[1] - levels[0]))

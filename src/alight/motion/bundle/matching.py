@@ -1,6 +1,6 @@
 """Photos to tracks: SIFT features, pairs of neighbours, matches verified by two-view geometry, tracks.
 
-Features are OpenCV's, two-view geometry is pycolmap's. Random seeds are fixed.
+Descriptors are OpenCV's, two-view geometry is pycolmap's. Random seeds are fixed.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from alight.arrays import F32, F64, I64, U8
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.motion.bundle.lenses import PhotoLenses
+from alight.motion.bundle.sift import BLURRED, detect, keypoints
 from alight.records import Frame, MissingExtraError, Pixels
 from alight.settings import BundleSettings
 
@@ -27,7 +28,6 @@ _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
 _CONTRAST = 0.02  # of a feature, grey levels over 255: as many as pycolmap finds
-_DOUBLED_BY = 0.25  # px, what OpenCV's features lie too far to the right and down: it doubles centres, not corners
 _AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
 
 
@@ -125,21 +125,28 @@ def _shrunk(picture: U8, factor: float) -> U8:
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
 
-    Descriptors are computed for those that are kept alone. OpenCV's "precise upscale" is off: it bends the rays
-    (docs/lab/photos.md).
+    Where the picture has too few, a small one or a dull one, those of the doubled picture are taken as well.
     """
     picture = np.asarray(image)
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
     read = _shrunk(picture, factor)
     grey = cv2.cvtColor(read, cv2.COLOR_RGB2GRAY) if read.ndim == 3 else read
-    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST)
-    found = sift.detect(grey, None)
-    largest = np.argsort([-k.size for k in found], kind="stable")[: settings.features]
-    kept, descriptors = sift.compute(grey, [found[k] for k in largest])
-    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2) - _DOUBLED_BY
+    place, table = described(grey, detect(grey, _CONTRAST), settings.features)
+    if len(place) < settings.features:
+        twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
+        found = detect(twice, _CONTRAST, 2 * BLURRED, octaves=1)
+        finer, its_table = described(twice, found, settings.features - len(place))
+        place, table = np.concatenate([place, (finer + 0.5) / 2 - 0.5]), np.concatenate([table, its_table])
     scale = np.array(picture.shape[1::-1]) / grey.shape[1::-1]
-    table = rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors)
     return PhotoFeatures((place + 0.5) * scale - 0.5, table, colours_at(read, place))
+
+
+def described(grey: U8, found: F64, count: int) -> tuple[F64, U8]:
+    """The largest of the features `found`, at most `count`: where they are, (K, 2), and descriptors (K, 128)."""
+    largest = np.argsort(-found[:, 2], kind="stable")[:count]
+    kept, descriptors = cv2.SIFT.create().compute(grey, keypoints(found[largest]))
+    place = np.array([k.pt for k in kept], dtype=np.float64).reshape(-1, 2)
+    return place, rooted(np.zeros((0, _DESCRIPTOR), np.float32) if descriptors is None else descriptors)
 
 
 def rooted(descriptors: F32) -> U8:

@@ -26,7 +26,7 @@ class SweepTuning(FrozenModel):
     """Plane sweep along the rays of a view, with semi-global aggregation."""
 
     references: int = Field(2, ge=1, description="Views along whose rays a tile is swept (batch)")
-    views: int = Field(10, ge=2, description="Most views of such a sweep (batch)")
+    views: int = Field(7, ge=2, description="Most views of such a sweep (batch)")
     max_tangent: Positive = Field(0.4, description="Horizontal over vertical distance of a preferred view (batch)")
     keep_share: Fraction = Field(0.7, description="Share of the views of a cell that has to agree on a plane")
     truncation: Positive = Field(1.5, description="Largest matching cost of a view, normalised grey")

@@ -1,0 +1,139 @@
+"""Loops of the SIFT detector: extrema of differences of Gaussians, placed between pixels, and their orientations.
+
+Lowe 2004, sections 3 to 5. They find what OpenCV's detector finds from the whole picture on.
+"""
+
+import numpy as np
+
+from alight.arrays import F32, F64
+from alight.compiled import inline, kernel
+
+EDGE = 5  # pixels about the picture that are left out
+STEPS = 5  # of Newton, at most
+FOLD = 10.0  # largest ratio of the two curvatures: beyond it a feature slides along an edge
+BINS = 36  # of an orientation histogram
+WIDTH = 1.5  # sigma of its window over the scale of the feature
+REACH = 4.5  # its radius over the scale
+SECOND = 0.8  # of the highest peak, from which another one is a feature too
+COLUMNS = 5  # of a found feature: column, row, layer between layers, layer, orientation
+
+
+@inline
+def _is_extreme(dogs: F32, k: int, r: int, c: int) -> bool:
+    """Whether a sample is the highest or the lowest of the 27 about it."""
+    v = dogs[k, r, c]
+    sign = np.float32(1) if v > 0 else np.float32(-1)
+    for j in range(k - 1, k + 2):
+        for y in range(r - 1, r + 2):
+            for x in range(c - 1, c + 2):
+                if sign * dogs[j, y, x] > sign * v:
+                    return False
+    return True
+
+
+@kernel
+def _newton(dogs: F32, k: int, r: int, c: int, out: F64) -> bool:
+    """Fill the way (columns, rows, layers) to the extremum of the parabola about a sample, its value and its fold."""
+    v = 2.0 * dogs[k, r, c]
+    dx = 0.5 * (dogs[k, r, c + 1] - dogs[k, r, c - 1])
+    dy = 0.5 * (dogs[k, r + 1, c] - dogs[k, r - 1, c])
+    ds = 0.5 * (dogs[k + 1, r, c] - dogs[k - 1, r, c])
+    xx, yy = dogs[k, r, c + 1] + dogs[k, r, c - 1] - v, dogs[k, r + 1, c] + dogs[k, r - 1, c] - v
+    ss = dogs[k + 1, r, c] + dogs[k - 1, r, c] - v
+    xy = 0.25 * (dogs[k, r + 1, c + 1] - dogs[k, r + 1, c - 1] - dogs[k, r - 1, c + 1] + dogs[k, r - 1, c - 1])
+    xs = 0.25 * (dogs[k + 1, r, c + 1] - dogs[k + 1, r, c - 1] - dogs[k - 1, r, c + 1] + dogs[k - 1, r, c - 1])
+    ys = 0.25 * (dogs[k + 1, r + 1, c] - dogs[k + 1, r - 1, c] - dogs[k - 1, r + 1, c] + dogs[k - 1, r - 1, c])
+    a, b, d = yy * ss - ys * ys, xs * ys - xy * ss, xy * ys - xs * yy
+    det = xx * a + xy * b + xs * d
+    if abs(det) < 1e-12:
+        return False
+    e, f, g = xx * ss - xs * xs, xy * xs - xx * ys, xx * yy - xy * xy
+    out[0] = -(a * dx + b * dy + d * ds) / det
+    out[1] = -(b * dx + e * dy + f * ds) / det
+    out[2] = -(d * dx + f * dy + g * ds) / det
+    out[3] = 0.5 * v + 0.5 * (dx * out[0] + dy * out[1] + ds * out[2])
+    out[4] = (xx + yy) * (xx + yy) / g if g > 0.0 else np.inf
+    return True
+
+
+@kernel
+def _placed(dogs: F32, k: int, r: int, c: int, least: float, way: F64, place: F64) -> bool:
+    """Fill column, row, layer (between samples) and the layer's number of an extremum; False where it is none."""
+    layers, rows, cols = dogs.shape
+    for _ in range(STEPS):
+        if not _newton(dogs, k, r, c, way):
+            return False
+        if max(abs(way[0]), abs(way[1]), abs(way[2])) < 0.5:
+            place[0], place[1], place[2], place[3] = c + way[0], r + way[1], k + way[2], k
+            place[4], place[5] = c, r
+            strong: bool = abs(way[3]) >= least and way[4] < (FOLD + 1.0) ** 2 / FOLD
+            return strong
+        if max(abs(way[0]), abs(way[1]), abs(way[2])) > 1e6:
+            return False
+        c, r, k = c + int(np.rint(way[0])), r + int(np.rint(way[1])), k + int(np.rint(way[2]))
+        inside = EDGE <= c < cols - EDGE and EDGE <= r < rows - EDGE
+        if not (1 <= k < layers - 1 and inside):
+            return False
+    return False
+
+
+@kernel
+def _histogram(picture: F32, row: int, col: int, scale: float, raw: F64, even: F64) -> None:
+    """Fill a smoothed histogram (`BINS`,) of the gradients' directions about a pixel; `raw` has two more a side."""
+    rows, cols = picture.shape
+    reach, fall = int(np.rint(REACH * scale)), -0.5 / (WIDTH * scale) ** 2
+    raw[:] = 0.0
+    for y in range(max(row - reach, 1), min(row + reach, rows - 2) + 1):
+        for x in range(max(col - reach, 1), min(col + reach, cols - 2) + 1):
+            dx, dy = picture[y, x + 1] - picture[y, x - 1], picture[y - 1, x] - picture[y + 1, x]
+            k = int(np.rint(np.arctan2(dy, dx) * (BINS / (2.0 * np.pi)))) % BINS
+            weight = np.exp(((y - row) ** 2 + (x - col) ** 2) * fall)
+            raw[k + 2] += weight * np.sqrt(dx * dx + dy * dy)
+    raw[0], raw[1], raw[BINS + 2], raw[BINS + 3] = raw[BINS], raw[BINS + 1], raw[2], raw[3]
+    for k in range(BINS):
+        even[k] = (raw[k] + raw[k + 4] + 4.0 * (raw[k + 1] + raw[k + 3]) + 6.0 * raw[k + 2]) / 16.0
+
+
+@kernel
+def _oriented(place: F64, even: F64, found: F64, count: int) -> int:
+    """Add a feature for each high peak of its histogram; return how many there are then."""
+    most = even.max()
+    for k in range(BINS):
+        left, mid, right = even[k - 1], even[k], even[(k + 1) % BINS]
+        if mid > left and mid > right and mid >= SECOND * most and count < len(found):
+            at = k + 0.5 * (left - right) / (left - 2.0 * mid + right)
+            found[count, :4] = place[:4]
+            found[count, 4] = -at * 360.0 / BINS % 360.0
+            count += 1
+    return count
+
+
+@kernel
+def features(dogs: F32, blurred: F32, first: float, least: float, found: F64) -> int:
+    """Fill `found` (M, `COLUMNS`) with the features of an octave and return how many; those beyond M are left out.
+
+    Args:
+        dogs: (L + 2, R, C) differences of the blurred pictures.
+        blurred: (L + 3, R, C).
+        first: sigma of the first of them, pixels; each L further ones have twice that.
+        least: contrast of a feature, in units of the picture.
+    """
+    layers, rows, cols = dogs.shape
+    way, place, raw, even = np.empty(5), np.empty(6), np.empty(BINS + 4), np.empty(BINS)
+    count, some = 0, np.float32(0.5 * least)
+    for k in range(1, layers - 1):
+        for r in range(EDGE, rows - EDGE):
+            for c in range(EDGE, cols - EDGE):
+                v = dogs[k, r, c]
+                if abs(v) <= some:
+                    continue
+                # four neighbours say no of nearly all
+                a, b = dogs[k, r, c - 1], dogs[k, r, c + 1]
+                if (v > 0 and (a > v or b > v)) or (v < 0 and (a < v or b < v)):
+                    continue
+                if _is_extreme(dogs, k, r, c) and _placed(dogs, k, r, c, least, way, place):
+                    scale = first * 2.0 ** (place[2] / (layers - 2))
+                    layer = int(place[3])
+                    _histogram(blurred[layer], int(place[5]), int(place[4]), scale, raw, even)
+                    count = _oriented(place, even, found, count)
+    return count
