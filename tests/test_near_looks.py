@@ -37,11 +37,20 @@ def test_nearness_falls_with_the_pixel() -> None:
     assert_allclose(near(0.01, LIMIT * float(np.sqrt(NEAR_PIXEL * FAR_PIXEL))), 0.5, atol=1e-5)
 
 
+def rough_ground(height: float) -> np.ndarray:
+    """(81, 81) metres: bumps of a decimetre's width, the largest of this height."""
+    bumps = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 1, (81, 81)).astype(np.float32), (0, 0), 3.0)
+    return np.asarray(height / np.abs(bumps).max() * bumps)
+
+
 def looked_at(height: np.ndarray, pixel: float, doubtful: np.ndarray | None = None) -> HazardMap:
+    """The verdict on spotted ground of these heights, seen with pixels of this size."""
     grey = ground(height, sigma=0.005, rgb=(150, 150, 150))
     n = grey.grid.shape
+    spots = cv2.GaussianBlur(np.random.default_rng(4).normal(0, 1, (2 * n[0], 2 * n[1])), (0, 0), 1.5)
+    light = (150 * np.exp(0.2 / spots.std() * spots)).clip(0, 255).astype(np.uint8)
     e: ElevationMap = replace(
-        grey, fine=np.full((2 * n[0], 2 * n[1], 3), 150, np.uint8),
+        grey, fine=np.repeat(light[..., None], 3, axis=2),
         sampling=np.full(n, 2 * pixel, np.float32), fine_sampling=np.full(n, pixel, np.float32),
     )  # fmt: skip
     if doubtful is not None:
@@ -56,20 +65,19 @@ def test_level_ground_is_surer_from_near_by() -> None:
     assert p[0] > p[1] > p[2]
 
 
-@pytest.mark.parametrize("height", [0.12, 0.3])
+@pytest.mark.parametrize("height", [0.15, 0.3])
 def test_doubtful_heights_that_stand_up_cost_probability_from_near_by(height: float) -> None:
     """A tuft: its heights are in doubt, so that no limit counts them, and yet they were measured."""
-    z, tuft = np.zeros((81, 81)), np.zeros((81, 81), np.bool_)
+    tuft = np.zeros((81, 81), np.bool_)
     tuft[38:43, 38:43] = True
-    z[39:42, 39:42] = height
-    lower = looked_at(np.zeros((81, 81)), 0.02, tuft).p_obstacle[MID]
-    assert looked_at(z, 0.02, tuft).p_obstacle[MID] < lower - 0.02
-    assert_allclose(looked_at(z, 0.1, tuft).p_obstacle[MID], looked_at(np.zeros((81, 81)), 0.1, tuft).p_obstacle[MID])
+    flat, tall = rough_ground(0.05), rough_ground(0.05)
+    tall[39:42, 39:42] += height
+    near, afar = (-np.log([looked_at(z, px, tuft).p_obstacle[MID] for z in (flat, tall)]) for px in (0.02, 0.1))
+    assert near[1] > 1.5 * near[0]
+    assert_allclose(afar[1], afar[0], rtol=0.01)
 
 
 def test_the_same_bumps_cost_more_the_higher_they_are() -> None:
-    rng = np.random.default_rng(3)
-    bumps = cv2.GaussianBlur(rng.normal(0, 1, (81, 81)).astype(np.float32), (0, 0), 3.0)
-    bumps /= np.abs(bumps).max()
-    p = [looked_at(h * bumps, 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11)]
-    assert (np.diff(p) < 0).all()
+    p = [looked_at(rough_ground(h), 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11)]
+    assert (np.diff(p) <= 0).all()
+    assert -np.log(p[-1]) > 1.3 * -np.log(p[0])
