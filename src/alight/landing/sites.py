@@ -39,11 +39,12 @@ class _Choice:
     extra: Sequence[Term]
 
     def score(self, allowed: Mask, clearance: F32) -> F64:
-        """Score of every cell (G11): quality, room around it, nearness; -inf where a touchdown is not allowed."""
+        """Score of every cell (G11): quality, room, doubt, nearness; -inf where a touchdown is not allowed."""
         hazards, settings = self.hazards, self.settings
         allowed = allowed & (clearance >= settings.margin) & np.isfinite(hazards.quality)
         room = np.minimum(clearance / settings.roomy, 1.0)
-        score = hazards.quality.astype(np.float64) + settings.room_weight * room
+        doubt = 1 - np.nan_to_num(hazards.p_safe).astype(np.float64)
+        score = hazards.quality + settings.room_weight * room - settings.doubt_weight * doubt
         if self.observer is not None and settings.distance_weight > 0:
             east, north = hazards.grid.xy()
             vehicle = self.observer.position
@@ -57,7 +58,7 @@ class _Choice:
     def candidate_score(self, clearance: F32) -> F64:
         """Score of every undecided cell (G11a): steps of P(safe) about it, and within a step the score of a site."""
         hazards, step = self.hazards, self.settings.chance_step
-        chance = disc_mean(np.nan_to_num(hazards.p_safe), self.lander.radius, hazards.grid.cell)
+        chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
         score = self.score(hazards.reasons == np.uint8(Hazard.DOUBT), clearance)
         best = float(score.max(initial=-np.inf))
         if not np.isfinite(best):

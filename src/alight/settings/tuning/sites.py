@@ -12,6 +12,7 @@ class SitesTuning(FrozenModel):
 
     roomy: Positive = Field(5.0, description="Clearance beyond which more adds nothing to the score, m")
     room_weight: NonNegative = Field(1.0, description="Weight of the clearance against the quality Q")
+    doubt_weight: NonNegative = Field(20.0, description="Weight of 1 - P(safe) against the quality Q")
     chance_step: Positive = Field(0.02, description="Candidates whose P(safe) is in one step of it are ranked by Q")
     look_base: Fraction = Field(
         0.12, description="Distance of a next view by one camera from the place, over its height"
