@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -387,6 +388,34 @@ def test_what_breaks_a_landing_off(change: Callable[[Situation], Situation], eve
     f.fly(200.0)
     k = f.events.index(event)
     assert f.states[k + 1] is S.ABORT
+
+
+@pytest.mark.parametrize("change", [{"wind": np.array([12.0, 0.0, 0.0])}, {"battery": 0.1}])
+def test_a_limit_that_is_broken_in_a_landing_lets_it_climb_and_return(change: dict[str, Any]) -> None:
+    """Seen in a campaign: wind beyond the limit during an abort kept the vehicle in it until the flight ended."""
+
+    def lasting(now: Situation, executive: Executive) -> Situation:
+        state = MotionState.DEGRADED if executive.state is S.COMMIT else now.state
+        late = executive.state in (S.COMMIT, S.ABORT) or S.ABORT in [x.after for x in executive.diary.transitions]
+        return replace(now, state=state, **change) if late else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), lasting)
+    assert f.fly(200.0) is S.RETURN
+    assert f.states[-4:] == [S.COMMIT, S.ABORT, S.SEARCH, S.RETURN]
+    assert f.position[2] > 2 * 6.0 - 2.0
+
+
+def test_a_vehicle_that_does_not_climb_out_of_a_landing_is_handed_over() -> None:
+    stuck = in_state(S.COMMIT, lambda now: replace(now, picture_age=3.0))
+
+    class Heavy(Flight):
+        def _obey(self, order: Order) -> None:
+            if self.executive.state is not S.ABORT:
+                super()._obey(order)
+
+    f = Heavy(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), stuck)
+    assert f.fly(300.0) is S.HANDED_OVER
+    assert "does not climb" in f.executive.diary.transitions[-1].reason
 
 
 # -- faults on the way

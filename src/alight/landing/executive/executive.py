@@ -130,7 +130,7 @@ class Executive:
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        return self._limits(now)
+        return None if self.state is S.ABORT else self._limits(now)  # first it climbs
 
     def _held_enough(self, now: Situation) -> tuple[FlightEvent, str] | None:
         """A vehicle that keeps its place may wait for its cameras; one that drifts is handed over soon."""
@@ -187,10 +187,12 @@ class Executive:
         return E.FOUND, f"{place.kind}, P(safe) {place.p_safe:.2f}"
 
     def _aborting(self, now: Situation) -> tuple[FlightEvent | None, str]:
+        waited = now.t - self._since
         if now.position is None:
-            return (E.WAITED, "the motion is not known") if now.t - self._since > self._keys.wait else (None, "")
-        up = self._way is None or now.position[2] > self._way[2] - self._keys.arrived
-        return (E.CLEAR, "") if up else (None, "")
+            return (E.WAITED, "the motion is not known") if waited > self._keys.wait else (None, "")
+        if self._way is None or now.position[2] > self._way[2] - self._keys.arrived:
+            return E.CLEAR, ""
+        return (E.WAITED, f"it does not climb: {waited:.0f} s") if waited > self._keys.hold else (None, "")
 
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
@@ -308,6 +310,8 @@ class Executive:
         self._frame, self._lanes, self._ground = now.frame_id, None, None
         self._home = now.position.copy()
         self._places.forget()
+        if self.state is S.ABORT:
+            self._way = now.position + np.array([0.0, 0.0, self._keys.commit_height])
         self._judged = 0 if now.seen is None else now.seen.number
 
     # -- where to fly
