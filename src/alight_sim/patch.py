@@ -86,8 +86,9 @@ def _is_plain(codes: NDArray[np.uint16]) -> Mask:
 def _is_step(height: F32) -> Mask:
     """(R, C) whether the four cells from a cell on differ by `EDGE` or more; not at the rim, where not all 16 are."""
     out = np.zeros(height.shape, bool)
-    four = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
-    out[1:-2, 1:-2] = np.maximum.reduce(four) - np.minimum.reduce(four) >= np.float32(EDGE)
+    a, b, c, d = height[1:-2, 1:-2], height[1:-2, 2:-1], height[2:-1, 1:-2], height[2:-1, 2:-1]
+    top, low = np.maximum(np.maximum(a, b), np.maximum(c, d)), np.minimum(np.minimum(a, b), np.minimum(c, d))
+    out[1:-2, 1:-2] = top - low >= np.float32(EDGE)
     return out
 
 
