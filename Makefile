@@ -46,7 +46,7 @@ bench-ground: $(MADE)  ## P(safe) on other renderers and on test flights, the co
 
 train: $(MADE)  ## fit the land cover and P(safe) anew: src/alight/learned; hours of CPU, maps kept between runs
 	$(BIN)/python -m pip install --quiet --editable '.[train]'
-	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/detection.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py
+	PYTHONPATH=bench $(BIN)/python training/land_cover.py && PYTHONPATH=bench $(BIN)/python training/detection.py && PYTHONPATH=bench $(BIN)/python training/p_safe.py && PYTHONPATH=bench $(BIN)/python training/near.py
 
 bench-motion: $(MADE)  ## ego-motion: consistency, health, photos, speed beside what they must be
 	$(BIN)/python bench/bench_motion.py

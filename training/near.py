@@ -19,7 +19,7 @@ from card import version, write_table
 from ground_flights import cover_of
 from ground_truth import GroundTruth
 from land_cover import family_of
-from looks import TEST, TUNING, Look, kept_looks
+from looks import FAMILIES, TEST, Look, kept_looks
 from p_safe import Part, Rows, fit
 from scipy.special import ndtr
 
@@ -29,6 +29,8 @@ from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
 
+LEFT_OUT = ("marsh", "rubble")  # puddles like lawn make every lawn doubtful; nothing to tell apart (docs/lab/looks.md)
+WORLDS = tuple(f"{family}/looks/tuning-1" for family in FAMILIES if family not in LEFT_OUT)
 SOME = 250  # cells of a look
 LEAST_NEARNESS = 0.5
 EAGER = {"obstacle": 0.5, "ground": 0.5}  # how much more families weigh on which more is lost
@@ -128,7 +130,7 @@ def main() -> None:
     """Fit, say what it is worth, and write the tables with their cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scratch", type=Path, default=Path("out/ground-maps"))
-    parser.add_argument("--worlds", nargs="*", default=TUNING)
+    parser.add_argument("--worlds", nargs="*", default=WORLDS)
     parser.add_argument("--test", nargs="*", default=TEST)
     options = parser.parse_args()
     samples = [s for n in options.worlds if (s := sample_of(n, options.scratch)) is not None]
