@@ -254,7 +254,7 @@ class Executive:
         self._judged = seen.number
         low = self.state is S.COMMIT
         same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
-        least = self._limit if low else self._keys.hopeless
+        least = self._keys.fallen if low else self._keys.hopeless
         said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._places.is_refused(s))
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said

@@ -14,9 +14,9 @@ class ExecutiveTuning(FrozenModel):
     look_base: Positive = Field(0.15, description="Half the length of a look leg beside a place, over the height")
     least_base: Positive = Field(1.5, description="Least half length of a look leg, m")
     lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
-    at_once: Fraction = Field(0.85, description="P(safe) of a candidate for which the search is broken off")
+    at_once: Fraction = Field(0.8, description="P(safe) of a candidate for which the search is broken off")
     tries_at_once: int = Field(
-        1, ge=0, description="Places refused from near by after which the search is broken off for sites only"
+        2, ge=0, description="Places refused from near by after which the search is broken off for sites only"
     )
     clearly: Fraction = Field(
         0.2, description="P(safe) by which another place must be better for one in doubt to be left for it"
