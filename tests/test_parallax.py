@@ -18,7 +18,7 @@ from alight.parallax import Images, RecursiveParallax, find_points, ground_sampl
 from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import triangulate_pair
-from alight.parallax.views import choose_views, may_see
+from alight.parallax.views import choose_views, may_see, prepare_view
 from alight.records import REFUSED, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PointsTuning
@@ -156,6 +156,14 @@ def test_heights_as_high_as_the_cameras_are_not_swept(high: float) -> None:
     found = heights(level_views(), LOW, high)
     assert np.nanmedian(np.abs(found.height[is_trusted(found.flags)])) < 0.5 * PX
     assert match_tile(Images(list(level_views()), CELL, UP), GRID, UP + 1.0, UP + 5.0, ParallaxSettings()) is None
+
+
+@pytest.mark.parametrize("ground", [19.99, 20.0, 25.0])
+def test_a_view_that_stands_no_higher_than_the_ground_can_still_be_made_ready(ground: float) -> None:
+    """Seen in a campaign: a wrong height above a vehicle that had come down halved its picture to nothing."""
+    ready = prepare_view(level_views()[0], CELL, ground)
+    assert min(ready.grey.shape) >= 4
+    assert np.isfinite(ready.norm).all()
 
 
 def test_views_are_chosen_for_their_baseline() -> None:

@@ -22,6 +22,7 @@ AT_ONCE = np.empty(0)
 NORM_CELLS = 5  # window of the local mean and sd: 9 smear walls and a third more of the ground's noise
 GLANCE = 1e-6  # rad: rounding never loses a view
 NORM_FLOOR = 3.0  # grey levels: noise is not stretched to texture
+LEAST_SIDE = 8  # pixels of the shorter side of a picture that is made coarser
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +93,13 @@ def _smoothed(grey: F32, camera: Camera, ratio: float) -> tuple[F32, Camera, flo
 
 
 def prepare_view(view: View, cell: float, height: float) -> Prepared:
-    """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel)."""
-    grey, camera, ratio = _smoothed(grey_of(view.image), view.camera, cell / ground_sampling(view, height))
+    """Smooth a view to the cell size and normalise it by its local mean and sd (gain changes cancel).
+
+    A camera that stands as high as the ground does, by a wrong height, keeps `LEAST_SIDE` pixels.
+    """
+    image = grey_of(view.image)
+    most = max(min(image.shape) / LEAST_SIDE, 1.0)
+    grey, camera, ratio = _smoothed(image, view.camera, min(cell / ground_sampling(view, height), most))
     H, b = ground_projection(camera, view.world_from_cam)
     norm = _normalised(grey, ratio)
     return Prepared(grey, norm, camera, H, b, np.array(view.centre), radius2_limit(camera), ratio, rolling_of(view))
