@@ -19,6 +19,7 @@ from alight.settings import FilterSettings
 GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is taken up by the accelerometer bias
 IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
+_HELD_NS = 200_000_000  # for which the last angular velocity is held; a vehicle turns no longer than that by itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +54,16 @@ def right_jacobian(phi: F64) -> F64:
 
 
 def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
-    """Cut [start, end] at the samples; each segment has the mean of its ends, beyond the last sample that one holds."""
+    """Cut [start, end] at the samples; each segment has the mean of its ends, beyond the last sample that one holds.
+
+    Its angular velocity holds for 0.2 s: held for 1.7 s, in gusts, it turned the state by 40 degrees.
+    """
     n = len(imu) + 1
     dt, rates = np.empty(n), np.empty((n, 6))
     count = cut_segments(imu.times, imu.rates, start_ns, end_ns, dt, rates) if n > 1 and end_ns > start_ns else 0
+    if count and end_ns > imu.last_ns + _HELD_NS:
+        beyond_ns = max(start_ns, imu.last_ns)
+        rates[count - 1, :3] *= max(imu.last_ns + _HELD_NS - beyond_ns, 0) / (end_ns - beyond_ns)
     return Segments(dt[:count], rates[:count])
 
 
