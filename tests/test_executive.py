@@ -361,6 +361,21 @@ def test_verdicts_a_little_below_the_limit_do_not_break_a_landing_off(every: int
     assert S.ABORT not in f.states
 
 
+def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
+    """Seen in a campaign: it touched down with 0.59 m/s sideways, where 0.5 is allowed."""
+    there = {(10.0, 5.0): clearer_from_below}
+
+    def shift(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and (10.0, 5.0) in there:
+            there.clear()
+            there[10.0, 5.4] = lambda h: 0.99
+        return now
+
+    f = Flight(Ground(there), Executive(settings()), shift)
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], [10.0, 5.0], atol=0.1)
+
+
 def test_too_low_to_go_up_it_lands() -> None:
     ground = Ground({(10.0, 5.0): lambda h: 0.97 if h > 1.4 else 0.0})
     f = Flight(ground, Executive(settings()))

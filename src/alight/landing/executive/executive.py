@@ -8,6 +8,7 @@ looked at again from half the height, until the lowest look confirms it. Only th
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -203,7 +204,8 @@ class Executive:
             if self._refusals >= self._keys.sure:
                 return E.REFUSED, said.why
         elif said is not None and said.standing is not Standing.NOT_SEEN:
-            self.target = said.place
+            landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
+            self.target = replace(self.target, p_safe=said.p_safe) if landing else said.place
         if self.state is S.COMMIT:
             return None, ""
         if self.state is S.LOOK:
