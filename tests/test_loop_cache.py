@@ -36,7 +36,9 @@ def run(loop: Path, user: int | None = None, **environment: str) -> tuple[str, s
     """Compile or load the loop in a process; where its cache was and whether it was loaded, and stderr."""
     env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
     env |= {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(loop.parent / "cache")} | environment
-    done = subprocess.run([sys.executable, loop], env=env, capture_output=True, text=True, user=user, timeout=120)
+    done = subprocess.run(
+        [sys.executable, loop], env=env, cwd=loop.parent, capture_output=True, text=True, user=user, timeout=120
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip(), done.stderr
 
