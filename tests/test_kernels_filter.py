@@ -238,6 +238,21 @@ def test_the_last_angular_velocity_is_held_for_a_moment_only() -> None:
     np.testing.assert_allclose(force.dt @ force.rates[:, 5], 19.6)
 
 
+def test_a_gap_is_as_uncertain_however_it_is_cut() -> None:
+    """Rotation over 1 s beyond the last sample, in one piece, in tenths, and in pieces below a gap's length."""
+    noise = FilterSettings()
+    imu = ImuBuffer([ImuSample(0, np.zeros(3), np.array([0.0, 0.0, 9.8]))])
+
+    def variance(count: int) -> float:
+        ends = np.linspace(0, 10**9, count + 1).round().astype(int)
+        pieces = (preintegrate(segments(imu, a, b), np.zeros(3), np.zeros(3), noise) for a, b in itertools.pairwise(ends))
+        return float(sum(m.covariance[0, 0] for m in pieces))
+
+    assert variance(1) == pytest.approx(0.125, rel=1e-4)
+    assert variance(10) == pytest.approx(0.125, rel=0.15)
+    assert variance(40) == pytest.approx(variance(10), rel=0.1)
+
+
 def test_the_buffer_keeps_what_is_new() -> None:
     """More samples than there was room for at first, the old ones forgotten on the way."""
     buffer = ImuBuffer()
@@ -257,7 +272,7 @@ def test_preintegration_is_that_of_numpy() -> None:
     pieces = segments(ImuBuffer(some), 1_000_000, 104_000_000)
     m = preintegrate(pieces, bias[:3], bias[3:], noise)
     R, v, p, J, C = np.eye(3), np.zeros(3), np.zeros(3), np.zeros((9, 6)), np.zeros((9, 9))
-    for t, rates in zip(pieces.dt, pieces.rates, strict=True):
+    for t, since, rates in zip(pieces.dt, pieces.interval, pieces.rates, strict=True):
         w, a = rates[:3] - bias[:3], rates[3:] - bias[3:]
         half = so3_exp(w * t / 2)
         middle = R @ half
@@ -266,8 +281,9 @@ def test_preintegration_is_that_of_numpy() -> None:
         A[3:6, :3], A[6:, :3], A[6:, 3:6] = force @ half.T, force @ half.T * t / 2, np.eye(3) * t
         B[:3, :3] = (np.eye(3) - W / 2 + W @ W / 6) * t
         B[3:6, :3], B[6:, :3], B[3:6, 3:], B[6:, 3:] = force * t / 2, force * t * t / 4, middle * t, middle * t * t / 2
-        gap = t > 0.05
-        gyro = noise.gyro_noise**2 / t + gap * noise.angular_acceleration_sigma**2 * t
+        gap = since > 0.05
+        wandered = noise.angular_acceleration_sigma**2 * (since**3 - (since - t) ** 3) / (3.0 * t**2)
+        gyro = noise.gyro_noise**2 / t + gap * min(wandered, 2.0 * 0.5**2 * 0.25 / t)
         accelerometer = noise.accelerometer_noise**2 / t + gap * noise.acceleration_sigma**2 / t
         J, C = A @ J - B, A @ C @ A.T + B @ np.diag(np.repeat([gyro, accelerometer], 3)) @ B.T
         dv = middle @ a * t

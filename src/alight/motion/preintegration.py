@@ -20,6 +20,7 @@ GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is tak
 IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
 _HELD_NS = 200_000_000  # for which the last angular velocity is held; a vehicle turns no longer than that by itself
+_RATE_SIGMA, _RATE_TAU = 0.5, 0.25  # rad/s, s: angular velocity that nothing measures, and for how long it lasts
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +29,7 @@ class Segments:
 
     dt: F64  # (N,) s
     rates: F64  # (N, 6) rad/s, m/s^2
+    interval: F64  # (N,) s between the samples about it; of one beyond the last sample, from that to its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,17 +63,28 @@ def segments(imu: ImuBuffer, start_ns: int, end_ns: int) -> Segments:
     n = len(imu) + 1
     dt, rates = np.empty(n), np.empty((n, 6))
     count = cut_segments(imu.times, imu.rates, start_ns, end_ns, dt, rates) if n > 1 and end_ns > start_ns else 0
-    if count and end_ns > imu.last_ns + _HELD_NS:
+    dt, rates = dt[:count], rates[:count]
+    interval = dt.copy()
+    if count:
+        interval[0], interval[-1] = _interval_at(imu, start_ns), _interval_at(imu, end_ns - 1)
+    if count and end_ns > imu.last_ns:
+        interval[-1] = (end_ns - imu.last_ns) * 1e-9
         beyond_ns = max(start_ns, imu.last_ns)
-        rates[count - 1, :3] *= max(imu.last_ns + _HELD_NS - beyond_ns, 0) / (end_ns - beyond_ns)
-    return Segments(dt[:count], rates[:count])
+        rates[-1, :3] *= min(max(imu.last_ns + _HELD_NS - beyond_ns, 0) / (end_ns - beyond_ns), 1.0)
+    return Segments(dt, rates, interval)
+
+
+def _interval_at(imu: ImuBuffer, t_ns: int) -> float:
+    """Return the time [s] between the samples before and after an instant; 0 outside all samples."""
+    after = int(np.searchsorted(imu.times, t_ns, side="right"))
+    return float(imu.times[after] - imu.times[after - 1]) * 1e-9 if 0 < after < len(imu) else 0.0
 
 
 def preintegrate(parts: Segments, gyro_bias: F64, accelerometer_bias: F64, noise: FilterSettings) -> Preintegral:
     """Integrate segments by the midpoint rule (M4), with bias Jacobian (M5) and covariance (M6)."""
     R, v, p, J, C = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty((9, 6)), np.empty((9, 9))
     bias = np.concatenate([gyro_bias, accelerometer_bias])
-    dt = preintegrate_segments(parts.dt, parts.rates, bias, _variance(parts.dt, noise), R, v, p, J, C)
+    dt = preintegrate_segments(parts.dt, parts.rates, bias, _variance(parts, noise), R, v, p, J, C)
     return Preintegral(dt, R, v, p, J, C, bias[:3], bias[3:])
 
 
@@ -88,10 +101,16 @@ def corrected(m: Preintegral, gyro_bias: F64, accelerometer_bias: F64) -> Preint
     )
 
 
-def _variance(dt: F64, noise: FilterSettings) -> F64:
-    """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2]."""
+def _variance(parts: Segments, noise: FilterSettings) -> F64:
+    """(N, 2) variance of the mean rates over each piece: density**2 / dt [(rad/s)^2, (m/s^2)^2].
+
+    In a gap the angular velocity wanders as in the constant-velocity model from the last sample on, until it is as
+    unknown as it ever is: the rotation since then has that model's variance however the gap is cut (M6b).
+    """
+    dt, since = parts.dt, parts.interval
     out = np.empty((len(dt), 2))
-    gap = dt > _MAX_SAMPLE_INTERVAL  # not measured: as uncertain as the constant-velocity model
-    out[:, 0] = noise.gyro_noise**2 / dt + gap * (noise.angular_acceleration_sigma**2 * dt)
+    gap = since > _MAX_SAMPLE_INTERVAL
+    wandered = noise.angular_acceleration_sigma**2 * (since**3 - np.maximum(since - dt, 0.0) ** 3) / (3.0 * dt**2)
+    out[:, 0] = noise.gyro_noise**2 / dt + gap * np.minimum(wandered, 2.0 * _RATE_SIGMA**2 * _RATE_TAU / dt)
     out[:, 1] = noise.accelerometer_noise**2 / dt + gap * (noise.acceleration_sigma**2 / dt)
     return out
