@@ -245,7 +245,9 @@ def test_a_gap_is_as_uncertain_however_it_is_cut() -> None:
 
     def variance(count: int) -> float:
         ends = np.linspace(0, 10**9, count + 1).round().astype(int)
-        pieces = (preintegrate(segments(imu, a, b), np.zeros(3), np.zeros(3), noise) for a, b in itertools.pairwise(ends))
+        pieces = (
+            preintegrate(segments(imu, a, b), np.zeros(3), np.zeros(3), noise) for a, b in itertools.pairwise(ends)
+        )
         return float(sum(m.covariance[0, 0] for m in pieces))
 
     assert variance(1) == pytest.approx(0.125, rel=1e-4)

@@ -56,9 +56,7 @@ class GroundTerm(StrEnum):
 class NearTerm(StrEnum):
     """Evidence of looks from near by, besides that of relief, density and ground (G7f)."""
 
-    RISE = (
-        "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts that nothing else shows
-    )
+    RISE = "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts
     RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured
 
 

@@ -35,9 +35,7 @@ class ExecutiveTuning(FrozenModel):
     nearest: Positive = Field(
         4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
     )
-    sure: int = Field(
-        2, ge=1, description="Verdicts in a row that refuse a place before it is dropped, or a landing is broken off"
-    )
+    sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before a look or a descent ends")
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
     visits: int = Field(
         8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"
