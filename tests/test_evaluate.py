@@ -77,8 +77,8 @@ def a_run() -> RunResult:
     views, rgb = np.full(grid.shape, 9, np.uint8), np.zeros((*grid.shape, 3), np.uint8)
     elevation = ElevationMap(grid, height, full, flags, views, rgb, full, full)
     p_safe = np.where(label == Terrain.STRUCTURE, 0.0, 1.0).astype(np.float32)
-    reasons = np.where(label == Terrain.WATER, np.uint8(Hazard.TERRAIN), np.uint8(0))
-    reasons[:, :150] |= np.uint8(Hazard.DOUBT)
+    reasons = np.where(label == Terrain.WATER, np.uint16(Hazard.TERRAIN), np.uint16(0))
+    reasons[:, :150] |= np.uint16(Hazard.DOUBT)
     hazards = HazardMap(grid, *[full] * 4, p_safe, *[full] * 6, reasons)
     turn = so3_exp([0.002, 0.0, 0.0])
     poses = [Pose(turn, np.array([k, 0.0, 30.0]) + OFFSET) for k in range(6)]
@@ -195,8 +195,8 @@ def test_candidates_and_what_is_not_refused(found: Evaluation, truth: Path, tmp_
     assert number(found, name) == 100.0
     result = a_run()
     assert result.hazards is not None
-    refused = np.where(result.hazards.reasons & Hazard.DOUBT, np.uint8(Hazard.SLOPE), result.hazards.reasons)
-    doubtful = replace(result.hazards, reasons=refused.astype(np.uint8))
+    refused = np.where(result.hazards.reasons & Hazard.DOUBT, np.uint16(Hazard.SLOPE), result.hazards.reasons)
+    doubtful = replace(result.hazards, reasons=refused.astype(np.uint16))
     alone = Sites((), "none", candidates=result.sites.candidates)
     write_run(replace(result, hazards=doubtful, sites=alone), tmp_path)
     other = evaluate(tmp_path, truth)

@@ -62,7 +62,7 @@ class Ground:
     def seen(self, number: int, t: float, at: np.ndarray) -> Seen:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
         p_map = np.full(grid.shape, np.nan, np.float32)
-        reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint8)
+        reasons = np.full(grid.shape, int(Hazard.UNKNOWN), np.uint16)
         listed = []
         for (e, n), p_of in self.places.items():
             if np.hypot(e - at[0], n - at[1]) > self.sees:

@@ -275,7 +275,7 @@ def test_large_pictures_shrink_without_bleeding_the_unseen() -> None:
 
 def test_the_first_reason_wins_and_shares_add_up() -> None:
     order = [int(h) for h in paint.HAZARD_COLOURS]
-    bits = np.array([[0, Hazard.UNKNOWN, Hazard.UNKNOWN | Hazard.TERRAIN, Hazard.EDGE | Hazard.SLOPE]], np.uint8)
+    bits = np.array([[0, Hazard.UNKNOWN, Hazard.UNKNOWN | Hazard.TERRAIN, Hazard.EDGE | Hazard.SLOPE]], np.uint16)
     index = paint.first_reason(bits, order)
     names = list(paint.HAZARD_COLOURS)
     assert index[0, 0] == -1

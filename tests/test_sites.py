@@ -119,7 +119,7 @@ def test_ground_that_may_not_be_landed_on_is_named() -> None:
 def doubtful(e: ElevationMap, p: np.ndarray, reasons: np.ndarray | None = None) -> HazardMap:
     """A verdict with these probabilities of obstacles, undecided everywhere or for these reasons."""
     h = assess(e, None, LANDER, EXACT)
-    why = np.full(e.grid.shape, Hazard.DOUBT, np.uint8) if reasons is None else reasons
+    why = np.full(e.grid.shape, Hazard.DOUBT, np.uint16) if reasons is None else reasons
     one, p = np.ones(e.grid.shape, np.float32), p.astype(np.float32)
     return replace(
         h,

@@ -61,10 +61,10 @@ def terrain() -> TerrainMap:
 
 def hazards() -> HazardMap:
     """Box, pond and unseen corner are refused, the rest is safe."""
-    reasons = np.zeros(GRID.shape, np.uint8)
-    reasons[80:110, 100:150] |= np.uint8(Hazard.TERRAIN | Hazard.UNKNOWN)
-    reasons[18:42, 28:62] |= np.uint8(Hazard.STEP)
-    reasons[:16, :16] |= np.uint8(Hazard.UNKNOWN)
+    reasons = np.zeros(GRID.shape, np.uint16)
+    reasons[80:110, 100:150] |= np.uint16(Hazard.TERRAIN | Hazard.UNKNOWN)
+    reasons[18:42, 28:62] |= np.uint16(Hazard.STEP)
+    reasons[:16, :16] |= np.uint16(Hazard.UNKNOWN)
     bad = reasons != 0
     p_safe = np.where(bad, 0.0, 0.998).astype(np.float32)
     p_safe[:10, :10] = np.nan

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from alight.arrays import F32, U8, Mask
+from alight.arrays import F32, U16, Mask
 from alight.hazards.contact import (
     Footprint,
     footprint_of,
@@ -117,7 +117,7 @@ def common_tilt(elevation: ElevationMap, settings: HazardsSettings) -> float:
     return float(np.hypot(poses, settings.tilt_sigma))
 
 
-def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings) -> U8:
+def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings) -> U16:
     """Every limit that a touchdown would break, as bits of `Hazard`.
 
     The largest of hundreds of noisy heights is mostly noise: where heights are noisy (`smoothed`), a small excess over
@@ -139,9 +139,9 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
         Hazard.CLEARANCE: f.blocked,
         Hazard.TERRAIN: f.vetoed,
     }
-    out = np.zeros(f.edge.shape, dtype=np.uint8)
+    out = np.zeros(f.edge.shape, dtype=np.uint16)
     for bit, where in broken.items():
-        out |= np.where(where, np.uint8(bit), np.uint8(0))
+        out |= np.where(where, np.uint16(bit), np.uint16(0))
     return out
 
 
@@ -160,7 +160,7 @@ def _quality(
 
 def _measure(
     elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
-) -> tuple[_Findings, F32, U8]:
+) -> tuple[_Findings, F32, U16]:
     """Every footprint's geometry, root mean square sigma (metres), and the limits that it breaks."""
     cell = elevation.grid.cell
     height = usable_height(elevation, lander, settings)
@@ -174,7 +174,7 @@ def _measure(
 
 def evidence(
     elevation: ElevationMap, terrain: TerrainMap | None, lander: Lander, settings: HazardsSettings
-) -> tuple[Evidence, U8]:
+) -> tuple[Evidence, U16]:
     """What P(safe) rests on, and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
     tilt, _ = margins_over_sigma(found.margins(sigma, elevation, settings), lander, settings, elevation.grid.cell)
@@ -187,6 +187,7 @@ def assess(
     lander: Lander,
     settings: HazardsSettings,
     missing: MissingVeto = NOTHING_MISSING,
+    passed: Mask | None = None,
 ) -> HazardMap:
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
@@ -198,6 +199,7 @@ def assess(
         lander: its shape and its limits.
         settings: how strict.
         missing: what could have refused ground, and was not there.
+        passed: (R, C), where something moved across a moment ago; None: nothing did.
 
     Raises:
         ValueError: the two maps do not share a grid.
@@ -205,6 +207,9 @@ def assess(
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
+    if passed is not None and passed.any():
+        beside = disc_any(passed, lander.radius + settings.traffic_margin, elevation.grid.cell)
+        reasons |= np.where(beside, np.uint16(Hazard.TRAFFIC), np.uint16(0))
     quality = _quality(found, terrain, sigma, lander, settings, elevation.grid.cell)
     f = factors_of(
         elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing
@@ -215,7 +220,7 @@ def assess(
         factor[~judged] = np.nan
     p = f.relief * f.obstacle * f.ground
     p[judged & (reasons != 0)] = 0
-    reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint8(Hazard.DOUBT), np.uint8(0))
+    reasons |= np.where(judged & (reasons == 0) & ~(p >= settings.p_safe), np.uint16(Hazard.DOUBT), np.uint16(0))
     return HazardMap(
         grid=elevation.grid,
         slope=slope,

@@ -59,7 +59,7 @@ class _Choice:
         """Score of every undecided cell (G11a): steps of P(safe) about it, and within a step the score of a site."""
         hazards, step = self.hazards, self.settings.chance_step
         chance = disc_mean(np.nan_to_num(hazards.p_safe), self.settings.margin, hazards.grid.cell)
-        score = self.score(hazards.reasons == np.uint8(Hazard.DOUBT), clearance)
+        score = self.score(hazards.reasons == np.uint16(Hazard.DOUBT), clearance)
         best = float(score.max(initial=-np.inf))
         if not np.isfinite(best):
             return score
@@ -181,7 +181,7 @@ def choose_sites(
     apart, grid = separation(settings, lander), hazards.grid
     safe = _peaks(c.score(hazards.reasons == 0, hazards.clearance), grid, settings.count, apart)
     # the room of a candidate: to what is refused, not to what is undecided as well
-    room = clearance_of((hazards.reasons & ~np.uint8(Hazard.DOUBT)) == 0, grid.cell)
+    room = clearance_of((hazards.reasons & ~np.uint16(Hazard.DOUBT)) == 0, grid.cell)
     undecided = _peaks(c.candidate_score(room), grid, settings.count - len(safe), apart, safe)
     sites = tuple(_site(c, i + 1, at, hazards.clearance) for i, at in enumerate(safe))
     candidates = tuple(_candidate(c, len(safe) + i + 1, at, room) for i, at in enumerate(undecided))

@@ -117,7 +117,7 @@ def safe_raster(hazards: HazardMap) -> RasterFile:
 def reasons_raster(hazards: HazardMap) -> RasterFile:
     """The bits that say why a touchdown is refused or doubtful."""
     tags = {f"bit_{h.value.bit_length() - 1}": f"{(h.name or '').lower()}: {why}" for h, why in HAZARDS.items()}
-    return RasterFile(hazards.reasons[None].astype(np.uint16), ("reasons",), tags=tags, resampling="NEAREST")
+    return RasterFile(hazards.reasons[None], ("reasons",), tags=tags, resampling="NEAREST")
 
 
 def ortho_raster(elevation: ElevationMap) -> RasterFile:

@@ -56,7 +56,7 @@ def _summary(result: RunResult, crs: CRS | None, missing: Mapping[str, str]) -> 
     hazards = result.hazards_as_mapped
     assert hazards is not None
     judged = np.isfinite(hazards.p_safe)
-    shares = {(r.name or "").lower(): round(float(((hazards.reasons & np.uint8(r)) != 0).mean()), 6) for r in Hazard}
+    shares = {(r.name or "").lower(): round(float(((hazards.reasons & np.uint16(r)) != 0).mean()), 6) for r in Hazard}
     return {
         "alight": __version__,
         "input": {"name": result.source_name, "kind": result.source_kind},

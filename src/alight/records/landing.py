@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, F64
+from alight.arrays import F32, F64, U16
 from alight.geometry import Grid
 from alight.records.surface import Terrain
 
@@ -28,6 +28,7 @@ class Hazard(IntFlag):
     TERRAIN = 32  # water, plants, structure
     EDGE = 64  # the footprint leaves the map
     DOUBT = 128  # every limit is met, but not surely enough (p_safe below the least wanted)
+    TRAFFIC = 256  # something moved across it or beside it a moment ago
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class HazardMap:
     resolved: F32  # (R, C) metres, height of the smallest obstacle that would have been found with 95 %
     settles_at: F32  # (R, C) metres, size of the pixel on the ground by which the doubt would be settled; NaN: never
     quality: F32  # (R, C) Q of the paper, eq. 5: 0 is best, more negative is worse
-    reasons: NDArray[np.uint8]  # (R, C) bits of Hazard; 0 = safe
+    reasons: U16  # (R, C) bits of Hazard; 0 = safe
 
     def on(self, grid: Grid) -> HazardMap:
         """The same findings on another grid, each cell with the value of the nearest one; unknown outside.

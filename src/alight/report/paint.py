@@ -27,6 +27,7 @@ HAZARD_COLOURS: Mapping[Hazard, str] = {  # in order of telling: the first that 
     Hazard.SLOPE: "#ed8b2f",
     Hazard.ROUGHNESS: "#c77bb0",
     Hazard.CLEARANCE: "#f0dc4e",
+    Hazard.TRAFFIC: "#6d4fa3",
     Hazard.DOUBT: "#8fd0c0",
     Hazard.UNKNOWN: "#9aa3ad",
     Hazard.EDGE: "#545b63",

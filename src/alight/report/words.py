@@ -28,6 +28,7 @@ HAZARDS: Mapping[Hazard, str] = {
     Hazard.CLEARANCE: "no room for rotor or belly",
     Hazard.TERRAIN: "wrong kind of ground",
     Hazard.EDGE: "edge of the map",
+    Hazard.TRAFFIC: "something moved there",
     Hazard.DOUBT: "fits, but not surely enough",
 }
 DOUBTS: Mapping[Doubt, str] = {"relief": "relief", "obstacle": "unseen obstacles", "ground": "kind of ground"}
@@ -36,7 +37,7 @@ FLAGS: Mapping[Flag, str] = {
     Flag.TEXTURE: "too little texture",
     Flag.AMBIGUOUS: "a second height fits as well",
     Flag.SATURATED: "too bright or too dark",
-    Flag.MOVING: "moving: water, plants",
+    Flag.MOVING: "moving: water, plants, traffic",
     Flag.STEP: "beside a step (kept, doubtful)",
     Flag.INCONSISTENT: "views contradict each other",
     Flag.RANGE: "outside the searched heights",

@@ -27,6 +27,7 @@ _DESCRIPTOR = 128  # numbers in a SIFT descriptor
 _RATIO = 0.8  # best over second-best descriptor distance
 _TWO_VIEW_PX = 4.0  # px, inlier threshold: the nominal distortion is wrong by as much in the corners
 _BLOCK = 1024  # rows matched at once: bounds the table of descriptor products
+_ENOUGH = 1500  # features of a photo from which its doubled picture is not looked at
 _CONTRAST = 0.02  # of a feature, grey levels over 255: as many as pycolmap finds
 _AROUND = 9  # px of the picture that features were found in, a side: what a feature's colour is the mean of
 
@@ -125,14 +126,15 @@ def _shrunk(picture: U8, factor: float) -> U8:
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     """Find the SIFT features of one photo, the largest scales first: they match twice as often as the strongest.
 
-    Where the picture has too few, a small one or a dull one, those of the doubled picture are taken as well.
+    Where the picture has too few, a small one or a dull one, those of the doubled picture are taken as well: they cost
+    four times as much a picture.
     """
     picture = np.asarray(image)
     factor = min(1.0, settings.image_px / max(picture.shape[:2]))
     read = _shrunk(picture, factor)
     grey = cv2.cvtColor(read, cv2.COLOR_RGB2GRAY) if read.ndim == 3 else read
     place, table = described(grey, detect(grey, _CONTRAST), settings.features)
-    if len(place) < settings.features:
+    if len(place) < min(_ENOUGH, settings.features):
         twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
         found = detect(twice, _CONTRAST, 2 * BLURRED, octaves=1)
         finer, its_table = described(twice, found, settings.features - len(place))

@@ -39,6 +39,13 @@ class HazardsTuning(FrozenModel):
     smoothed: bool = Field(
         True, description="The heights come from matched images, which flatten small obstacles: P is lowered for it"
     )
+    traffic_memory: NonNegative = Field(
+        120.0, description="Time for which hard ground is refused after something moved across it, s; 0: it is not"
+    )
+    traffic_margin: NonNegative = Field(1.0, description="Distance from the footprint to such ground that is wanted, m")
+    traffic_height: Positive = Field(
+        5.0, description="Height above the ground from which what moves is noted: below it pictures show too little, m"
+    )
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
     unseen_bare: NonNegative = Field(
         0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
