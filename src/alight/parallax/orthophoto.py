@@ -8,29 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from alight.arrays import F32, F64, U8, Mask
 from alight.geometry import Grid, box_of, ground_projection
-from alight.parallax.orthophoto_kernels import add_exposures, add_view, sees
+from alight.parallax import orthophoto_kernels as kernels
 from alight.parallax.views import (
     border_rays,
     ground_sampling,
     may_see,
-    project_cells,
     radius2_limit,
-    rgb_of,
     rolling_of,
-    toned,
+    tone_of,
 )
 from alight.raster import nearest_known, upsample
 from alight.records import ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
-PART = 256  # pixels a side that are looked at together
 MOST = 4  # fine pixels a cell, each way
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
 AROUND = 0.05  # of the side of the ground that a picture shows: rows that were exposed at other times, and the lens
@@ -67,35 +63,32 @@ def _window(rays: F64, centre: F64, grid: Grid, low: float, high: float) -> tupl
     return slice(top, bottom), slice(left, right)
 
 
-def _parts(box: tuple[slice, slice]) -> Iterator[tuple[slice, slice]]:
-    """A window in parts of `PART` pixels a side: where one wants no further view, no further one is laid on it."""
-    for r in range(box[0].start, box[0].stop, PART):
-        for c in range(box[1].start, box[1].stop, PART):
-            yield slice(r, min(r + PART, box[0].stop)), slice(c, min(c + PART, box[1].stop))
+class _Sums:
+    """What the views of a block show so far, and whether they are enough."""
 
+    def __init__(self, grid: Grid, wants: Mask) -> None:
+        self.total, self.number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
+        self.finest, self.wants = np.full(grid.shape, np.inf, np.float32), wants
+        self.seen, self.use = np.empty((*grid.shape, 3), np.uint8), np.empty(grid.shape, np.bool_)
+        self.pixel = np.empty(grid.shape, np.float32)
 
-class _Look(NamedTuple):
-    """What a view shows of a window."""
-
-    at: tuple[slice, slice]
-    seen: U8  # (R, C, 3)
-    use: Mask  # (R, C), where it counts
-    pixel: F32  # (R, C), metres of ground that a pixel of the view covers
-
-
-def _look(
-    view: View, grid: Grid, height: F32, at: tuple[slice, slice], level: float, wants: Mask, finest: F32
-) -> _Look:
-    camera, part = view.camera, grid.window(at[0].start, at[1].start, *wants[at].shape)
-    mapx, mapy = np.empty((2, *part.shape), np.float32)
-    H, b = ground_projection(camera, view.world_from_cam)
-    heights = np.ascontiguousarray(height[at])
-    project_cells(camera, radius2_limit(camera), H, b, *part.xy(), heights, (mapx, mapy), rolling_of(view))
-    use, pixel = sees(mapx, wants[at], finest[at], np.float32(COARSER), *part.xy(), view.centre, level, camera.fu)
-    if not use.any():
-        return _Look(at, np.zeros((0, 0, 3), np.uint8), use, pixel)
-    seen = np.asarray(cv2.remap(rgb_of(view.image), mapx, mapy, cv2.INTER_LINEAR))
-    return _Look(at, toned(seen, view), use, pixel)
+    def add(self, view: View, grid: Grid, height: F32, at: tuple[slice, slice], level: float, count: int) -> None:
+        """Add one view where a window wants it, brought to the exposure of those before."""
+        camera, part = view.camera, grid.window(at[0].start, at[1].start, *self.wants[at].shape)
+        picture, exposures = np.asarray(view.image), np.empty((part.rows, kernels.EXPOSURES))
+        seen, use, pixel = self.seen[at], self.use[at], self.pixel[at]
+        kernels.look(
+            np.ascontiguousarray(picture if picture.ndim == 3 else picture[..., None]), tone_of(view),
+            *ground_projection(camera, view.world_from_cam), np.array([camera.fu, camera.fv, camera.cu, camera.cv]),
+            camera.coefficients, camera.code, radius2_limit(camera), rolling_of(view), view.centre, *part.xy(),
+            np.ascontiguousarray(height[at]), level, COARSER, self.wants[at], self.finest[at], self.total[at],
+            self.number[at], seen, use, pixel, exposures,
+        )  # fmt: skip
+        both, before, now = np.split(exposures.sum(axis=0), (1, 4))
+        gain = before / np.maximum(now, both) if both[0] > SAME * self.wants.size else np.ones(3)
+        kernels.add_view(
+            seen, use, pixel, gain, count, self.total[at], self.number[at], self.finest[at], self.wants[at]
+        )
 
 
 def _block(
@@ -110,20 +103,14 @@ def _block(
     level, low, high = float(np.median(height)), float(height.min()), float(height.max())
     middle = np.array([xs.mean(), ys.mean(), level])
     away = [np.linalg.norm(v.centre - middle) / v.camera.fu for v in views]
-    total, number = np.zeros((*grid.shape, 3), np.float32), np.zeros(grid.shape, np.float32)
-    finest = np.full(grid.shape, np.inf, np.float32)
+    sums = _Sums(grid, wants)
     for i in np.argsort(away, kind="stable"):
-        view = views[i]
-        boxes = [_within(b, box_of(wants[b])) for b in _parts(_window(rays[i], view.centre, grid, low, high))]
-        looks = [_look(view, grid, height, at, level, wants, finest) for at in boxes if wants[at].any()]
-        looks = [look for look in looks if look.use.any()]
-        both, before, now = 0, np.zeros(3), np.zeros(3)
-        for look in looks:
-            both += add_exposures(look.seen, look.use, total[look.at], number[look.at], before, now)
-        gain = before / np.maximum(now, both) if both > SAME * wants.size else np.ones(3)
-        for at, seen, use, pixel in looks:
-            add_view(seen, use, pixel, gain, count, total[at], number[at], finest[at], wants[at])
-    return np.asarray(total / np.maximum(number, 1)[..., None], np.float32), number, finest
+        box = _window(rays[i], views[i].centre, grid, low, high)
+        at = _within(box, box_of(wants[box]))
+        if wants[at].size:
+            sums.add(views[i], grid, height, at, level, count)
+    mean = sums.total / np.maximum(sums.number, 1)[..., None]
+    return np.asarray(mean, np.float32), sums.number, sums.finest
 
 
 def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:

@@ -3,59 +3,145 @@
 import numpy as np
 
 from alight.arrays import F32, F64, U8, Mask
-from alight.compiled import kernel
+from alight.compiled import inline, kernel, parallel_kernel, prange
+from alight.parallax.projection_kernels import project_row
+
+EXPOSURES = 7  # of a row: how many pixels both show, colours in earlier views, colours in this one
+
+
+@inline
+def _between(a: np.uint8, b: np.uint8, c: np.uint8, d: np.uint8, fx: np.float32, fy: np.float32) -> int:
+    """Bilinear grey level of four pixels, rounded."""
+    above, below = a + fx * (np.float32(b) - a), c + fx * (np.float32(d) - c)
+    return int(above + fy * (below - above) + np.float32(0.5))
 
 
 @kernel
-def sees(
-    mapx: F32, wants: Mask, finest: F32, coarser: np.float32, xs: F64, ys: F64, centre: F64, level: float, focal: float
-) -> tuple[Mask, F32]:
-    """Where a view adds to the mean, and the metres of ground that its pixels cover, both (R, C).
+def _sample(image: U8, tone: U8, u: np.float32, v: np.float32, out: U8) -> None:
+    """Fill the colours (3,) of a picture (H, W, 1 or 3) at a place in it, by the table `tone` (256, 3)."""
+    x, y = int(u), int(v)
+    right, down = min(x + 1, image.shape[1] - 1), min(y + 1, image.shape[0] - 1)
+    fx, fy, last = u - np.float32(x), v - np.float32(y), image.shape[2] - 1
+    for k in range(3):
+        c = min(k, last)
+        out[k] = tone[_between(image[y, x, c], image[y, right, c], image[down, x, c], image[down, right, c], fx, fy), k]
+
+
+@kernel
+def _wanted(wants: Mask) -> tuple[int, int]:
+    """The first place of a row that wants a view, and the one behind the last."""
+    first, end = 0, wants.size
+    while first < end and not wants[first]:
+        first += 1
+    while end > first and not wants[end - 1]:
+        end -= 1
+    return first, end
+
+
+@parallel_kernel
+def look(
+    image: U8,
+    tone: U8,
+    H: F64,
+    b: F64,
+    intrinsics: F64,
+    distortion: F64,
+    model: int,
+    r2_max: float,
+    rolling: F64,
+    centre: F64,
+    xs: F64,
+    ys: F64,
+    height: F32,
+    level: float,
+    coarser: float,
+    wants: Mask,
+    finest: F32,
+    total: F32,
+    number: F32,
+    seen: U8,
+    use: Mask,
+    pixel: F32,
+    exposures: F64,
+) -> None:
+    """What a view shows of a window, where that counts, and the exposures of what it shares with earlier views.
 
     Views come from the finest on: `wants` becomes false, in place, where one is too coarse, for so are those after it.
+    Only the rows' stretches that want a view are looked at.
 
     Args:
-        mapx: (R, C), column in the view; below 0: out of its sight.
+        image: (H, W, 1 or 3).
+        tone: (256, 3), the colours that its levels stand for.
+        H, b, intrinsics, distortion, model, r2_max, rolling: as `project_grid` takes them.
+        centre: (3,) metres, of the camera; a pixel covers the distance over the focal length.
+        xs, ys: metres, east of the columns and north of the rows.
+        height: (R, C) metres.
+        level: metres, of the ground.
+        coarser: a view with pixels larger than the finest by this factor does not count.
         wants: (R, C), whether another view is wanted.
         finest: (R, C), metres, the finest pixel of earlier views.
-        coarser: a view with pixels larger than the finest by this factor does not count.
-        xs, ys: metres, east of the columns and north of the rows.
-        centre: (3,) metres, of the camera.
-        level: metres, of the ground.
-        focal: pixels; a pixel covers the distance over it.
+        total, number: (R, C, 3), (R, C), sum and number of earlier views.
+        seen, use, pixel: (R, C, 3), (R, C), (R, C), out: colours, where they count, metres that a pixel covers.
+        exposures: (R, `EXPOSURES`), out.
     """
-    use, pixel = np.empty(mapx.shape, np.bool_), np.empty(mapx.shape, np.float32)
-    east, over, up = (xs - centre[0]).astype(np.float32), np.float32(1 / focal), np.float32(level - centre[2])
-    for r in range(mapx.shape[0]):
+    b32, k32, limit, roll = (
+        b.astype(np.float32),
+        distortion.astype(np.float32),
+        np.float32(r2_max),
+        rolling.astype(np.float32),
+    )
+    lens = np.array([*intrinsics, image.shape[1] - 1.0, image.shape[0] - 1.0], np.float32)
+    over, up, step_x = (
+        np.float32(1 / intrinsics[0]),
+        np.float32(level - centre[2]),
+        (xs[-1] - xs[0]) / max(len(xs) - 1, 1),
+    )
+    most = np.float32(coarser)
+    for r in prange(len(ys)):
+        use[r], exposures[r] = False, 0.0
+        first, end = _wanted(wants[r])
+        n = end - first
+        if n == 0:
+            continue
+        p, step = np.empty(3, np.float32), np.empty(3, np.float32)
+        for j in range(3):
+            p[j] = H[j, 0] * xs[first] + H[j, 1] * ys[r] + H[j, 2]
+            step[j] = H[j, 0] * step_x
+        room = np.empty((7, n), np.float32)
+        u, v = room[5], room[6]
+        project_row(
+            p,
+            step,
+            b32,
+            lens,
+            k32,
+            model,
+            limit,
+            np.float32(image.shape[0]),
+            roll,
+            height[r, first:end],
+            room[:5],
+            u,
+            v,
+        )
         north = np.float32(ys[r] - centre[1])
         beyond = north * north + up * up
-        for c in range(mapx.shape[1]):
-            pixel[r, c] = np.sqrt(east[c] * east[c] + beyond) * over
-            shown, fine = (mapx[r, c] >= 0) & wants[r, c], pixel[r, c] <= coarser * finest[r, c]
-            use[r, c], wants[r, c] = shown & fine, wants[r, c] & (fine | (mapx[r, c] < 0))
-    return use, pixel
-
-
-@kernel
-def add_exposures(seen: U8, use: Mask, total: F32, number: F32, before: F64, now: F64) -> int:
-    """Add up, in place, what earlier views and a view show of the pixels that both show; how many these are.
-
-    Args:
-        seen: (R, C, 3), the view's picture on the grid.
-        use: (R, C), where the view counts.
-        total: (R, C, 3), sum of earlier views.
-        number: (R, C), of earlier views.
-        before, now: (3,), sums of the colours in earlier views and in this one.
-    """
-    both = 0
-    for r in range(use.shape[0]):
-        for c in range(use.shape[1]):
-            if use[r, c] and number[r, c] > 0:
-                both += 1
+        for i in range(n):
+            c = first + i
+            if not wants[r, c] or u[i] < 0:
+                continue
+            east = np.float32(xs[c] - centre[0])
+            pixel[r, c] = np.sqrt(east * east + beyond) * over
+            if pixel[r, c] > most * finest[r, c]:
+                wants[r, c] = False
+                continue
+            use[r, c] = True
+            _sample(image, tone, u[i], v[i], seen[r, c])
+            if number[r, c] > 0:
+                exposures[r, 0] += 1
                 for k in range(3):
-                    before[k] += total[r, c, k] / number[r, c]
-                    now[k] += seen[r, c, k]
-    return both
+                    exposures[r, 1 + k] += total[r, c, k] / number[r, c]
+                    exposures[r, 4 + k] += seen[r, c, k]
 
 
 @kernel

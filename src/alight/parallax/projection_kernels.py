@@ -82,6 +82,31 @@ def _lens_row(model: int, x: F32, y: F32, z: F32, r2_max: np.float32, lens: F32,
         _pinhole_row(x, y, z, r2_max, lens, mapx, mapy)
 
 
+@kernel
+def project_row(
+    p: F32, step: F32, b: F32, lens: F32, k: F32, model: int, r2_max: np.float32, height: np.float32, roll: F32,
+    h: F32, ideal: F32, mapx: F32, mapy: F32,
+) -> None:  # fmt: skip
+    """Fill the pixels of a row of cells at heights `h` (eqs. 1 to 3 and 4b).
+
+    Args:
+        p, step: (3,) the homography of the first cell, and what it grows by from cell to cell.
+        b: (3,) what a metre of height adds.
+        lens: fu, fv, cu, cv, last column and row.
+        k: (5,) distortion of the `model`.
+        r2_max: limit of the squared ideal radius.
+        height: rows of the picture.
+        roll: way (metres) and turns (rad) of the camera while its rows were exposed (9,), or nothing (0,).
+        ideal: (5, C) room.
+    """
+    x, y, z = ideal[0], ideal[1], ideal[2]
+    _ideal_row(p, step, b, h, x, y, z)
+    _lens_row(model, x, y, z, r2_max, lens, k, mapx, mapy)
+    for _ in range(ROLLS if roll.size else 0):
+        _roll_row(roll, height, mapy, ideal, ideal[3], ideal[4])
+        _lens_row(model, ideal[3], ideal[4], z, r2_max, lens, k, mapx, mapy)
+
+
 @parallel_kernel
 def project_grid(
     H: F64,
@@ -115,9 +140,4 @@ def project_grid(
             p[j] = H[j, 0] * xs[0] + H[j, 1] * ys[r] + H[j, 2]
             step[j] = H[j, 0] * (xs[-1] - xs[0]) / max(cols - 1, 1)
         ideal = np.empty((5, cols), np.float32)
-        x, y, z = ideal[0], ideal[1], ideal[2]
-        _ideal_row(p, step, b32, h[r], x, y, z)
-        _lens_row(model, x, y, z, limit, lens, k32, mapx[r], mapy[r])
-        for _ in range(ROLLS if roll.size else 0):
-            _roll_row(roll, np.float32(height), mapy[r], ideal, ideal[3], ideal[4])
-            _lens_row(model, ideal[3], ideal[4], z, limit, lens, k32, mapx[r], mapy[r])
+        project_row(p, step, b32, lens, k32, model, limit, np.float32(height), roll, h[r], ideal, mapx[r], mapy[r])

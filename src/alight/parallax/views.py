@@ -46,12 +46,15 @@ def rgb_of(image: Pixels) -> NDArray[np.uint8]:
     return np.asarray(pixels if pixels.ndim == 3 else cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB))
 
 
+def tone_of(view: View) -> U8:
+    """(256, 3) the colours that the levels of a view stand for, as views of the same ground have them in common."""
+    levels = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    return levels if view.gain is None else np.rint(levels * view.gain).clip(0, 255).astype(np.uint8)
+
+
 def toned(pixels: U8, view: View) -> U8:
     """Colours (..., 3) of a view as views of the same ground have them in common."""
-    if view.gain is None:
-        return pixels
-    table = np.rint(np.arange(256)[None, :, None] * view.gain).clip(0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(pixels, table))
+    return pixels if view.gain is None else np.asarray(cv2.LUT(pixels, tone_of(view)[None]))
 
 
 def grey_of(image: Pixels) -> F32:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from alight import hazards, memory, terrain
-from alight.arrays import Mask
 from alight.elevation import on_cells_up_to
 from alight.landing import sites
 from alight.landing.next_view import Observer
@@ -15,7 +14,6 @@ from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
-from alight.pipeline.passing import Passed
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, MissingVeto, NextView, Sites, TerrainMap
@@ -25,7 +23,6 @@ WET = np.uint16(Flag.WATER)
 LARGE_MAP = 1_000_000  # cells: judging one leaves hundreds of megabytes free in the heap
 MOST_LOST = 100  # sites whose loss is remembered
 NOTHING = Reserve()
-NOWHERE = Passed()
 GREY = (
     "the pictures are grey: no colour can refuse water, plants or buildings, so fewer are recognised and P(safe) is "
     "lower; give colour pictures"
@@ -75,7 +72,6 @@ class JudgingMemory:
     frame: MapFrame | None = None  # of the newest map
     lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
     warnings: tuple[str, ...] = ()  # what became of the sites where the motion began anew
-    passed: Passed = NOWHERE  # where something moved, in the map's frame
 
     @property
     def reserve(self) -> Reserve:
@@ -135,7 +131,7 @@ class JudgingLane:
                 cover = land_cover(elevation, s.terrain, self._appearance)
             _tidy(elevation)
         with self._timings.of("hazards"):
-            traffic = self._traffic(seen, elevation, cover)
+            traffic = seen.passed.on(elevation.grid, cover)
             danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, traffic)
         _tidy(elevation)
         with self._timings.of("sites"):
@@ -150,21 +146,9 @@ class JudgingLane:
             seen.missing,
         )
 
-    def _traffic(self, seen: MapSnapshot, elevation: ElevationMap, cover: TerrainMap | None) -> Mask:
-        """Where earlier maps saw something move, (R, C); what moves now is unknown ground, and noted for later."""
-        keys, now = self._settings.hazards, max((v.t_ns for v in seen.views), default=0)
-        before = self.memory.passed.since(now - round(keys.traffic_memory * 1e9))
-        out = before.on(elevation.grid, cover)
-        if seen.vehicle.height_above_ground >= keys.traffic_height and keys.traffic_memory > 0:
-            before = before.with_seen(elevation, now)
-        self.memory = replace(self.memory, passed=before)
-        return out
-
     def _follow(self, frame: MapFrame) -> None:
-        """Move what is known into the frame of a newer map; sites too near to a hazard for that are given up."""
+        """Move the reserve into the frame of a newer map; what lies too near to a hazard for that is given up."""
         m = self.memory
-        if m.frame is not None and frame.frame_id != m.frame.frame_id:
-            m = replace(m, passed=m.passed.moved(m.frame.tie(frame).shift))
         if m.frame is not None and frame.frame_id != m.frame.frame_id and m.kept.sites:
             tie, before = m.frame.tie(frame), len(m.kept.sites)
             m = m.with_reserve(m.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)

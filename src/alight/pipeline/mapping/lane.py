@@ -10,10 +10,12 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.mapping.passing import Passed
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
 
 Progress = Callable[[float], None]
+NOWHERE = Passed()
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,7 @@ class MapSnapshot:
     vehicle: VehiclePosition
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
+    passed: Passed = NOWHERE  # where something moved across the ground before
 
     @property
     def missing(self) -> MissingVeto:

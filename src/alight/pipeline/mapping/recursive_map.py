@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from alight.arrays import F64
+from alight.arrays import F64, U16
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
+from alight.pipeline.mapping.passing import Passed
 from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
@@ -26,6 +27,7 @@ class RecursiveMap(GroundMap):
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
     out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
     level: int = 0  # of the newest keyframe's cells
+    passed: Passed = field(default_factory=Passed)  # where something moved, in the frame of the poses
     _ring: RecursiveParallax | None = None
 
     @property
@@ -61,6 +63,7 @@ class RecursiveMap(GroundMap):
         self.ground, self._points = self.ground + float(shift[2]), self._points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self._ring, self.gauge, self.out_of_range = None, None, False
+        self.passed = self.passed.moved(shift)
         return mapped
 
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
@@ -100,21 +103,29 @@ class RecursiveMap(GroundMap):
             return False
         self.gauge = parts[0].gauge
         height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags[::COARSE, ::COARSE].copy()
-        given = is_trusted(known.flags)
+        given, now = is_trusted(known.flags), known.flags.copy()
         for part in parts:
             where = box_in(grid, part.grid)
             found = self._without_doubtful(part, up - ground, Surroundings(given, where))
             rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
             at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
             height[at] = found.height[rows, cols]
-            flags[at] = found.flags[rows, cols]
+            flags[at], now[where] = found.flags[rows, cols], found.flags
             self.elevation.add(changed(found, known, where), replace_all=True)
+        self._note_traffic(grid, now, down[0].t_ns, up - ground)
         self.out_of_range = bool(((flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
         heights = height[np.isfinite(height)]
         if len(heights) >= self.settings.mapping.least_known // 4:
             self.ground_here = float(np.median(heights))
         self.elevation.roll((down[0].centre[0], down[0].centre[1]), float(np.linalg.norm(high - low)))
         return True
+
+    def _note_traffic(self, grid: Grid, flags: U16, t_ns: int, height: float) -> None:
+        """Remember what moves, from a height above ground (metres) that shows enough of it (G6b)."""
+        keys = self.settings.hazards
+        self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
+        if height >= keys.traffic_height and keys.traffic_memory > 0:
+            self.passed = self.passed.with_seen(grid, flags, t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.

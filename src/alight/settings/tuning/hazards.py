@@ -40,7 +40,7 @@ class HazardsTuning(FrozenModel):
         True, description="The heights come from matched images, which flatten small obstacles: P is lowered for it"
     )
     traffic_memory: NonNegative = Field(
-        120.0, description="Time for which hard ground is refused after something moved across it, s; 0: it is not"
+        120.0, description="Time for which paved ground is refused after something moved across it, s; 0: it is not"
     )
     traffic_margin: NonNegative = Field(1.0, description="Distance from the footprint to such ground that is wanted, m")
     traffic_height: Positive = Field(
