@@ -11,7 +11,7 @@ from alight.compiled import inline, kernel
 
 
 @inline
-def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
+def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
     """Write the inverse of a symmetric positive definite (3, 3) and an upper `root` with root root' = inverse.
 
     Pivots below `least` are rounding errors and set to it.
@@ -31,7 +31,7 @@ def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
 
 
 @inline
-def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
+def to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
     """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
     for i in range(3):
         q[i] = (
@@ -40,7 +40,7 @@ def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
 
 
 @inline
-def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
+def add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
     """Add a unit ray `u` from `o` to the equations A x = y of the point nearest to all rays."""
     along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
     for i in range(3):
@@ -86,8 +86,8 @@ def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: fl
         for i in range(3):
             A[i, i] = regular
         for k in range(starts[n], starts[n + 1]):
-            _add_ray(ray[k], origin[k], weight[k], A, y)
-        _invert(A, regular, root, inverse)
+            add_ray(ray[k], origin[k], weight[k], A, y)
+        invert(A, regular, root, inverse)
         for j in range(3):
             out[n, j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
 
@@ -117,7 +117,7 @@ def eliminate_list(
                 _add_row(by_point[k, h], residual[k, h], V, gradient[n])
         for i in range(3):
             V[i, i] += damping * V[i, i] + regular
-        _invert(V, regular, root[n], inverse[n])
+        invert(V, regular, root[n], inverse[n])
         for k in range(starts[n], starts[n + 1]):
             for i in range(by_pose.shape[2]):
                 for j in range(3):
@@ -137,7 +137,7 @@ def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F6
                 T = R[k, c]
                 u = T[:, 0] * normalised[k, c, 0] + T[:, 1] * normalised[k, c, 1] + T[:, 2]
                 u /= np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-                _add_ray(u, origin[k, c], 1.0, A, y)
+                add_ray(u, origin[k, c], 1.0, A, y)
 
 
 @inline
@@ -150,7 +150,7 @@ def _linearise_point(
             if not np.isfinite(normalised[k, c, 0]):
                 continue
             T = R[k, c]
-            _to_camera(T, origin[k, c], x, q)
+            to_camera(T, origin[k, c], x, q)
             if q[2] > near:
                 for d in range(2):
                     at = q[d] / q[2]
@@ -189,7 +189,7 @@ def triangulate_tracks(
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(normalised.shape[0]):
         _nearest(normalised[n], R, origin, regular, A, y)
-        _invert(A, regular, root, inverse)
+        invert(A, regular, root, inverse)
         x = out[n]
         x[:] = 0.0
         for i in range(iterations + 1):
@@ -201,7 +201,7 @@ def triangulate_tracks(
             for j in range(3):
                 A[j, j] = regular
             _linearise_point(normalised[n], sigma[n], R, origin, near, x, q, A, y)
-            _invert(A, regular, root, inverse)
+            invert(A, regular, root, inverse)
 
 
 @kernel
@@ -237,8 +237,8 @@ def marginalise_tracks(
             for c in range(normalised.shape[2]):
                 if not np.isfinite(normalised[n, k, c, 0]):
                     continue
-                _to_camera(R[k, c], origin[k, c], x[n], q)
-                _to_camera(first_R[k, c], first_origin[k, c], x[n], f)
+                to_camera(R[k, c], origin[k, c], x[n], q)
+                to_camera(first_R[k, c], first_origin[k, c], x[n], f)
                 if q[2] <= near or f[2] <= near:
                     continue
                 rows += 2
@@ -262,7 +262,7 @@ def marginalise_tracks(
                     _add_row(X[h], e, V, g)
         for i in range(3):
             V[i, i] += regular
-        _invert(V, regular, root[n], inverse[n])
+        invert(V, regular, root[n], inverse[n])
         for i in range(3):
             step[n, i] = inverse[n, i, 0] * g[0] + inverse[n, i, 1] * g[1] + inverse[n, i, 2] * g[2]
         for k in range(normalised.shape[1]):
