@@ -61,8 +61,8 @@ def _add_row(X: F64, e: float, V: F64, g: F64) -> None:
 
 @inline
 def _times_root(W: F64, root: F64) -> None:
-    """Multiply (p, 3) by the upper root of a point's covariance, in place."""
-    for i in range(W.shape[0]):
+    """Multiply (6, 3) by the upper root of a point's covariance, in place."""
+    for i in range(6):
         u, v, w = W[i, 0], W[i, 1], W[i, 2]
         W[i, 0] = u * root[0, 0]
         W[i, 1] = u * root[0, 1] + v * root[1, 1]
@@ -94,18 +94,17 @@ def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: fl
 
 @kernel
 def eliminate_list(
-    starts: I64, residual: F64, by_pose: F64, by_point: F64, damping: float, regular: float,
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float,
     coupling: F64, gradient: F64, root: F64, inverse: F64,
 ) -> None:  # fmt: skip
-    """Eliminate N points from M linearised observations, sorted by point (M21; eq. 8 of the bundle).
+    """Eliminate N points from M linearised observations, sorted by point (M21).
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
         residual: (M, 2) in sigmas.
-        by_pose, by_point: (M, 2, p), (M, 2, 3) Jacobians in sigmas; p is 6, or more where rows are not exposed at once.
-        damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
-        regular: added to that diagonal.
-        coupling: (M, p, 3) out: by_pose' by_point times the root of the point's covariance.
+        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians in sigmas.
+        regular: added to the diagonal of a point's block.
+        coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
         gradient: (N, 3) out: right side of the points.
         root, inverse: (N, 3, 3) out: covariance of the points for exact poses, and its root.
     """
@@ -116,10 +115,10 @@ def eliminate_list(
             for h in range(2):
                 _add_row(by_point[k, h], residual[k, h], V, gradient[n])
         for i in range(3):
-            V[i, i] += damping * V[i, i] + regular
+            V[i, i] += regular
         invert(V, regular, root[n], inverse[n])
         for k in range(starts[n], starts[n + 1]):
-            for i in range(by_pose.shape[2]):
+            for i in range(6):
                 for j in range(3):
                     coupling[k, i, j] = by_pose[k, 0, i] * by_point[k, 0, j] + by_pose[k, 1, i] * by_point[k, 1, j]
             _times_root(coupling[k], root[n])
