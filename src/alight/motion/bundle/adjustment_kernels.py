@@ -20,12 +20,11 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
 from alight.motion.bundle.lens_kernels import distort
-from alight.motion.bundle.rolling_kernels import bent, expose, row_time
+from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, bent, expose, row_time
 from alight.motion.point_kernels import to_camera
 
 READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
 FAR = 1e4  # px, the residual of a point behind the camera
-_HEIGHT, _READOUT = 9, 10  # columns of `lens`
 _MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
 
 
@@ -40,8 +39,8 @@ def predict_pixels(
     for n in range(len(photo)):
         i = photo[n]
         of = lens[camera[i]]
-        t = row_time(pixels[n, 1], of[_HEIGHT])
-        expose(R[i], C[i], turns[i], velocity[i], of[_READOUT], t, turn, row_R, row_C)
+        t = row_time(pixels[n, 1], of[HEIGHT])
+        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
         to_camera(row_R, row_C, x[point[n]], q)
         depth[n] = q[2]
         out[n] = np.nan
@@ -152,8 +151,8 @@ def linearise(
     for n in range(len(photo)):
         i, k = photo[n], point[n]
         c = camera[i]
-        of, t = lens[c], row_time(pixels[n, 1], lens[c, _HEIGHT])
-        expose(R[i], C[i], turns[i], velocity[i], of[_READOUT], t, turn, row_R, row_C)
+        of, t = lens[c], row_time(pixels[n, 1], lens[c, HEIGHT])
+        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
         to_camera(row_R, row_C, x[k], q)
         near = 1.0 / max(q[2], _MIN_DEPTH)
         distort(q[0] * near, q[1] * near, model[c], of[4:9], flat, by_xy, by_k)

@@ -7,7 +7,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
 from alight.motion.bundle.lens_kernels import undistort
-from alight.motion.bundle.rolling_kernels import expose, row_time
+from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, expose, row_time
 from alight.motion.point_kernels import add_ray, invert
 
 _NEAR = 1e-6  # m; shorter distances count as this
@@ -24,7 +24,8 @@ def rays_of_pixels(
     for n in range(len(photo)):
         i = photo[n]
         of = lens[camera[i]]
-        expose(R[i], C[i], turns[i], velocity[i], of[10], row_time(pixels[n, 1], of[9]), turn, row_R, origin[n])
+        t = row_time(pixels[n, 1], of[HEIGHT])
+        expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, origin[n])
         u, v = (pixels[n, 0] - of[2]) / of[0], (pixels[n, 1] - of[3]) / of[1]
         undistort(u, v, model[camera[i]], of[4:9], at, flat, by_xy, by_k)
         long = math.sqrt(at[0] * at[0] + at[1] * at[1] + 1.0)

@@ -4,6 +4,8 @@ from alight.arrays import F64
 from alight.compiled import pixelwise
 from alight.motion.rotation_kernels import exponential, multiply
 
+HEIGHT, READOUT = 9, 10  # columns of what the loops take of a lens (`adjustment_kernels`)
+
 
 @pixelwise
 def row_time(row: float, height: float) -> float:
