@@ -137,7 +137,7 @@ def nearest_to_rays(starts: I64, rays: F64, origins: F64, weight: F64) -> F64:
 
 
 def schur(
-    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float, pose: I64, poses: int
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, pose: I64, poses: int
 ) -> tuple[F64, F64, F64]:
     """Reduced matrix, right side, and steps of the points when the poses stay: by the full dense system."""
     m, n = len(residual), len(starts) - 1
@@ -146,6 +146,6 @@ def schur(
         J[2 * k : 2 * k + 2, 6 * pose[k] : 6 * pose[k] + 6] = by_pose[k]
         J[2 * k : 2 * k + 2, 6 * poses + 3 * point : 6 * poses + 3 * point + 3] = by_point[k]
     H, g, s = J.T @ J, J.T @ residual.ravel(), 6 * poses
-    H[s:, s:] += damping * np.diag(np.diag(H[s:, s:])) + regular * np.eye(3 * n)
+    H[s:, s:] += regular * np.eye(3 * n)
     gain = np.linalg.solve(H[s:, s:], H[s:, :s]).T
     return H[:s, :s] - gain @ H[s:, :s], g[:s] - gain @ g[s:], np.linalg.solve(H[s:, s:], g[s:]).reshape(n, 3)

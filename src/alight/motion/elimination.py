@@ -131,7 +131,7 @@ class EliminatedPoints:
     """
 
     starts: I64  # (N + 1,) first observation of each point, then M
-    coupling: F64  # (M, p, 3) G
+    coupling: F64  # (M, 6, 3) G
     gradient: F64  # (N, 3) right side of the points
     root: F64  # (N, 3, 3), root root' is the covariance of a point
     covariance: F64  # (N, 3, 3) for exact poses
@@ -152,25 +152,22 @@ class EliminatedPoints:
         return np.asarray(np.einsum("nij,nj->ni", self.covariance, self.gradient - moved))
 
 
-def eliminate_points(
-    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float, damping: float = 0.0
-) -> EliminatedPoints:
+def eliminate_points(starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float) -> EliminatedPoints:
     """Eliminate N points from M linearised observations, sorted by point (M21).
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
         residual: (M, 2) observed less predicted, in sigmas.
-        by_pose, by_point: (M, 2, p), (M, 2, 3) Jacobians, in sigmas; p is 6, or more where a pose has more unknowns.
+        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians, in sigmas.
         regular: added to the diagonal of a point's information, so that every point has a covariance.
-        damping: share of that diagonal added to it (Levenberg-Marquardt).
     """
     n, m = len(starts) - 1, len(residual)
     by_point = np.ascontiguousarray(by_point)
     out = EliminatedPoints(
-        starts, np.empty((m, by_pose.shape[2], 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), by_point
+        starts, np.empty((m, 6, 3)), np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 3)), by_point
     )
     rows = np.ascontiguousarray(residual), np.ascontiguousarray(by_pose), by_point
-    eliminate_list(starts, *rows, damping, regular, out.coupling, out.gradient, out.root, out.covariance)
+    eliminate_list(starts, *rows, regular, out.coupling, out.gradient, out.root, out.covariance)
     return out
 
 

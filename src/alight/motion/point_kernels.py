@@ -11,7 +11,7 @@ from alight.compiled import inline, kernel
 
 
 @inline
-def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
+def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
     """Write the inverse of a symmetric positive definite (3, 3) and an upper `root` with root root' = inverse.
 
     Pivots below `least` are rounding errors and set to it.
@@ -31,7 +31,7 @@ def _invert(A: F64, least: float, root: F64, inverse: F64) -> None:
 
 
 @inline
-def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
+def to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
     """Write a world point in the frame of a camera, `R` and `origin` its world_from_cam."""
     for i in range(3):
         q[i] = (
@@ -40,7 +40,7 @@ def _to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
 
 
 @inline
-def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
+def add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
     """Add a unit ray `u` from `o` to the equations A x = y of the point nearest to all rays."""
     along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
     for i in range(3):
@@ -61,8 +61,8 @@ def _add_row(X: F64, e: float, V: F64, g: F64) -> None:
 
 @inline
 def _times_root(W: F64, root: F64) -> None:
-    """Multiply (p, 3) by the upper root of a point's covariance, in place."""
-    for i in range(W.shape[0]):
+    """Multiply (6, 3) by the upper root of a point's covariance, in place."""
+    for i in range(6):
         u, v, w = W[i, 0], W[i, 1], W[i, 2]
         W[i, 0] = u * root[0, 0]
         W[i, 1] = u * root[0, 1] + v * root[1, 1]
@@ -86,26 +86,25 @@ def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: fl
         for i in range(3):
             A[i, i] = regular
         for k in range(starts[n], starts[n + 1]):
-            _add_ray(ray[k], origin[k], weight[k], A, y)
-        _invert(A, regular, root, inverse)
+            add_ray(ray[k], origin[k], weight[k], A, y)
+        invert(A, regular, root, inverse)
         for j in range(3):
             out[n, j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
 
 
 @kernel
 def eliminate_list(
-    starts: I64, residual: F64, by_pose: F64, by_point: F64, damping: float, regular: float,
+    starts: I64, residual: F64, by_pose: F64, by_point: F64, regular: float,
     coupling: F64, gradient: F64, root: F64, inverse: F64,
 ) -> None:  # fmt: skip
-    """Eliminate N points from M linearised observations, sorted by point (M21; eq. 8 of the bundle).
+    """Eliminate N points from M linearised observations, sorted by point (M21).
 
     Args:
         starts: (N + 1,) first observation of each point, then M.
         residual: (M, 2) in sigmas.
-        by_pose, by_point: (M, 2, p), (M, 2, 3) Jacobians in sigmas; p is 6, or more where rows are not exposed at once.
-        damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
-        regular: added to that diagonal.
-        coupling: (M, p, 3) out: by_pose' by_point times the root of the point's covariance.
+        by_pose, by_point: (M, 2, 6), (M, 2, 3) Jacobians in sigmas.
+        regular: added to the diagonal of a point's block.
+        coupling: (M, 6, 3) out: by_pose' by_point times the root of the point's covariance.
         gradient: (N, 3) out: right side of the points.
         root, inverse: (N, 3, 3) out: covariance of the points for exact poses, and its root.
     """
@@ -116,10 +115,10 @@ def eliminate_list(
             for h in range(2):
                 _add_row(by_point[k, h], residual[k, h], V, gradient[n])
         for i in range(3):
-            V[i, i] += damping * V[i, i] + regular
-        _invert(V, regular, root[n], inverse[n])
+            V[i, i] += regular
+        invert(V, regular, root[n], inverse[n])
         for k in range(starts[n], starts[n + 1]):
-            for i in range(by_pose.shape[2]):
+            for i in range(6):
                 for j in range(3):
                     coupling[k, i, j] = by_pose[k, 0, i] * by_point[k, 0, j] + by_pose[k, 1, i] * by_point[k, 1, j]
             _times_root(coupling[k], root[n])
@@ -137,7 +136,7 @@ def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F6
                 T = R[k, c]
                 u = T[:, 0] * normalised[k, c, 0] + T[:, 1] * normalised[k, c, 1] + T[:, 2]
                 u /= np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-                _add_ray(u, origin[k, c], 1.0, A, y)
+                add_ray(u, origin[k, c], 1.0, A, y)
 
 
 @inline
@@ -150,7 +149,7 @@ def _linearise_point(
             if not np.isfinite(normalised[k, c, 0]):
                 continue
             T = R[k, c]
-            _to_camera(T, origin[k, c], x, q)
+            to_camera(T, origin[k, c], x, q)
             if q[2] > near:
                 for d in range(2):
                     at = q[d] / q[2]
@@ -189,7 +188,7 @@ def triangulate_tracks(
     A, root, inverse, y, q = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for n in range(normalised.shape[0]):
         _nearest(normalised[n], R, origin, regular, A, y)
-        _invert(A, regular, root, inverse)
+        invert(A, regular, root, inverse)
         x = out[n]
         x[:] = 0.0
         for i in range(iterations + 1):
@@ -201,7 +200,7 @@ def triangulate_tracks(
             for j in range(3):
                 A[j, j] = regular
             _linearise_point(normalised[n], sigma[n], R, origin, near, x, q, A, y)
-            _invert(A, regular, root, inverse)
+            invert(A, regular, root, inverse)
 
 
 @kernel
@@ -237,8 +236,8 @@ def marginalise_tracks(
             for c in range(normalised.shape[2]):
                 if not np.isfinite(normalised[n, k, c, 0]):
                     continue
-                _to_camera(R[k, c], origin[k, c], x[n], q)
-                _to_camera(first_R[k, c], first_origin[k, c], x[n], f)
+                to_camera(R[k, c], origin[k, c], x[n], q)
+                to_camera(first_R[k, c], first_origin[k, c], x[n], f)
                 if q[2] <= near or f[2] <= near:
                     continue
                 rows += 2
@@ -262,7 +261,7 @@ def marginalise_tracks(
                     _add_row(X[h], e, V, g)
         for i in range(3):
             V[i, i] += regular
-        _invert(V, regular, root[n], inverse[n])
+        invert(V, regular, root[n], inverse[n])
         for i in range(3):
             step[n, i] = inverse[n, i, 0] * g[0] + inverse[n, i, 1] * g[1] + inverse[n, i, 2] * g[2]
         for k in range(normalised.shape[1]):

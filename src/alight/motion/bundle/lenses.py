@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Camera
-from alight.motion.bundle.rolling import row_time
+from alight.motion.bundle.adjustment_kernels import READOUT_NUMBER
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,41 +59,33 @@ class PhotoLenses:
 
     def readout(self, photo: I64) -> F64:
         """(N,) seconds from the first row to the last of photos (N,)."""
-        return np.array(self.readouts or (0.0,) * len(self.cameras))[self.of[photo]]
+        return np.asarray(self.table()[0][self.of[photo], -1])
 
-    def row_time(self, photo: I64, pixels: F64) -> F64:
-        """(N,) when pixels (N, 2) were exposed, in readouts from the middle of their photos."""
-        return row_time(pixels[:, 1], np.array([float(c.height) for c in self.cameras])[self.of[photo]])
+    def table(self) -> tuple[F64, I64]:
+        """What the kernels take: (c, 11) focal lengths, principal point, coefficients, height, readout; (c,) models."""
+        readouts = self.readouts or (0.0,) * len(self.cameras)
+        rows = [
+            (c.fu, c.fv, c.cu, c.cv, *c.coefficients, c.height, readout)
+            for c, readout in zip(self.cameras, readouts, strict=True)
+        ]
+        return np.array(rows, np.float64), np.array([c.code for c in self.cameras], np.int64)
 
-    def project(self, photo: I64, points: F64) -> F64:
-        """(N, 2) pixels of (N, 3) points in the optical frames of their photos (N,)."""
-        return self._each(photo, points, Camera.project)
+    def free_numbers(self, free: Mask) -> tuple[I64, I64]:
+        """Which numbers of each camera are free, of all (k,): as the kernels count them (c, f), -1 where it has fewer.
 
-    def rays(self, photo: I64, pixels: F64) -> F64:
-        """(N, 3) rays of (N, 2) pixels."""
-        return self._each(photo, pixels, Camera.rays)
-
-    def distort(self, photo: I64, xy: F64) -> F64:
-        """(N, 2) distorted of (N, 2) ideal coordinates."""
-        return self._each(photo, xy, Camera.distort)
+        And the place of each among all that are free, (c, f).
+        """
+        count = np.array([free[part].sum() for part in self.parts])
+        number, place = np.full((2, len(count), count.max()), -1, np.int64)
+        for k, part in enumerate(self.parts):
+            own = np.flatnonzero(free[part])
+            number[k, : len(own)] = np.where(own == part.stop - part.start - 1, READOUT_NUMBER, own)
+            place[k, : len(own)] = count[:k].sum() + np.arange(len(own))
+        return number, place
 
     def focal(self, photo: I64) -> F64:
         """(N, 2) focal lengths, pixels."""
         return np.array([(c.fu, c.fv) for c in self.cameras])[self.of[photo]]
-
-    def by_camera(self, photo: I64) -> Iterator[tuple[int, Camera, I64]]:
-        """Each camera's number and the rows of its photos."""
-        for k, camera in enumerate(self.cameras):
-            yield k, camera, np.flatnonzero(self.of[photo] == k)
-
-    def _each(self, photo: I64, values: F64, function: Callable[[Camera, F64], F64]) -> F64:
-        if len(self.cameras) == 1:
-            return function(self.cameras[0], values)
-        parts = [(rows, function(camera, values[rows])) for _, camera, rows in self.by_camera(photo)]
-        out = np.empty((len(values), parts[0][1].shape[1]))
-        for rows, found in parts:
-            out[rows] = found
-        return out
 
 
 def lens_camera(prior: Camera, lens: F64) -> Camera:

@@ -60,7 +60,7 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class BundleObservations:
-    """Observations of all photos, sorted by point."""
+    """Observations of all photos, sorted by point, those of a point by photo; no photo sees a point twice."""
 
     photo: I64  # (N,)
     point: I64  # (N,) 0 .. points - 1, every number occurs

@@ -17,16 +17,6 @@ LEAST_WAY = 1.0  # m between them
 FASTEST = 60.0  # m/s; what is faster is a wrong tag
 
 
-def row_time(rows: F64, height: F64 | float) -> F64:
-    """When pixel rows are exposed, -0.5 at the first to 0.5 at the last, in readouts from the middle of the photo."""
-    return np.asarray((rows + 0.5) / height - 0.5)
-
-
-def turning(t: F64) -> F64:
-    """(N, 2) what the even turn and the bent one of a photo count for at times `t` (N,) of `row_time` (eq. 10)."""
-    return np.stack([t, t**2 - 1.0 / 12.0], axis=1)
-
-
 def velocities(centres: F64, seconds: F64, camera: I64) -> F64:
     """(n, 3) m/s at every photo, from where and when the photos before and after it were taken; 0 where nothing tells.
 

@@ -122,10 +122,10 @@ def retriangulate(
     for _ in range(2):
         points = triangulate_bundle(state, lenses, priors.velocity, obs, scale_px=scale)
         state = replace(state, points=points)
-        pixels, in_cam = project_points(state, obs, lenses, priors.velocity)
+        pixels, depth = project_points(state, obs, lenses, priors.velocity)
         residual = np.nan_to_num(np.linalg.norm(pixels - obs.pixels, axis=1), nan=np.inf)
         wide = intersection_angle(points, state.centres, obs) > _MIN_ANGLE
-        good = (in_cam[:, 2] > 0) & wide[obs.point]
+        good = (depth > 0) & wide[obs.point]
         obs, old = obs.keep(good & (residual < cut) if np.isfinite(cut) else good)
         state = replace(state, points=points[old])
     return state, obs

@@ -9,25 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from alight.arrays import F64
-from alight.geometry import Pose, so3_exp, so3_log
-from alight.motion.bundle.lenses import PhotoLenses, lens_camera
+from alight.arrays import F64, I64
+from alight.geometry import so3_exp, so3_log
+from alight.motion.bundle.adjustment_kernels import FAR, linearise, predict_pixels
+from alight.motion.bundle.elimination_kernels import eliminate, move_points
+from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import BundleObservations
-from alight.motion.bundle.rolling import turning
-from alight.motion.elimination import EliminatedPoints, eliminate_points, sum_by_point
-from alight.motion.projection import MIN_DEPTH, POSITION_FIRST, in_camera, jacobians
+from alight.motion.bundle.ray_kernels import meet_rays, rays_of_pixels, widest_angles
+from alight.motion.ekf.state_kernels import mirror_lower
 from alight.motion.robust import cauchy, huber
-from alight.motion.triangulation import triangulate_rays
+from alight.motion.triangulation import WEAK_PRIOR
 
 _PRIOR_LOSS = 3.0  # sigmas, Huber scale of GPS and gimbal; with Cauchy one GPS jump stretched the whole survey
 _DENSE = 1200  # unknowns, up to which the normal equations are solved as a dense matrix
 _LEAST_INFORMATION = 1e-12  # of a direction, over that of the numbers it is made of
 _POINT_PRIOR = 1e-12  # 1/m^2 on the diagonal of a point's information
-_CAMERA = Pose(np.eye(3))  # a photo's pose is that of its camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,31 +56,27 @@ class BundleState:
     mounting: F64  # (3,) rotation vector in the body: world_from_cam = world_from_body exp(m) body_from_cam
     turns: F64  # (n, 2, 3) rotation vectors in the camera while its rows are exposed: even, and bent in time
 
-    def exposed(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64, F64]:
-        """Rotation (N, 3, 3) and centre (N, 3) when each observed row was exposed, and when, in readouts (eq. 10)."""
-        R, C = self.rotations[obs.photo], self.centres[obs.photo]
-        t = lenses.row_time(obs.photo, obs.pixels)
-        if any(lenses.readouts):
-            C = C + velocity[obs.photo] * (lenses.readout(obs.photo) * t)[:, None]
-        if self.turns.any():
-            R = R @ so3_exp(np.einsum("nk,nki->ni", turning(t), self.turns[obs.photo]))
-        return R, C, t
+    def for_kernels(self, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64 | I64, ...]:
+        """What the kernels take of observations, poses and lenses, in their order (`adjustment_kernels`)."""
+        lens, model = lenses.table()
+        poses = (self.rotations, self.centres, self.turns, velocity)
+        return obs.photo, obs.pixels, *map(np.ascontiguousarray, poses), lenses.of, lens, model
 
 
 def project_points(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> tuple[F64, F64]:
-    """Return (N, 2) predicted pixels and (N, 3) points in the cameras' frames (eq. 1)."""
-    R, C, _ = state.exposed(obs, lenses, velocity)
-    p = in_camera(R, C, _CAMERA, state.points[obs.point])
-    return lenses.project(obs.photo, p), p
+    """Return (N, 2) predicted pixels, NaN behind the camera, and (N,) depths in m (eqs. 1, 10)."""
+    pixels, depth = np.empty((len(obs.photo), 2)), np.empty(len(obs.photo))
+    predict_pixels(*state.for_kernels(obs, lenses, velocity), obs.point, state.points, pixels, depth)
+    return pixels, depth
 
 
 def residuals(state: BundleState, obs: BundleObservations, priors: Priors) -> F64:
     """Return (N, 2) pixels, predicted less observed; a point behind the camera has a large residual."""
     r = project_points(state, obs, priors.lenses.moved(state.lens), priors.velocity)[0] - obs.pixels
-    return np.nan_to_num(np.clip(r, -1e4, 1e4), nan=1e4)
+    return np.nan_to_num(np.clip(r, -FAR, FAR), nan=FAR)
 
 
-def _attitude(state: BundleState, priors: Priors) -> tuple[NDArray[np.int64], F64, F64]:
+def _attitude(state: BundleState, priors: Priors) -> tuple[I64, F64, F64]:
     """Return the photos with an attitude prior, (k, 3) residuals, (k, 3, 3) derivatives by the mounting (eq. 5)."""
     who = np.flatnonzero(
         np.isfinite(priors.world_from_body).all(axis=(1, 2)) & np.isfinite(priors.sigma_rotation).all(axis=1)
@@ -111,54 +106,6 @@ def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixe
     return cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
 
 
-def _jacobians(state: BundleState, obs: BundleObservations, priors: Priors) -> tuple[F64, F64, F64, F64]:
-    """Return residuals (N, 2), derivatives by pose (N, 2, 6), point (N, 2, 3), free lens numbers (N, 2, k) (eq. 2).
-
-    A photo that may turn while it is read out has six unknowns more, (N, 2, 12) (eq. 11).
-    """
-    lenses = priors.lenses.moved(state.lens)
-    x = state.points[obs.point]
-    R, C, t = state.exposed(obs, lenses, priors.velocity)
-    p = in_camera(R, C, _CAMERA, x)
-    xy = p[:, :2] / np.maximum(p[:, 2:], MIN_DEPTH)
-    by_pose, by_point = jacobians(R, C, _CAMERA, x)
-    f = lenses.focal(obs.photo)
-    h = 1e-6
-    by_xy = np.stack(
-        [
-            (lenses.distort(obs.photo, xy + e) - lenses.distort(obs.photo, xy - e)) / (2 * h)
-            for e in ([h, 0.0], [0.0, h])
-        ],
-        axis=2,
-    )
-    lens = by_xy * f[:, :, None]  # pixels by normalised coordinates
-    pose, point = lens @ by_pose[:, :, POSITION_FIRST], lens @ by_point
-    by_readout = np.einsum("nki,ni->nk", point, -priors.velocity[obs.photo] * t[:, None])
-    if priors.sigma_turn > 0:
-        by_turn = pose[:, :, 3:] @ state.rotations[obs.photo]
-        pose = np.concatenate([pose, *(by_turn * of[:, None, None] for of in turning(t).T)], axis=2)
-    return residuals(state, obs, priors), pose, point, _by_lens(state, xy, obs.photo, priors, by_readout)
-
-
-def _by_lens(state: BundleState, xy: F64, photo: NDArray[np.int64], priors: Priors, by_readout: F64) -> F64:
-    """Return the (N, 2, k) derivative of pixels at normalised coordinates by the free lens numbers."""
-    columns = []
-    for c, camera, rows in priors.lenses.by_camera(photo):
-        part, at = priors.lenses.parts[c], xy[rows]
-        for k in np.flatnonzero(priors.sigma_lens[part] > 0):
-            step = np.zeros(part.stop - part.start)
-            step[k] = 1e-5
-            column = np.zeros((len(xy), 2))
-            if k == len(step) - 1:
-                column[rows] = by_readout[rows]
-            else:
-                ends = (lens_camera(camera, state.lens[part] + s * step) for s in (1, -1))
-                plus, minus = (e.distort(at) * [e.fu, e.fv] + [e.cu, e.cv] for e in ends)
-                column[rows] = (plus - minus) / 2e-5
-            columns.append(column)
-    return np.stack(columns, axis=2) if columns else np.zeros((len(xy), 2, 0))
-
-
 class Adjustment:
     """One Gauss-Newton system over fixed observations: build it, step, accept or damp."""
 
@@ -170,6 +117,9 @@ class Adjustment:
         self.each = 12 if priors.sigma_turn > 0 else 6  # unknowns of a photo: position, rotation, and its turns
         self.size = self.each * self.photos + len(self.free) + 3 * self.mounted
         self._starts = np.append(obs.starts, len(obs.point))
+        self._numbers, self._places = priors.lenses.free_numbers(priors.sigma_lens > 0)
+        self._scales = np.array([[part.start, part.start + 1] for part in priors.lenses.parts])
+        self._longest = int(np.diff(self._starts).max(initial=1))
 
     def cost(self, state: BundleState) -> float:
         """Return the whole robust cost."""
@@ -177,26 +127,25 @@ class Adjustment:
 
     def linearise(self, state: BundleState) -> None:
         """Build the blocks of the normal equations (eq. 7)."""
-        obs, each, n6 = self.obs, self.each, self.each * self.photos
-        r, A, B, L = _jacobians(state, obs, self.priors)
-        w = np.sqrt(cauchy((r**2).sum(axis=1) / self.pixel_sigma**2, self.loss)[0]) / self.pixel_sigma
-        r, A, B, L = r * w[:, None], A * w[:, None, None], B * w[:, None, None], L * w[:, None, None]
-        U, b = self._prior_blocks(state)
-        AT = np.swapaxes(A, 1, 2)
-        pose = _sum_by(obs.photo, AT @ A, self.photos)
-        for i in range(self.photos):
-            U[each * i : each * (i + 1), each * i : each * (i + 1)] += pose[i]
-        b[:n6] -= _sum_by(obs.photo, np.einsum("nki,nk->ni", A, r), self.photos).ravel()
-        lens = slice(n6, n6 + len(self.free))
-        cross = _sum_by(obs.photo, AT @ L, self.photos).reshape(n6, -1)
-        U[:n6, lens] += cross
-        U[lens, :n6] += cross.T
-        U[lens, lens] += np.einsum("nki,nkj->ij", L, L)
-        b[lens] -= np.einsum("nki,nk->i", L, r)
-        self.U, self.b = U, b
-        self.rows = (-r, A, B)  # residual, Jacobians by pose and by point, in sigmas
-        self.by_lens = L
-        self.lens_coupling = sum_by_point(self._starts, np.swapaxes(L, 1, 2) @ B)  # (m, k, 3)
+        obs, pr, m, k = self.obs, self.priors, self.obs.points, len(self.free)
+        at = self._unknowns()
+        own, right = np.zeros((*at.shape, at.shape[1])), np.zeros(at.shape)
+        self.coupling, self.lens_coupling = np.empty((len(obs.photo), 3, self.each)), np.zeros((m, 3, k))
+        self.information, self.gradient = np.zeros((m, 3, 3)), np.zeros((m, 3))
+        linearise(
+            *state.for_kernels(obs, pr.lenses.moved(state.lens), pr.velocity), obs.point, state.points,
+            1.0 + state.lens[self._scales], self._numbers, self._places, self.each, self.pixel_sigma, self.loss,
+            own, right, self.coupling, self.lens_coupling, self.information, self.gradient,
+        )  # fmt: skip
+        self.U, self.b = self._prior_blocks(state)  # of U the lower triangle
+        np.add.at(self.U, (at[:, :, None], at[:, None, :]), own)
+        np.add.at(self.b, at, right)
+
+    def _unknowns(self) -> I64:
+        """(n, e + f) the places of each photo's unknowns, and of its lens's free numbers; what a lens lacks is at 0."""
+        photos = self.each * np.arange(self.photos)[:, None] + np.arange(self.each)
+        lens = self._places[self.priors.lenses.of]
+        return np.concatenate([photos, np.where(lens >= 0, self.each * self.photos + lens, 0)], axis=1)
 
     def _prior_blocks(self, state: BundleState) -> tuple[F64, F64]:
         pr, n = self.priors, self.photos
@@ -228,38 +177,36 @@ class Adjustment:
             b[m] -= np.einsum("nki,nk->i", cross, r) + state.mounting / pr.sigma_mounting**2
         return U, b
 
-    def reduce(self, damping: float) -> tuple[F64, F64, EliminatedPoints]:
-        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,), and the eliminated points."""
-        points = eliminate_points(self._starts, *self.rows, _POINT_PRIOR, damping)
-        n6, k, m = self.each * self.photos, len(self.free), len(points.root)
-        pose = np.ascontiguousarray(np.swapaxes(points.coupling, 1, 2))
-        GT = sparse.bsr_array((pose, self.obs.photo, self._starts), shape=(3 * m, n6))
-        lens = np.swapaxes(self.lens_coupling @ points.root, 1, 2).reshape(3 * m, k)
+    def reduce(self, damping: float) -> tuple[F64, F64]:
+        """Eliminate the points (eq. 8): reduced matrix (p, p), right side (p,)."""
         S, rhs = self.U.copy(), self.b.copy()
-        S[:n6, :n6] -= (GT.T @ GT).toarray()
-        cross = np.asarray(GT.T @ lens)
-        L = slice(n6, n6 + k)
-        S[:n6, L] -= cross
-        S[L, :n6] -= cross.T
-        S[L, L] -= lens.T @ lens
-        z = points.reduced_gradient.ravel()
-        rhs[:n6] -= GT.T @ z
-        rhs[L] -= lens.T @ z
-        return S + damping * np.diag(np.diag(self.U)), rhs, points
+        S[np.diag_indices_from(S)] *= 1.0 + damping
+        scratch, self.covariances = np.empty((self._longest, 3, self.each)), np.empty_like(self.information)
+        eliminate(
+            self._starts, self.obs.photo, self.coupling, self.lens_coupling, self.information, self.gradient,
+            damping, _POINT_PRIOR, self.each * self.photos, scratch, S, rhs, self.covariances,
+        )  # fmt: skip
+        mirror_lower(S)
+        return S, rhs
 
     def step(self, state: BundleState, damping: float) -> BundleState:
         """Return the state after one damped step."""
-        S, rhs, points = self.reduce(damping)
-        x = solved_steps(S + 1e-12 * np.eye(len(S)), rhs)
+        S, rhs = self.reduce(damping)
+        S[np.diag_indices_from(S)] += 1e-12
+        x = solved_steps(S, rhs)
         n6, k = self.each * self.photos, len(self.free)
         pose, lens, mount = x[:n6].reshape(-1, self.each), x[n6 : n6 + k], x[n6 + k :]
-        predicted = np.einsum("nki,ni->nk", self.rows[1], pose[self.obs.photo]) + self.by_lens @ lens
+        points = np.empty_like(state.points)
+        move_points(
+            self._starts, self.obs.photo, self.coupling, self.lens_coupling, self.gradient, self.covariances,
+            pose, lens, points,
+        )  # fmt: skip
         offsets = state.lens.copy()
         offsets[self.free] += lens
         return BundleState(
             state.centres + pose[:, :3],
             so3_exp(pose[:, 3:6]) @ state.rotations,
-            state.points + points.point_step(predicted),
+            state.points + points,
             offsets,
             state.mounting + mount if self.mounted else state.mounting,
             state.turns + pose[:, 6:].reshape(-1, 2, 3) if self.each > 6 else state.turns,
@@ -293,8 +240,7 @@ class Adjustment:
         Mounting, points, turns and readouts are marginalised.
         """
         self.linearise(state)
-        S = self.reduce(0.0)[0]
-        C = covariance_of(S)
+        C = covariance_of(self.reduce(0.0)[0])
         poses = (self.each * np.arange(self.photos)[:, None] + np.arange(6)).ravel()
         lens = self.each * self.photos + np.flatnonzero(~np.isin(self.free, self.priors.lenses.readout_numbers))
         of = np.concatenate([poses, lens])
@@ -333,13 +279,6 @@ def solved_steps(S: F64, rhs: F64) -> F64:
     return np.asarray(factor.solve(rhs))
 
 
-def _sum_by(group: NDArray[np.int64], values: F64, count: int) -> F64:
-    """Sum rows of (N, ...) values into (count, ...) by group."""
-    flat = values.reshape(len(values), -1)
-    chosen = sparse.csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
-    return np.asarray(chosen @ flat).reshape(count, *values.shape[1:])
-
-
 def triangulate_bundle(
     state: BundleState,
     lenses: PhotoLenses,
@@ -349,28 +288,16 @@ def triangulate_bundle(
     scale_px: float = 3.0,
 ) -> F64:
     """Return (m, 3) points nearest to their rays (midpoint method), with Cauchy weights."""
-    ray = lenses.rays(obs.photo, obs.pixels)
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    R, C, _ = state.exposed(obs, lenses, velocity)
-    ray = np.einsum("nij,nj->ni", R, ray)
+    ray, origin = np.empty((len(obs.photo), 3)), np.empty((len(obs.photo), 3))
+    rays_of_pixels(*state.for_kernels(obs, lenses, velocity), ray, origin)
     starts, weight = np.append(obs.starts, len(obs.point)), np.ones(len(ray))
     points, focal = np.empty((obs.points, 3)), lenses.focal(obs.photo)[:, 0]
-    for _ in range(rounds):
-        points = triangulate_rays(starts, ray, C, weight)
-        offset = points[obs.point] - C
-        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-6)
-        across = offset - ray * np.einsum("ni,ni->n", ray, offset)[:, None]
-        angle_px = np.linalg.norm(across, axis=1) / distance * focal
-        weight = cauchy(angle_px**2, scale_px)[0] / distance**2
-        if len(weight):
-            weight /= weight.max()
+    meet_rays(starts, ray, origin, focal, rounds, scale_px, WEAK_PRIOR, weight, points)
     return points
 
 
 def intersection_angle(points: F64, centres: F64, obs: BundleObservations) -> F64:
     """Return (m,) the angle in rad between the first ray of each point and the one farthest from it."""
-    d = points[obs.point] - centres[obs.photo]
-    d /= np.maximum(np.linalg.norm(d, axis=1, keepdims=True), 1e-9)
-    first = d[obs.starts][obs.point]
-    sine = np.linalg.norm(np.cross(first, d), axis=1)
-    return np.asarray(np.maximum.reduceat(np.arcsin(np.minimum(sine, 1.0)), obs.starts))
+    out = np.empty(len(points))
+    widest_angles(np.append(obs.starts, len(obs.point)), obs.photo, np.ascontiguousarray(centres), points, out)
+    return out

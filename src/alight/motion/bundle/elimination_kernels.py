@@ -1,0 +1,104 @@
+"""Elimination of the points of an adjustment, and their steps: kernels. Equation numbers: docs/method/bundle.md.
+
+Shapes: `adjustment_kernels`. A block W of a point and other unknowns stands transposed, (3, p).
+"""
+
+import numpy as np
+
+from alight.arrays import F64, I64
+from alight.compiled import kernel, pixelwise
+from alight.motion.point_kernels import invert
+
+
+@pixelwise
+def _times_root(W: F64, root: F64, out: F64) -> None:
+    """Write the transpose of W' root, of a block (3, p) and the upper root of a point's covariance."""
+    for a in range(W.shape[1]):
+        out[0, a] = W[0, a] * root[0, 0]
+        out[1, a] = W[0, a] * root[0, 1] + W[1, a] * root[1, 1]
+        out[2, a] = W[0, a] * root[0, 2] + W[1, a] * root[1, 2] + W[2, a] * root[2, 2]
+
+
+@pixelwise
+def _subtract_product(G: F64, H: F64, at: int, to: int, width: int, S: F64) -> None:
+    """Subtract G'H of (3, p) and (3, width) from the block of a matrix whose first row and column are `at` and `to`."""
+    for a in range(G.shape[1]):
+        u, v, w = G[0, a], G[1, a], G[2, a]
+        for b in range(width):
+            S[at + a, to + b] -= u * H[0, b] + v * H[1, b] + w * H[2, b]
+
+
+@pixelwise
+def _subtract_photos(G: F64, H: F64, at: int, to: int, S: F64) -> None:
+    """As `_subtract_product`, H of one photo: its width is known to the compiler, which makes it a third faster."""
+    if H.shape[1] == 12:
+        _subtract_product(G, H, at, to, 12, S)
+    else:
+        _subtract_product(G, H, at, to, 6, S)
+
+
+@pixelwise
+def _subtract_times(G: F64, z: F64, at: int, rhs: F64) -> None:
+    """Subtract G'z of (3, p) and (3,) from a vector, from its place `at` on."""
+    for a in range(G.shape[1]):
+        rhs[at + a] -= G[0, a] * z[0] + G[1, a] * z[1] + G[2, a] * z[2]
+
+
+@kernel
+def eliminate(
+    starts: I64, photo: I64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
+    damping: float, regular: float, lenses: int, G: F64, S: F64, rhs: F64, inverse: F64,
+) -> None:  # fmt: skip
+    """Subtract what the points take from the normal equations of the rest (eq. 8), of S the lower triangle.
+
+    Of a short track few blocks change, whatever the size of the matrix.
+
+    Args:
+        starts: (m + 1,) first observation of each point, then N.
+        photo, coupling, lens_coupling, information, gradient: as `linearise` wrote them.
+        damping: share of the diagonal of a point's block that is added to it (Levenberg-Marquardt).
+        regular: added to that diagonal.
+        lenses: the place of the first lens number in S.
+        G: (longest, 3, e) scratch, as many as a point has observations.
+        S, rhs: (p, p), (p,) photos first.
+        inverse: (m, 3, 3) out: covariance of the points for exact poses.
+    """
+    each = coupling.shape[2]
+    V, root, z, L = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty((3, lens_coupling.shape[2]))
+    for k in range(len(starts) - 1):
+        for j in range(3):
+            for h in range(3):
+                V[j, h] = information[k, j, h]
+            V[j, j] += damping * V[j, j] + regular
+        invert(V, regular, root, inverse[k])
+        for j in range(3):
+            z[j] = root[0, j] * gradient[k, 0] + root[1, j] * gradient[k, 1] + root[2, j] * gradient[k, 2]
+        _times_root(lens_coupling[k], root, L)
+        _subtract_product(L, L, lenses, lenses, L.shape[1], S)
+        _subtract_times(L, z, lenses, rhs)
+        for n in range(starts[k], starts[k + 1]):
+            own, at = G[n - starts[k]], each * photo[n]
+            _times_root(coupling[n], root, own)
+            for before in range(starts[k], n + 1):
+                _subtract_photos(own, G[before - starts[k]], at, each * photo[before], S)
+            _subtract_photos(L, own, lenses, at, S)
+            _subtract_times(own, z, at, rhs)
+
+
+@kernel
+def move_points(
+    starts: I64, photo: I64, coupling: F64, lens_coupling: F64, gradient: F64, inverse: F64, pose: F64, lens: F64,
+    out: F64,
+) -> None:  # fmt: skip
+    """Write the steps of the points (m, 3) once photos (n, e) and free lens numbers (k,) have moved (eq. 7)."""
+    g = np.empty(3)
+    for k in range(len(starts) - 1):
+        for j in range(3):
+            g[j] = gradient[k, j]
+            for f in range(len(lens)):
+                g[j] -= lens_coupling[k, j, f] * lens[f]
+            for n in range(starts[k], starts[k + 1]):
+                for a in range(pose.shape[1]):
+                    g[j] -= coupling[n, j, a] * pose[photo[n], a]
+        for j in range(3):
+            out[k, j] = inverse[k, j, 0] * g[0] + inverse[k, j, 1] * g[1] + inverse[k, j, 2] * g[2]

@@ -1,0 +1,85 @@
+"""Lens models with derivatives: kernels. The models are those of `Camera.distort`."""
+
+import math
+
+from alight.arrays import F64
+from alight.compiled import pixelwise
+
+_STEPS = 20  # of Newton at the most; five are usual
+_LONGEST = 0.5  # of a step, so that it does not leap over the fold of a lens
+_LEAST_STEP = 1e-12
+_LEAST_SLOPE = 1e-9  # of the distorted by the ideal area
+_CENTRE = 1e-9  # from the axis, within which a fisheye does not distort
+
+
+@pixelwise
+def _radial_tangential(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
+    """Brown-Conrady: see `distort`."""
+    r2 = x * x + y * y
+    s, slope = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4])), k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4])
+    out[0] = x * s + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x)
+    out[1] = y * s + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y
+    by_xy[0, 0] = s + 2.0 * x * x * slope + 2.0 * k[2] * y + 6.0 * k[3] * x
+    by_xy[1, 1] = s + 2.0 * y * y * slope + 6.0 * k[2] * y + 2.0 * k[3] * x
+    by_xy[0, 1] = by_xy[1, 0] = 2.0 * x * y * slope + 2.0 * k[2] * x + 2.0 * k[3] * y
+    by_k[0, 0], by_k[0, 1], by_k[0, 4] = x * r2, x * r2 * r2, x * r2 * r2 * r2
+    by_k[1, 0], by_k[1, 1], by_k[1, 4] = y * r2, y * r2 * r2, y * r2 * r2 * r2
+    by_k[0, 2], by_k[0, 3] = 2.0 * x * y, r2 + 2.0 * x * x
+    by_k[1, 2], by_k[1, 3] = r2 + 2.0 * y * y, 2.0 * x * y
+
+
+@pixelwise
+def _equidistant(x: float, y: float, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
+    """Kannala-Brandt: see `distort`."""
+    r = math.sqrt(x * x + y * y)
+    if r < _CENTRE:
+        return
+    theta = math.atan(r)
+    t2 = theta * theta
+    s = theta * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
+    by_r = (1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])))) / (1.0 + r * r)
+    slope, power = (by_r - s) / (r * r), theta / r
+    out[0], out[1] = x * s, y * s
+    by_xy[0, 0], by_xy[1, 1] = s + x * x * slope, s + y * y * slope
+    by_xy[0, 1] = by_xy[1, 0] = x * y * slope
+    for i in range(4):
+        power *= t2
+        by_k[0, i], by_k[1, i] = x * power, y * power
+
+
+@pixelwise
+def distort(x: float, y: float, model: int, k: F64, out: F64, by_xy: F64, by_k: F64) -> None:
+    """Write distorted coordinates and their derivatives.
+
+    Args:
+        x, y: ideal coordinates.
+        model: 0 no distortion, 1 radial-tangential, 2 equidistant.
+        k: (5,) coefficients.
+        out: (2,) out.
+        by_xy: (2, 2) out, by ideal coordinates.
+        by_k: (2, 5) out, by coefficients: 0 for those that a model does not have.
+    """
+    out[0], out[1] = x, y
+    by_xy[0, 0] = by_xy[1, 1] = 1.0
+    by_xy[0, 1] = by_xy[1, 0] = 0.0
+    by_k[:] = 0.0
+    if model == 1:
+        _radial_tangential(x, y, k, out, by_xy, by_k)
+    elif model == 2:
+        _equidistant(x, y, k, out, by_xy, by_k)
+
+
+@pixelwise
+def undistort(u: float, v: float, model: int, k: F64, out: F64, flat: F64, by_xy: F64, by_k: F64) -> None:
+    """Write ideal coordinates (2,) of distorted ones (Newton); the rest is for `distort` to write into."""
+    out[0], out[1] = u, v
+    for _ in range(_STEPS if model > 0 else 0):
+        distort(out[0], out[1], model, k, flat, by_xy, by_k)
+        e, f = flat[0] - u, flat[1] - v
+        det = by_xy[0, 0] * by_xy[1, 1] - by_xy[0, 1] * by_xy[1, 0]
+        det = det if abs(det) > _LEAST_SLOPE else _LEAST_SLOPE
+        a, b = (e * by_xy[1, 1] - f * by_xy[0, 1]) / det, (f * by_xy[0, 0] - e * by_xy[1, 0]) / det
+        out[0] -= min(max(a, -_LONGEST), _LONGEST)
+        out[1] -= min(max(b, -_LONGEST), _LONGEST)
+        if max(abs(a), abs(b)) < _LEAST_STEP:
+            break

@@ -1,0 +1,280 @@
+"""The loops of the bundle adjustment against differences, and against their NumPy twins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import twins_bundle as twins
+
+from alight.arrays import F64, I64
+from alight.geometry import Camera, so3_exp
+from alight.motion.bundle.lens_kernels import distort, undistort
+from alight.motion.bundle.lenses import PhotoLenses
+from alight.motion.bundle.matching import BundleObservations
+from alight.motion.bundle.ray_kernels import meet_rays, rays_of_pixels
+from alight.motion.bundle.solver import (
+    Adjustment,
+    BundleState,
+    Priors,
+    intersection_angle,
+    project_points,
+    residuals,
+    triangulate_bundle,
+)
+
+PINHOLE = Camera(800, 640, 960.0, 950.0, 404.0, 311.0)
+BROWN4 = replace(PINHOLE, model="radial-tangential", distortion=(-0.30, 0.12, 0.0008, -0.0005))
+BROWN5 = replace(PINHOLE, model="radial-tangential", distortion=(0.18, -0.47, -0.0009, 0.0007, 0.4))
+FISHEYE = Camera(800, 640, 420.0, 430.0, 396.0, 322.0, "equidistant", (0.02, -0.01, 0.004, -0.001))
+LENSES = {"pinhole": PINHOLE, "radial-tangential": BROWN4, "with k3": BROWN5, "fisheye": FISHEYE}
+SIGMA, LOSS, PHOTOS, POINTS = 0.7, 3.0, 5, 14
+
+
+@pytest.fixture(params=LENSES)
+def camera(request: pytest.FixtureRequest) -> Camera:
+    return LENSES[request.param]
+
+
+def coordinates() -> F64:
+    """Ideal coordinates over the picture, on the axes, close to the centre, and in it."""
+    rng = np.random.default_rng(1)
+    edge = np.array([[0.3, 0.0], [0.0, -0.2], [1e-5, 2e-5], [1e-8, 0.0], [1e-12, 1e-12], [0.0, 0.0]])
+    return np.concatenate([rng.uniform(-0.45, 0.45, (40, 2)), edge])
+
+
+def test_lens_derivatives_are_those_of_differences(camera: Camera) -> None:
+    flat, by_xy, by_k, h = np.empty(2), np.empty((2, 2)), np.empty((2, 5)), 1e-6
+    for at in coordinates():
+        distort(at[0], at[1], camera.code, camera.coefficients, flat, by_xy, by_k)
+        np.testing.assert_allclose(flat, camera.distort(at), rtol=1e-13, atol=1e-15)
+        for k, step in enumerate(h * np.eye(2)):
+            slope = (camera.distort(at + step) - camera.distort(at - step)) / (2 * h)
+            np.testing.assert_allclose(by_xy[:, k], slope, atol=1e-8)
+        for k, step in enumerate(h * np.eye(len(camera.distortion))):
+            more, less = (replace(camera, distortion=tuple(camera.distortion + s * step)) for s in (1, -1))
+            np.testing.assert_allclose(by_k[:, k], (more.distort(at) - less.distort(at)) / (2 * h), atol=1e-9)
+
+
+def test_lenses_are_undone(camera: Camera) -> None:
+    out, flat, by_xy, by_k = np.empty(2), np.empty(2), np.empty((2, 2)), np.empty((2, 5))
+    for at in coordinates():
+        there = camera.distort(at)
+        undistort(there[0], there[1], camera.code, camera.coefficients, out, flat, by_xy, by_k)
+        np.testing.assert_allclose(out, at, atol=1e-12)
+
+
+def test_beyond_the_fold_of_a_lens_there_is_no_way_back_but_a_number() -> None:
+    out, flat, by_xy, by_k = np.empty(2), np.empty(2), np.empty((2, 2)), np.empty((2, 5))
+    undistort(3.0, -2.0, BROWN4.code, BROWN4.coefficients, out, flat, by_xy, by_k)
+    assert np.isfinite(out).all()
+
+
+def survey(
+    cameras: tuple[Camera, ...], turning: float, seed: int = 3
+) -> tuple[BundleState, BundleObservations, Priors]:
+    """Photos from 40 m, in turn by the cameras, of points that two to five of them see, a few pixels off."""
+    rng = np.random.default_rng(seed)
+    centres = np.column_stack([6.0 * np.arange(PHOTOS), rng.normal(0, 3, PHOTOS), 40 + rng.normal(0, 1, PHOTOS)])
+    down = np.diag([1.0, -1.0, -1.0])
+    rotations = np.array([so3_exp(rng.normal(0, 0.1, 3)) @ down for _ in range(PHOTOS)])
+    points = np.column_stack([rng.uniform(4, 20, POINTS), rng.uniform(-6, 6, POINTS), rng.normal(0, 1, POINTS)])
+    seen = [np.sort(rng.choice(PHOTOS, rng.integers(2, PHOTOS + 1), replace=False)) for _ in range(POINTS)]
+    lenses = PhotoLenses(cameras, np.arange(PHOTOS) % len(cameras))
+    numbers = lenses.parts[-1].stop
+    lens = rng.normal(0, 1, numbers) * np.concatenate([_sizes(c) for c in cameras])
+    turns = rng.normal(0, 1, (PHOTOS, 2, 3)) * turning
+    state = BundleState(centres, rotations, points, lens, rng.normal(0, 0.01, 3), turns)
+    photo, point = np.concatenate(seen), np.repeat(np.arange(POINTS), [len(s) for s in seen])
+    velocity = rng.normal(0, 4, (PHOTOS, 3))
+    obs = BundleObservations(photo.astype(np.int64), point, rng.uniform(0, 640, (len(photo), 2)))
+    pixels = twins.predicted(state, obs, lenses.moved(lens), velocity) + rng.normal(0, 2, obs.pixels.shape)
+    free = rng.random(numbers) < 0.7
+    priors = Priors(
+        centres + rng.normal(0, 1, centres.shape), np.full((PHOTOS, 3), 2.0), rotations @ down.T,
+        np.full((PHOTOS, 3), 0.05), down, 0.03, lenses, np.where(free, 0.1, 0.0), velocity, 0.02 if turning else 0.0,
+    )  # fmt: skip
+    return state, replace(obs, pixels=pixels), priors
+
+
+def _sizes(camera: Camera) -> F64:
+    """How far the numbers of a lens are off in the survey: scale aspect cu cv distortion... readout."""
+    return np.array([0.01, 0.01, 3.0, 3.0, *[0.001] * len(camera.distortion), 0.1])
+
+
+SETS = {**{name: (lens,) for name, lens in LENSES.items()}, "three cameras": (BROWN5, FISHEYE, PINHOLE)}
+
+
+@pytest.fixture(params=SETS)
+def cameras(request: pytest.FixtureRequest) -> tuple[Camera, ...]:
+    return SETS[request.param]
+
+
+def parts(system: Adjustment) -> tuple[F64, F64]:
+    """The normal equations that `linearise` left, in full: photos, free lens numbers, mounting, points."""
+    p, obs = system.size, system.obs
+    H, g = np.zeros((p + 3 * obs.points,) * 2), np.zeros(p + 3 * obs.points)
+    H[:p, :p], g[:p] = np.tril(system.U) + np.tril(system.U, -1).T, system.b
+    lens = np.arange(len(system.free)) + system.each * system.photos
+    for k in range(obs.points):
+        at = np.arange(3) + p + 3 * k
+        H[np.ix_(at, at)], g[at] = system.information[k], system.gradient[k]
+        H[np.ix_(at, lens)] = system.lens_coupling[k]
+        for n in np.flatnonzero(obs.point == k):
+            H[np.ix_(at, np.arange(system.each) + system.each * obs.photo[n])] = system.coupling[n]
+    H[:p, p:] = H[p:, :p].T
+    return H, g
+
+
+def expected(system: Adjustment, state: BundleState) -> tuple[F64, F64]:
+    """The same, of the twin's rows and the priors' blocks."""
+    p, each = system.size, system.each
+    r, J = twins.rows(state, system.obs, system.priors, each)
+    mounting = each * system.photos + len(system.free)
+    J = np.concatenate([J[:, :mounting], np.zeros((len(r), p - mounting)), J[:, mounting:]], axis=1)
+    w = twins.cauchy_weights(r, system.pixel_sigma, system.loss)
+    H, g = J.T @ (w[:, None] * J), -J.T @ (w * r)
+    U, b = system._prior_blocks(state)
+    H[:p, :p] += U
+    g[:p] += b
+    return H, g
+
+
+def close(found: F64, wanted: F64, size: F64, tolerance: float) -> None:
+    """Equal but for a share of the sizes of the unknowns, of a matrix (p, p) or a right side (p,)."""
+    unit = np.multiply.outer(size, size) if found.ndim == 2 else size * np.abs(wanted / size).max()
+    np.testing.assert_allclose(found / unit, wanted / unit, atol=tolerance)
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.02])
+def test_blocks_are_those_of_the_rows_written_out(cameras: tuple[Camera, ...], turning: float) -> None:
+    """Every lens, with turns and without, several cameras with free numbers of their own."""
+    state, obs, priors = survey(cameras, turning)
+    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system.linearise(state)
+    H, g = parts(system)
+    wanted, right = expected(system, state)
+    size = np.sqrt(np.diag(wanted))
+    close(H, wanted, size, 1e-6)
+    close(g, right, size, 1e-6)
+
+
+@pytest.mark.parametrize("turning", [0.0, 1e-7])
+def test_rows_are_those_of_differences(cameras: tuple[Camera, ...], turning: float) -> None:
+    """Those of the twin, which the kernels are compared with: pixels predicted before and after steps of the unknowns.
+
+    At turns near zero: eq. 11 leaves out what a turn does to the way the next one turns.
+    """
+    state, obs, priors = survey(cameras, turning)
+    each = 12 if turning else 6
+    _, J = twins.rows(state, obs, priors, each)
+    free = np.flatnonzero(priors.sigma_lens > 0)
+
+    def moved(step: F64) -> F64:
+        photos = step[: each * PHOTOS].reshape(PHOTOS, each)
+        lens = state.lens.copy()
+        lens[free] += step[each * PHOTOS : each * PHOTOS + len(free)]
+        turned = np.array([so3_exp(w) for w in photos[:, 3:6]]) @ state.rotations
+        turns = state.turns + photos[:, 6:].reshape(PHOTOS, 2, 3) if turning else state.turns
+        x = state.points + step[each * PHOTOS + len(free) :].reshape(-1, 3)
+        after = BundleState(state.centres + photos[:, :3], turned, x, lens, state.mounting, turns)
+        return project_points(after, obs, priors.lenses.moved(lens), priors.velocity)[0].ravel()
+
+    for k in range(J.shape[1]):
+        step = 1e-6 * np.eye(J.shape[1])[k]
+        np.testing.assert_allclose(J[:, k], (moved(step) - moved(-step)) / 2e-6, rtol=1e-5, atol=2e-3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3])
+@pytest.mark.parametrize("turning", [0.0, 0.02])
+def test_the_reduced_system_is_the_dense_schur_complement(
+    cameras: tuple[Camera, ...], turning: float, damping: float
+) -> None:
+    """Matrix, right side, and the steps of points that follow, by the whole system solved at once."""
+    state, obs, priors = survey(cameras, turning)
+    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system.linearise(state)
+    H, g = parts(system)
+    H += damping * np.diag(np.diag(H))
+    p = system.size
+    gain = np.linalg.solve(H[p:, p:], H[p:, :p]).T
+    S, rhs = system.reduce(damping)
+    size = np.sqrt(np.diag(H))[:p]
+    close(S, H[:p, :p] - gain @ H[p:, :p], size, 1e-9)
+    close(rhs, g[:p] - gain @ g[p:], size, 1e-9)
+    np.testing.assert_array_equal(S, S.T)
+    after, step = system.step(state, damping), np.linalg.solve(H, g)
+    np.testing.assert_allclose(after.points - state.points, step[p:].reshape(-1, 3), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(after.mounting - state.mounting, step[p - 3 : p], rtol=1e-5, atol=1e-9)
+
+
+def test_a_point_behind_a_camera_is_far_off_and_no_reason_to_stop() -> None:
+    state, obs, priors = survey((BROWN5,), 0.02)
+    points = state.points.copy()
+    points[3, 2] = 200.0
+    state = replace(state, points=points)
+    pixels, depth = project_points(state, obs, priors.lenses.moved(state.lens), priors.velocity)
+    behind = obs.point == 3
+    assert (depth[behind] < 0).all()
+    assert np.isnan(pixels[behind]).all()
+    assert np.isfinite(pixels[~behind]).all()
+    np.testing.assert_array_equal(residuals(state, obs, priors)[behind], twins.FAR)
+    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system.linearise(state)
+    assert np.isfinite(system.reduce(1e-3)[0]).all()
+
+
+@pytest.mark.parametrize("turning", [0.0, 0.02])
+def test_predictions_and_rays_are_those_of_numpy(cameras: tuple[Camera, ...], turning: float) -> None:
+    """And a ray goes through every point whose pixel is its prediction."""
+    state, obs, priors = survey(cameras, turning)
+    lenses = priors.lenses.moved(state.lens)
+    pixels, _ = project_points(state, obs, lenses, priors.velocity)
+    np.testing.assert_allclose(pixels, twins.predicted(state, obs, lenses, priors.velocity), atol=1e-9)
+    ray, origin = np.empty((2, len(obs.photo), 3))
+    rays_of_pixels(*state.for_kernels(obs, lenses, priors.velocity), ray, origin)
+    for n, (photo, pixel) in enumerate(zip(obs.photo, obs.pixels, strict=True)):
+        R, C, _ = twins.exposed(state, lenses, priors.velocity, int(photo), pixel[1])
+        wanted = R @ lenses.of_photo(int(photo)).rays(pixel)
+        np.testing.assert_allclose(ray[n], wanted / np.linalg.norm(wanted), atol=1e-9)
+        np.testing.assert_allclose(origin[n], C, atol=1e-12)
+
+
+def starts_of(obs: BundleObservations) -> I64:
+    return np.append(obs.starts, len(obs.point))
+
+
+def test_points_are_where_their_rays_meet() -> None:
+    """Reweighted as NumPy does it; one ray is far off."""
+    state, obs, priors = survey((BROWN4,), 0.02)
+    obs.pixels[np.flatnonzero(np.bincount(obs.point)[obs.point] > 4)[0]] += [60.0, 0.0]
+    lenses = priors.lenses.moved(state.lens)
+    ray, origin = np.empty((2, len(obs.photo), 3))
+    rays_of_pixels(*state.for_kernels(obs, lenses, priors.velocity), ray, origin)
+    focal, out = lenses.focal(obs.photo)[:, 0], np.empty((POINTS, 3))
+    meet_rays(starts_of(obs), ray, origin, focal, 4, 3.0, 1e-9, np.ones(len(ray)), out)
+    wanted = twins.meeting_points(starts_of(obs), ray, origin, focal, 4, 3.0)
+    np.testing.assert_allclose(out, wanted, atol=1e-6)
+    np.testing.assert_array_equal(out, triangulate_bundle(state, lenses, priors.velocity, obs))
+
+
+def test_angles_between_rays_are_those_of_numpy() -> None:
+    state, obs, _ = survey((PINHOLE,), 0.0)
+    d = state.points[obs.point] - state.centres[obs.photo]
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    sine = np.linalg.norm(np.cross(d[obs.starts][obs.point], d), axis=1)
+    wanted = np.maximum.reduceat(np.arcsin(sine), obs.starts)
+    np.testing.assert_allclose(intersection_angle(state.points, state.centres, obs), wanted, atol=1e-12)
+
+
+def test_no_observation_is_no_error() -> None:
+    state, obs, priors = survey((PINHOLE,), 0.0)
+    none = obs.keep(np.zeros(len(obs.photo), bool))[0]
+    empty = replace(state, points=np.empty((0, 3)))
+    lenses = priors.lenses.moved(state.lens)
+    assert triangulate_bundle(empty, lenses, priors.velocity, none).shape == (0, 3)
+    assert intersection_angle(empty.points, empty.centres, none).shape == (0,)
+    system = Adjustment(none, priors, SIGMA, LOSS)
+    system.linearise(empty)
+    np.testing.assert_allclose(system.reduce(0.0)[0], system._prior_blocks(empty)[0], atol=1e-10)
