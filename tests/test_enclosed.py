@@ -10,7 +10,7 @@ from helpers.ground import ground
 
 from alight.records import Datum, Flag
 from alight.settings import Settings
-from alight.terrain.enclosed import enclosed
+from alight.terrain.enclosed import enclosed, raised
 
 CELL = 0.1
 SETTINGS = Settings().stages().terrain
@@ -67,3 +67,40 @@ def test_doubtful_heights_are_no_bank() -> None:
     flags[:, :122] |= np.uint16(Flag.UNSURE)
     flags[:, 178:] |= np.uint16(Flag.UNSURE)
     assert middle(enclosed(replace(e, flags=flags), SETTINGS)) == 0.0
+
+
+def roof(height: float = 4.0) -> np.ndarray:
+    """40 x 30 m of ground that leans a little, with a flat roof of 16 x 12 m in its middle."""
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.arange(300) * CELL, np.arange(400) * CELL)
+    lawn = 0.02 * x + 0.01 * y
+    on = (np.abs(x - 15.0) < 6.0) & (np.abs(y - 20.0) < 8.0)
+    return (np.where(on, height + 0.5, lawn) + rng.normal(0, 0.01, x.shape)).astype(np.float32)
+
+
+def on_roof(z: np.ndarray) -> float:
+    return float((raised(ground(z, cell=CELL), SETTINGS)[130:270, 100:200] > 0.5).mean())
+
+
+def test_a_flat_roof_is_raised_and_the_ground_about_it_is_not() -> None:
+    found = raised(ground(roof(), cell=CELL), SETTINGS)
+    assert on_roof(roof()) == 1.0
+    assert found[:100].max() == found[300:].max() == found[:, :70].max() == found[:, 230:].max() == 0.0
+
+
+def test_a_low_slab_a_terrace_and_a_canal_are_not_raised() -> None:
+    y = np.arange(400)[:, None] * CELL
+    terrace = np.where((y > 12) & (y < 28), 4.0, np.where(y <= 12, 0.0, 8.0)) * np.ones((1, 300))
+    assert on_roof(roof(0.8)) == 0.0
+    assert on_roof(terrace.astype(np.float32)) == 0.0
+    assert raised(ground(canal(), cell=CELL), SETTINGS).max() == 0.0
+
+
+def test_a_roof_whose_rim_is_not_seen_cannot_be_told() -> None:
+    """The middle of it from near by; and a step at the rim of the map, of which one side is known."""
+    near = roof()
+    near[:125] = near[275:] = np.nan
+    near[:, :95] = near[:, 205:] = np.nan
+    assert on_roof(near) == 0.0
+    step = np.where(np.arange(300) * CELL < 12.0, 4.0, 0.0) * np.ones((400, 1))
+    assert raised(ground(step.astype(np.float32), cell=CELL), SETTINGS).max() == 0.0

@@ -1,7 +1,8 @@
-"""Water by its shape alone: level along its length, and below both banks (docs/method/land-cover.md, G13b).
+"""Level surfaces by their rims (docs/method/land-cover.md, G13b, G13c).
 
-It holds under algae and floating plants, whose colour and texture are those of lawn or soil, and where the water leaves
-the map: what is not seen of the rim does not count.
+Water is level along its length, and below both banks. So it is found under algae and floating plants, whose colour and
+texture are those of lawn or soil, and where the water leaves the map: what is not seen of the rim does not count. A
+flat roof is as bare and even as a yard, and the ground falls away about it; most of the rim must be seen for that.
 """
 
 from __future__ import annotations
@@ -49,6 +50,39 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
     level = 1 - float(linear_ramp(np.array([slope - 2 * tilt], np.float32), *settings.water_level)[0])
     even = 1 - float(linear_ramp(np.array([uneven], np.float32), *settings.water_even)[0])
     return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.water_rim)[0])
+
+
+def raised(elevation: ElevationMap, settings: TerrainSettings) -> F32:
+    """How much every cell is part of a level surface that the ground about it falls away from, (R, C) 0 to 1.
+
+    Args:
+        elevation: its trusted heights are used, and the tilt that they may share.
+        settings: scales.
+    """
+    size = max(1, round(settings.block / elevation.grid.cell))
+    height = np.where(elevation.trusted, elevation.height, np.float32(np.nan))
+    bed, block = block_quantile(height, size, 0.5), size * elevation.grid.cell
+    tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+    count, parts = _level_parts(bed, block, tilt, settings)
+    bed, parts = np.pad(bed, OUTER, constant_values=np.nan), np.pad(parts, OUTER)  # beyond the map nothing was seen
+    out = np.zeros(bed.shape, np.float32)
+    area = np.bincount(parts.ravel(), minlength=count) * block**2
+    for k in range(1, count):
+        if settings.roof_area[0] <= area[k] <= settings.roof_area[1]:
+            part = parts == k
+            out[part] = _height_over_rim(part, bed, settings)
+    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))[OUTER:-OUTER, OUTER:-OUTER]
+    return upsample(np.asarray(grown, np.float32), size, elevation.grid.shape)
+
+
+def _height_over_rim(part: Mask, bed: F32, settings: TerrainSettings) -> float:
+    """How much of the rim of one part lies a wall's height below it, 0 to 1; 0 where half of the rim is not seen."""
+    rim = bed[_rim(part)]
+    seen = np.isfinite(rim)
+    if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):
+        return 0.0
+    lower = float((float(np.median(bed[part])) - rim[seen] > settings.roof_drop).mean())
+    return float(linear_ramp(np.array([lower], np.float32), *settings.roof_rim)[0])
 
 
 def enclosed(elevation: ElevationMap, settings: TerrainSettings) -> F32:
