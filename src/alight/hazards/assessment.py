@@ -39,12 +39,14 @@ class _Findings:
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
-    measured: Footprint  # of all heights, doubtful ones as well
+    measured_roughness: F32  # metres, of all heights, doubtful ones as well
+    unmeasured: F32  # share of the footprint without any height
 
     @property
     def shape(self) -> FootprintShape:
         """What the evidence needs of it."""
-        return FootprintShape(self.footprint, self.roughness_smooth, self.roughness_trend, self.measured)
+        smooth, trend = self.roughness_smooth, self.roughness_trend
+        return FootprintShape(self.footprint, smooth, trend, self.measured_roughness, self.unmeasured)
 
     def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
         """What the margins to the limits are computed from; `sigma` (R, C) metres, of the footprint."""
@@ -101,7 +103,18 @@ def _find(
         )
     every = footprint_of(measured, lander.radius, cell) if settings.smoothed else fp
     return _Findings(
-        fp, slope, step_of(height, lander.radius, cell), edge, unknown, rise, blocked, vetoed, smooth, trend, every
+        fp,
+        slope,
+        step_of(height, lander.radius, cell),
+        edge,
+        unknown,
+        rise,
+        blocked,
+        vetoed,
+        smooth,
+        trend,
+        every.roughness,
+        every.unknown,
     )
 
 

@@ -50,7 +50,10 @@ class FootprintShape:
     footprint: Footprint
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
-    measured: Footprint  # of all heights that were measured, doubtful ones as well
+    measured_roughness: (
+        F32  # metres, as `footprint.roughness`, of all heights that were measured, doubtful ones as well
+    )
+    unmeasured: F32  # share of the footprint where nothing was
 
 
 class Discs:
@@ -151,10 +154,10 @@ def obstacle_terms(
 
 def near_terms(shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
     """Evidence of all measured heights against a footprint that was seen from near by, on the cells of `discs`."""
-    rise = np.nan_to_num(shape.measured.roughness, nan=UNMEASURED * lander.max_roughness)
+    rise = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * lander.max_roughness)
     return {
         NearTerm.RISE: discs.largest(log_at_least(rise / np.float32(lander.max_roughness), 0.03)),
-        NearTerm.RISE_UNKNOWN: discs.largest(shape.measured.unknown),
+        NearTerm.RISE_UNKNOWN: discs.largest(shape.unmeasured),
     }
 
 
