@@ -17,6 +17,7 @@ from alight.settings import TerrainSettings
 from alight.terrain.relief import ground_under
 
 INNER, OUTER = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
+ABOUT = 10  # the same to which the ground about a roof lies: beside a wall heights are in doubt
 
 
 def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
@@ -30,8 +31,8 @@ def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings)
     return count, parts.astype(np.int64)
 
 
-def _rim(part: Mask) -> Mask:
-    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((2 * n + 1,) * 2, np.uint8)) > 0 for n in (INNER, OUTER))
+def _rim(part: Mask, outer: int = OUTER) -> Mask:
+    near, far = (cv2.dilate(part.astype(np.uint8), np.ones((2 * n + 1,) * 2, np.uint8)) > 0 for n in (INNER, outer))
     return np.asarray(far & ~near)
 
 
@@ -56,7 +57,7 @@ def raised(elevation: ElevationMap, settings: TerrainSettings) -> F32:
     """How much every cell is part of a level surface that the ground about it falls away from, (R, C) 0 to 1.
 
     Args:
-        elevation: its trusted heights are used, and the tilt that they may share.
+        elevation: its trusted heights are surfaces, all its heights are rims; and the tilt that they may share.
         settings: scales.
     """
     size = max(1, round(settings.block / elevation.grid.cell))
@@ -64,24 +65,25 @@ def raised(elevation: ElevationMap, settings: TerrainSettings) -> F32:
     bed, block = block_quantile(height, size, 0.5), size * elevation.grid.cell
     tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
     count, parts = _level_parts(bed, block, tilt, settings)
-    bed, parts = np.pad(bed, OUTER, constant_values=np.nan), np.pad(parts, OUTER)  # beyond the map nothing was seen
-    out = np.zeros(bed.shape, np.float32)
+    about = block_quantile(elevation.height, size, 0.5)
+    about, parts = np.pad(about, ABOUT, constant_values=np.nan), np.pad(parts, ABOUT)  # beyond the map: not seen
+    out = np.zeros(about.shape, np.float32)
     area = np.bincount(parts.ravel(), minlength=count) * block**2
     for k in range(1, count):
         if settings.roof_area[0] <= area[k] <= settings.roof_area[1]:
             part = parts == k
-            out[part] = _height_over_rim(part, bed, settings)
-    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))[OUTER:-OUTER, OUTER:-OUTER]
+            out[part] = _height_over_rim(part, about, settings)
+    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))[ABOUT:-ABOUT, ABOUT:-ABOUT]
     return upsample(np.asarray(grown, np.float32), size, elevation.grid.shape)
 
 
-def _height_over_rim(part: Mask, bed: F32, settings: TerrainSettings) -> float:
+def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
     """How much of the rim of one part lies a wall's height below it, 0 to 1; 0 where half of the rim is not seen."""
-    rim = bed[_rim(part)]
+    rim = ground[_rim(part, ABOUT)]
     seen = np.isfinite(rim)
     if seen.sum() < max(settings.water_rim_blocks, 0.5 * rim.size):
         return 0.0
-    lower = float((float(np.median(bed[part])) - rim[seen] > settings.roof_drop).mean())
+    lower = float((float(np.nanmedian(ground[part])) - rim[seen] > settings.roof_drop).mean())
     return float(linear_ramp(np.array([lower], np.float32), *settings.roof_rim)[0])
 
 

@@ -43,7 +43,7 @@ class TerrainTuning(FrozenModel):
     roof_area: tuple[float, float] = Field((6.0, 2000.0), description="Least and largest area of a flat roof, m^2")
     roof_drop: Positive = Field(1.5, description="Height of a flat roof over the ground about it, m")
     roof_rim: tuple[float, float] = Field(
-        (0.6, 0.8), description="Shares of the rim that lie lower by that, at which a surface is none and is a roof"
+        (0.5, 0.7), description="Shares of the rim that lie lower by that, at which a surface is none and is a roof"
     )
     water_level: tuple[float, float] = Field(
         (0.006, 0.015),
