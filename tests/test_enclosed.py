@@ -10,7 +10,7 @@ from helpers.ground import ground
 
 from alight.records import Datum, Flag
 from alight.settings import Settings
-from alight.terrain.enclosed import enclosed, raised
+from alight.terrain.enclosed import LevelSurfaces
 
 CELL = 0.1
 SETTINGS = Settings().stages().terrain
@@ -33,7 +33,7 @@ def middle(values: np.ndarray) -> float:
 
 
 def test_a_canal_that_leaves_the_map_at_both_ends_is_enclosed() -> None:
-    found = enclosed(ground(canal(), cell=CELL), SETTINGS)
+    found = LevelSurfaces.of(ground(canal(), cell=CELL), SETTINGS).enclosed()
     assert middle(found) > 0.95
     assert (found[:, :90] > 0.1).mean() < 0.02  # the lawns beside it are not
     assert (found[:, 210:] > 0.1).mean() < 0.02
@@ -41,24 +41,24 @@ def test_a_canal_that_leaves_the_map_at_both_ends_is_enclosed() -> None:
 
 @pytest.mark.parametrize("z", [canal(fall=0.03), canal(bank=0.0), np.zeros((400, 300), np.float32)])
 def test_a_sloping_valley_a_level_lawn_and_open_ground_are_not(z: np.ndarray) -> None:
-    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) == 0.0
+    assert middle(LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).enclosed()) == 0.0
 
 
 def test_what_was_not_seen_of_the_rim_says_nothing() -> None:
     z = canal()
     z[150:250, 190:] = np.nan
-    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) > 0.9
+    assert middle(LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).enclosed()) > 0.9
     z = canal()
     z[:, :122] = z[:, 178:] = np.nan  # no bank was seen at all
-    assert middle(enclosed(ground(z, cell=CELL), SETTINGS)) == 0.0
+    assert middle(LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).enclosed()) == 0.0
 
 
 def test_a_map_that_leans_as_much_as_it_says_hides_no_canal() -> None:
     y = np.arange(400, dtype=np.float32)[:, None] * CELL
     leaning = ground(canal() + 0.015 * y, cell=CELL)
-    assert middle(enclosed(leaning, SETTINGS)) < 0.5
+    assert middle(LevelSurfaces.of(leaning, SETTINGS).enclosed()) < 0.5
     gauge = Datum(0.0, 0.0, np.diag([0.1, 0.01, 0.01]) ** 2)
-    assert middle(enclosed(replace(leaning, gauge=gauge), SETTINGS)) > 0.95
+    assert middle(LevelSurfaces.of(replace(leaning, gauge=gauge), SETTINGS).enclosed()) > 0.95
 
 
 def test_doubtful_heights_are_no_bank() -> None:
@@ -66,7 +66,7 @@ def test_doubtful_heights_are_no_bank() -> None:
     flags = e.flags.copy()
     flags[:, :122] |= np.uint16(Flag.UNSURE)
     flags[:, 178:] |= np.uint16(Flag.UNSURE)
-    assert middle(enclosed(replace(e, flags=flags), SETTINGS)) == 0.0
+    assert middle(LevelSurfaces.of(replace(e, flags=flags), SETTINGS).enclosed()) == 0.0
 
 
 def roof(height: float = 4.0) -> np.ndarray:
@@ -79,11 +79,11 @@ def roof(height: float = 4.0) -> np.ndarray:
 
 
 def on_roof(z: np.ndarray) -> float:
-    return float((raised(ground(z, cell=CELL), SETTINGS)[130:270, 100:200] > 0.5).mean())
+    return float((LevelSurfaces.of(ground(z, cell=CELL), SETTINGS).raised()[130:270, 100:200] > 0.5).mean())
 
 
 def test_a_flat_roof_is_raised_and_the_ground_about_it_is_not() -> None:
-    found = raised(ground(roof(), cell=CELL), SETTINGS)
+    found = LevelSurfaces.of(ground(roof(), cell=CELL), SETTINGS).raised()
     assert on_roof(roof()) == 1.0
     assert found[:100].max() == found[300:].max() == found[:, :70].max() == found[:, 230:].max() == 0.0
 
@@ -93,7 +93,7 @@ def test_a_low_slab_a_terrace_and_a_canal_are_not_raised() -> None:
     terrace = np.where((y > 12) & (y < 28), 4.0, np.where(y <= 12, 0.0, 8.0)) * np.ones((1, 300))
     assert on_roof(roof(0.8)) == 0.0
     assert on_roof(terrace.astype(np.float32)) == 0.0
-    assert raised(ground(canal(), cell=CELL), SETTINGS).max() == 0.0
+    assert LevelSurfaces.of(ground(canal(), cell=CELL), SETTINGS).raised().max() == 0.0
 
 
 def test_a_roof_whose_rim_is_not_seen_cannot_be_told() -> None:
@@ -103,4 +103,4 @@ def test_a_roof_whose_rim_is_not_seen_cannot_be_told() -> None:
     near[:, :95] = near[:, 205:] = np.nan
     assert on_roof(near) == 0.0
     step = np.where(np.arange(300) * CELL < 12.0, 4.0, 0.0) * np.ones((400, 1))
-    assert raised(ground(step.astype(np.float32), cell=CELL), SETTINGS).max() == 0.0
+    assert LevelSurfaces.of(ground(step.astype(np.float32), cell=CELL), SETTINGS).raised().max() == 0.0

@@ -102,19 +102,9 @@ def _find(
             for length in (settings.even_length, settings.broad_length)
         )
     every = footprint_of(measured, lander.radius, cell) if settings.smoothed else fp
+    step = step_of(height, lander.radius, cell)
     return _Findings(
-        fp,
-        slope,
-        step_of(height, lander.radius, cell),
-        edge,
-        unknown,
-        rise,
-        blocked,
-        vetoed,
-        smooth,
-        trend,
-        every.roughness,
-        every.unknown,
+        fp, slope, step, edge, unknown, rise, blocked, vetoed, smooth, trend, every.roughness, every.unknown
     )
 
 

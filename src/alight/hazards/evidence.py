@@ -50,9 +50,7 @@ class FootprintShape:
     footprint: Footprint
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
-    measured_roughness: (
-        F32  # metres, as `footprint.roughness`, of all heights that were measured, doubtful ones as well
-    )
+    measured_roughness: F32  # metres, of all heights that were measured, doubtful ones as well
     unmeasured: F32  # share of the footprint where nothing was
 
 

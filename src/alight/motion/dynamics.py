@@ -11,11 +11,11 @@ from alight.geometry import so3_exp
 from alight.motion.ekf.state import ACC, ATT, GYRO, MOTION, POS, VEL, FilterState
 from alight.motion.ekf.state_kernels import propagate_errors
 from alight.motion.imu_kernels import inertial_transition_into
-from alight.motion.preintegration import GRAVITY, Preintegral, right_jacobian
+from alight.motion.preintegration import GRAVITY, OPEN_RATE_SIGMA, Preintegral, right_jacobian
 from alight.settings import FilterSettings
 
 MAX_RATE_AGE = 1.0  # s; after a longer gap without IMU, as between photos, the angular velocity is not used
-_OPEN_ATTITUDE_SIGMA, _OPEN_RATE_SIGMA = 2.0, 0.5  # rad, rad/s, after such a gap
+_OPEN_ATTITUDE_SIGMA = 2.0  # rad, after such a gap
 _MOTION_SIZE = MOTION.stop - MOTION.start
 
 
@@ -66,7 +66,7 @@ def constant_transition(R: F64, rate: F64, dt: float, noise: FilterSettings) -> 
     _add_white_noise(Q, POS, VEL, np.eye(3), noise.acceleration_sigma**2, dt)
     if dt > MAX_RATE_AGE:
         F[ATT, GYRO], F[GYRO, GYRO] = 0.0, 0.0
-        Q[ATT, ATT], Q[GYRO, GYRO] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * _OPEN_RATE_SIGMA**2
+        Q[ATT, ATT], Q[GYRO, GYRO] = np.eye(3) * _OPEN_ATTITUDE_SIGMA**2, np.eye(3) * OPEN_RATE_SIGMA**2
         return F, Q
     _add_white_noise(Q, ATT, GYRO, R, noise.angular_acceleration_sigma**2, dt)
     return F, Q

@@ -9,6 +9,8 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.compiled import inline, kernel
 
+MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
+
 
 @inline
 def invert(A: F64, least: float, root: F64, inverse: F64) -> None:
@@ -40,7 +42,7 @@ def to_camera(R: F64, origin: F64, x: F64, q: F64) -> None:
 
 
 @inline
-def add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
+def _add_ray(u: F64, o: F64, weight: float, A: F64, y: F64) -> None:
     """Add a unit ray `u` from `o` to the equations A x = y of the point nearest to all rays."""
     along = u[0] * o[0] + u[1] * o[1] + u[2] * o[2]
     for i in range(3):
@@ -69,6 +71,25 @@ def _times_root(W: F64, root: F64) -> None:
         W[i, 2] = u * root[0, 2] + v * root[1, 2] + w * root[2, 2]
 
 
+@inline
+def nearest_point(
+    ray: F64, origin: F64, weight: F64, first: int, end: int, least: float, room: F64, y: F64, out: F64
+) -> None:
+    """Write the point (3,) nearest to the weighted rays `first` to `end` (midpoint method).
+
+    `least` stands on the diagonal; `room` (3, 3, 3) and `y` (3,) are scratch.
+    """
+    A, root, inverse = room[0], room[1], room[2]
+    A[:], y[:] = 0.0, 0.0
+    for i in range(3):
+        A[i, i] = least
+    for k in range(first, end):
+        _add_ray(ray[k], origin[k], weight[k], A, y)
+    invert(A, least, root, inverse)
+    for j in range(3):
+        out[j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
+
+
 @kernel
 def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: float, out: F64) -> None:
     """Write the (N, 3) points nearest to weighted rays (midpoint method).
@@ -80,16 +101,9 @@ def nearest_to_rays(starts: I64, ray: F64, origin: F64, weight: F64, regular: fl
         regular: on the diagonal, relative to a weight of one.
         out: (N, 3)
     """
-    A, root, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    room, y = np.empty((3, 3, 3)), np.empty(3)
     for n in range(starts.shape[0] - 1):
-        A[:], y[:] = 0.0, 0.0
-        for i in range(3):
-            A[i, i] = regular
-        for k in range(starts[n], starts[n + 1]):
-            add_ray(ray[k], origin[k], weight[k], A, y)
-        invert(A, regular, root, inverse)
-        for j in range(3):
-            out[n, j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
+        nearest_point(ray, origin, weight, starts[n], starts[n + 1], regular, room, y, out[n])
 
 
 @kernel
@@ -136,7 +150,7 @@ def _nearest(normalised: F64, R: F64, origin: F64, regular: float, A: F64, y: F6
                 T = R[k, c]
                 u = T[:, 0] * normalised[k, c, 0] + T[:, 1] * normalised[k, c, 1] + T[:, 2]
                 u /= np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-                add_ray(u, origin[k, c], 1.0, A, y)
+                _add_ray(u, origin[k, c], 1.0, A, y)
 
 
 @inline

@@ -20,7 +20,7 @@ GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s^2, world; its local error is tak
 IMU_ROTATION, IMU_VELOCITY, IMU_POSITION = slice(0, 3), slice(3, 6), slice(6, 9)  # errors of a `Preintegral`
 _MAX_SAMPLE_INTERVAL = 0.05  # s; samples further apart are a gap in the stream
 _HELD_NS = 200_000_000  # for which the last angular velocity is held; a vehicle turns no longer than that by itself
-_RATE_SIGMA, _RATE_TAU = 0.5, 0.25  # rad/s, s: angular velocity that nothing measures, and for how long it lasts
+OPEN_RATE_SIGMA, _OPEN_RATE_TAU = 0.5, 0.25  # rad/s, s: angular velocity that nothing measures, how long it lasts
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +111,6 @@ def _variance(parts: Segments, noise: FilterSettings) -> F64:
     out = np.empty((len(dt), 2))
     gap = since > _MAX_SAMPLE_INTERVAL
     wandered = noise.angular_acceleration_sigma**2 * (since**3 - np.maximum(since - dt, 0.0) ** 3) / (3.0 * dt**2)
-    out[:, 0] = noise.gyro_noise**2 / dt + gap * np.minimum(wandered, 2.0 * _RATE_SIGMA**2 * _RATE_TAU / dt)
+    out[:, 0] = noise.gyro_noise**2 / dt + gap * np.minimum(wandered, 2.0 * OPEN_RATE_SIGMA**2 * _OPEN_RATE_TAU / dt)
     out[:, 1] = noise.accelerometer_noise**2 / dt + gap * (noise.acceleration_sigma**2 / dt)
     return out

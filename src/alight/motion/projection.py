@@ -6,11 +6,11 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.geometry import Camera, Pose, skew
+from alight.motion.point_kernels import MIN_DEPTH
 from alight.records import Tracks
 from alight.settings import FilterSettings
 
 POSITION_FIRST = np.array([3, 4, 5, 0, 1, 2])  # takes (rotation, position) of a pose to (position, rotation)
-MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
 
 
 def _times(v: F64, R: F64) -> F64:

@@ -14,7 +14,7 @@ from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import PIXEL, Appearance, appearance, seen
-from alight.terrain.enclosed import enclosed, raised
+from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
 from alight.terrain.model import Model, appearance_evidence, log_softmax
@@ -197,14 +197,15 @@ def classify(
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
     found = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
-    shut, roof = enclosed(elevation, settings), raised(elevation, settings)
+    surfaces = LevelSurfaces.of(elevation, settings)
+    roof = surfaces.raised()
     label = np.where(roof > 0.5, np.uint8(Terrain.STRUCTURE), found.label)
     return TerrainMap(
         elevation.grid,
         np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
         np.where(known, np.minimum(found.landable, 1 - roof), nothing),
         np.where(known, found.water, nothing),
-        shut,
+        surfaces.enclosed(),
         np.where(known, found.novelty, nothing),
         np.where(known, found.bears, nothing),
         found.coloured,

@@ -7,10 +7,13 @@ flat roof is as bare and even as a yard, and the ground falls away about it; mos
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
-from alight.arrays import F32, I64, Mask
+from alight.arrays import F32, F64, I64, Mask
 from alight.raster import block_quantile, gradient, linear_ramp, nearest_known, upsample
 from alight.records import ElevationMap
 from alight.settings import TerrainSettings
@@ -18,6 +21,67 @@ from alight.terrain.relief import ground_under
 
 INNER, OUTER = 2, 6  # blocks beyond a surface between which its rim lies: the foot of a bank is left out
 ABOUT = 10  # the same to which the ground about a roof lies: beside a wall heights are in doubt
+
+
+@dataclass(frozen=True)
+class LevelSurfaces:
+    """The connected parts of a map that do not rise, seen in blocks."""
+
+    elevation: ElevationMap
+    settings: TerrainSettings
+    size: int  # cells of a block's side
+    bed: F32  # (r, c) trusted heights of the blocks
+    parts: I64  # (r, c) numbers of the parts, from 1; 0 is none
+    areas: F64  # (parts + 1,) m^2
+    tilt: float  # that the heights may share
+
+    @classmethod
+    def of(cls, elevation: ElevationMap, settings: TerrainSettings) -> LevelSurfaces:
+        """The surfaces of a map.
+
+        Args:
+            elevation: its trusted heights are surfaces, all its heights are rims; and the tilt that they may share.
+            settings: scales.
+        """
+        size = max(1, round(settings.block / elevation.grid.cell))
+        block = size * elevation.grid.cell
+        bed = block_quantile(np.where(elevation.trusted, elevation.height, np.float32(np.nan)), size, 0.5)
+        tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
+        count, parts = _level_parts(bed, block, tilt, settings)
+        areas = (np.bincount(parts.ravel(), minlength=count) * block**2).astype(np.float64)
+        return cls(elevation, settings, size, bed, parts, areas, tilt)
+
+    def enclosed(self) -> F32:
+        """How much every cell is part of a level surface below its banks, (R, C) 0 to 1."""
+        settings, block = self.settings, self.size * self.elevation.grid.cell
+        ground = ground_under(self.bed, settings.ground_window / (2 * block))  # hedges and cars are no banks
+        large = np.flatnonzero(self.areas >= settings.water_area)
+        return self._marked(large, 0, lambda part: _enclosure(part, self.bed, ground, block, self.tilt, settings))
+
+    def raised(self) -> F32:
+        """How much every cell is part of a level surface that the ground about it falls away from, (R, C) 0 to 1."""
+        settings = self.settings
+        about = block_quantile(self.elevation.height, self.size, 0.5)
+        about = np.pad(about, ABOUT, constant_values=np.nan)  # beyond the map: not seen
+        smallest, largest = settings.roof_area
+        roofs = np.flatnonzero((smallest <= self.areas) & (self.areas <= largest))
+        return self._marked(roofs, ABOUT, lambda part: _height_over_rim(part, about, settings))
+
+    def _marked(self, numbers: Iterable[int], pad: int, measure: Callable[[Mask], float]) -> F32:
+        """A measure of some parts on every cell of them and of their feet, (R, C); 0 elsewhere.
+
+        Args:
+            numbers: of the parts; 0, what is no part, is left out.
+            pad: blocks about the map that `measure` is given besides.
+            measure: of one part, from its mask.
+        """
+        out = np.zeros(self.bed.shape, np.float32)
+        for number in numbers:
+            if number:
+                part = self.parts == number
+                out[part] = measure(np.pad(part, pad))
+        grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))
+        return upsample(np.asarray(grown, np.float32), self.size, self.elevation.grid.shape)
 
 
 def _level_parts(bed: F32, block: float, tilt: float, settings: TerrainSettings) -> tuple[int, I64]:
@@ -53,30 +117,6 @@ def _enclosure(part: Mask, bed: F32, ground: F32, block: float, tilt: float, set
     return level * even * float(linear_ramp(np.array([higher], np.float32), *settings.water_rim)[0])
 
 
-def raised(elevation: ElevationMap, settings: TerrainSettings) -> F32:
-    """How much every cell is part of a level surface that the ground about it falls away from, (R, C) 0 to 1.
-
-    Args:
-        elevation: its trusted heights are surfaces, all its heights are rims; and the tilt that they may share.
-        settings: scales.
-    """
-    size = max(1, round(settings.block / elevation.grid.cell))
-    height = np.where(elevation.trusted, elevation.height, np.float32(np.nan))
-    bed, block = block_quantile(height, size, 0.5), size * elevation.grid.cell
-    tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
-    count, parts = _level_parts(bed, block, tilt, settings)
-    about = block_quantile(elevation.height, size, 0.5)
-    about, parts = np.pad(about, ABOUT, constant_values=np.nan), np.pad(parts, ABOUT)  # beyond the map: not seen
-    out = np.zeros(about.shape, np.float32)
-    area = np.bincount(parts.ravel(), minlength=count) * block**2
-    for k in range(1, count):
-        if settings.roof_area[0] <= area[k] <= settings.roof_area[1]:
-            part = parts == k
-            out[part] = _height_over_rim(part, about, settings)
-    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))[ABOUT:-ABOUT, ABOUT:-ABOUT]
-    return upsample(np.asarray(grown, np.float32), size, elevation.grid.shape)
-
-
 def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> float:
     """How much of the rim of one part lies a wall's height below it, 0 to 1; 0 where half of the rim is not seen."""
     rim = ground[_rim(part, ABOUT)]
@@ -85,27 +125,3 @@ def _height_over_rim(part: Mask, ground: F32, settings: TerrainSettings) -> floa
         return 0.0
     lower = float((float(np.nanmedian(ground[part])) - rim[seen] > settings.roof_drop).mean())
     return float(linear_ramp(np.array([lower], np.float32), *settings.roof_rim)[0])
-
-
-def enclosed(elevation: ElevationMap, settings: TerrainSettings) -> F32:
-    """How much every cell is part of a level surface below its banks, (R, C) 0 to 1.
-
-    Args:
-        elevation: its trusted heights are used, and the tilt that they may share.
-        settings: scales.
-    """
-    cell = elevation.grid.cell
-    size = max(1, round(settings.block / cell))
-    height = np.where(elevation.trusted, elevation.height, np.float32(np.nan))
-    bed, block = block_quantile(height, size, 0.5), size * cell
-    tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
-    ground = ground_under(bed, settings.ground_window / (2 * block))  # hedges and cars are no banks
-    out = np.zeros(bed.shape, np.float32)
-    count, parts = _level_parts(bed, block, tilt, settings)
-    area = np.bincount(parts.ravel(), minlength=count) * block**2
-    for k in range(1, count):
-        if area[k] >= settings.water_area:
-            part = parts == k
-            out[part] = _enclosure(part, bed, ground, block, tilt, settings)
-    grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))
-    return upsample(np.asarray(grown, np.float32), size, elevation.grid.shape)

@@ -21,11 +21,10 @@ from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
 from alight.motion.bundle.lens_kernels import distort
 from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, bent, expose, row_time
-from alight.motion.point_kernels import to_camera
+from alight.motion.point_kernels import MIN_DEPTH, to_camera
 
 READOUT_NUMBER = 9  # among the numbers of a lens: 0 scale, 1 aspect, 2 cu, 3 cv, 4 to 8 coefficients
 FAR = 1e4  # px, the residual of a point behind the camera
-_MIN_DEPTH = 1e-3  # m; smaller depths count as this in Jacobians, so that they stay finite
 
 
 @kernel
@@ -154,7 +153,7 @@ def linearise(
         of, t = lens[c], row_time(pixels[n, 1], lens[c, HEIGHT])
         expose(R[i], C[i], turns[i], velocity[i], of[READOUT], t, turn, row_R, row_C)
         to_camera(row_R, row_C, x[k], q)
-        near = 1.0 / max(q[2], _MIN_DEPTH)
+        near = 1.0 / max(q[2], MIN_DEPTH)
         distort(q[0] * near, q[1] * near, model[c], of[4:9], flat, by_xy, by_k)
         w = _residual(q[2], flat, of, pixels[n], sigma, loss, r)
         _by_point(row_R, q[0] * near, q[1] * near, near, of, by_xy, B)

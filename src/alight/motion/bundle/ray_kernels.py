@@ -8,7 +8,7 @@ from alight.arrays import F64, I64
 from alight.compiled import kernel, pixelwise
 from alight.motion.bundle.lens_kernels import undistort
 from alight.motion.bundle.rolling_kernels import HEIGHT, READOUT, expose, row_time
-from alight.motion.point_kernels import add_ray, invert
+from alight.motion.point_kernels import nearest_point
 
 _NEAR = 1e-6  # m; shorter distances count as this
 
@@ -68,19 +68,12 @@ def meet_rays(
         weight: (N,) those of the first round; then scratch.
         out: (m, 3)
     """
-    A, root, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    room, y = np.empty((3, 3, 3)), np.empty(3)
     largest = 1.0
     for _ in range(rounds):
         least, top = regular * largest, 0.0
         for k in range(len(starts) - 1):
-            A[:], y[:] = 0.0, 0.0
-            for j in range(3):
-                A[j, j] = least
-            for n in range(starts[k], starts[k + 1]):
-                add_ray(ray[n], origin[n], weight[n], A, y)
-            invert(A, least, root, inverse)
-            for j in range(3):
-                out[k, j] = inverse[j, 0] * y[0] + inverse[j, 1] * y[1] + inverse[j, 2] * y[2]
+            nearest_point(ray, origin, weight, starts[k], starts[k + 1], least, room, y, out[k])
             for n in range(starts[k], starts[k + 1]):
                 weight[n] = _reweigh(ray[n], origin[n], out[k], focal[n], scale)
                 top = max(top, weight[n])

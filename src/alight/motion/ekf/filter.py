@@ -52,7 +52,7 @@ from alight.motion.ekf.state_kernels import squared_distance
 from alight.motion.ekf.visual_update import VisualUpdate
 from alight.motion.gps_ins import NavMeasurement, Quantity, initial_state, measurements, rate_measurement, sigmas
 from alight.motion.imu_buffer import ImuBuffer
-from alight.motion.preintegration import Preintegral
+from alight.motion.preintegration import OPEN_RATE_SIGMA, Preintegral
 from alight.motion.projection import POSITION_FIRST
 from alight.motion.smoother.smoother import RecordedFlight, smooth_flight
 from alight.records import (
@@ -73,7 +73,6 @@ _MAX_GPS_REJECTION = 5.0  # s of GPS positions outside their gate after which th
 _MAX_GPS_AGE = 0.2  # s between a GPS position and the exposure that it is used for
 _IMU_KEEP_NS = 1_000_000_000  # ns of IMU samples kept beyond the largest lateness
 _RATE_HALF_WINDOW_NS, _RATE_SAMPLES = 15_000_000, 7  # ns and samples over which the angular velocity is averaged
-_OPEN_RATE_SIGMA = 0.5  # rad/s, angular velocity at a start without IMU
 _ATTITUDE_INFLATION = np.repeat([0.03, 0.3], [2, 1])  # rad about east, north, up: added when observations contradict
 _MAX_INFLATIONS = 3  # in a row without a good exposure between, after which the filter starts anew
 
@@ -255,7 +254,7 @@ class MotionFilter:
         if m.inertial:
             self._start_biases(state)
         else:
-            state.P[GYRO, GYRO] = np.eye(3) * _OPEN_RATE_SIGMA**2
+            state.P[GYRO, GYRO] = np.eye(3) * OPEN_RATE_SIGMA**2
             if sample.angular_velocity_body is not None:
                 state.core[GYRO] = sample.angular_velocity_body
         if self._recording:

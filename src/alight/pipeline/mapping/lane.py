@@ -10,12 +10,11 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping.passing import Passed
+from alight.pipeline.mapping.passing import NOWHERE, Passed
 from alight.pipeline.navigation import Navigation, Trajectory
 from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
 
 Progress = Callable[[float], None]
-NOWHERE = Passed()
 
 
 @dataclass(frozen=True)

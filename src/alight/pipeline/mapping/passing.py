@@ -46,10 +46,9 @@ class Passed:
 
     def on(self, grid: Grid, cover: TerrainMap | None) -> Mask:
         """The cells (R, C) of a grid that something moved across: of paved ground; all, if no land cover is known."""
-        east, north = grid.xy()
-        columns, rows = (np.floor(v / CELL).astype(np.int64).ravel() for v in (east, north))
         if not len(self.cells):
             return np.zeros(grid.shape, np.bool_)
+        columns, rows = _numbers(grid)
         low = np.minimum(self.cells.min(axis=0), [columns.min(), rows.min()])
         high = np.maximum(self.cells.max(axis=0), [columns.max(), rows.max()])
         seen = np.zeros(high - low + 1, np.bool_)
@@ -58,13 +57,21 @@ class Passed:
         return out if cover is None else out & (cover.label == Terrain.PAVED)
 
 
+NOWHERE = Passed()
+
+
+def _numbers(grid: Grid) -> tuple[I64, I64]:
+    """East of the columns (C,) and north of the rows (R,) of a grid, in cells of `CELL`."""
+    east, north = (np.floor(v / CELL).astype(np.int64).ravel() for v in grid.xy())
+    return east, north
+
+
 def _moving(grid: Grid, flags: U16) -> I64:
     """Cells (N, 2) of `CELL` of which a good part moves, with enough of them side by side."""
     moves = (flags & np.uint16(Flag.MOVING)) != 0
     if not moves.any():
         return np.zeros((0, 2), np.int64)
-    east, north = grid.xy()
-    columns, rows = (np.floor(v / CELL).astype(np.int64).ravel() for v in (east, north))
+    columns, rows = _numbers(grid)
     low = np.array([columns.min(), rows.min()])
     shape = columns.max() - low[0] + 1, rows.max() - low[1] + 1
     at = ((columns - low[0])[None, :] * shape[1] + (rows - low[1])[:, None]).ravel()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
-from alight.pipeline.mapping.passing import Passed
+from alight.pipeline.mapping.passing import NOWHERE, Passed
 from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
@@ -27,7 +27,7 @@ class RecursiveMap(GroundMap):
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
     out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
     level: int = 0  # of the newest keyframe's cells
-    passed: Passed = field(default_factory=Passed)  # where something moved, in the frame of the poses
+    passed: Passed = NOWHERE  # where something moved, in the frame of the poses
     _ring: RecursiveParallax | None = None
 
     @property
@@ -102,18 +102,20 @@ class RecursiveMap(GroundMap):
         if not parts:
             return False
         self.gauge = parts[0].gauge
-        height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags[::COARSE, ::COARSE].copy()
-        given, now = is_trusted(known.flags), known.flags.copy()
+        height, flags = known.height[::COARSE, ::COARSE].copy(), known.flags.copy()
+        given = is_trusted(known.flags)
         for part in parts:
             where = box_in(grid, part.grid)
             found = self._without_doubtful(part, up - ground, Surroundings(given, where))
             rows, cols = (slice(-s.start % COARSE, None, COARSE) for s in where)
             at = tuple(slice(-(-s.start // COARSE), -(-s.stop // COARSE)) for s in where)
             height[at] = found.height[rows, cols]
-            flags[at], now[where] = found.flags[rows, cols], found.flags
+            flags[where] = found.flags
             self.elevation.add(changed(found, known, where), replace_all=True)
-        self._note_traffic(grid, now, down[0].t_ns, up - ground)
-        self.out_of_range = bool(((flags & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond)
+        self._note_traffic(grid, flags, down[0].t_ns, up - ground)
+        self.out_of_range = bool(
+            ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond
+        )
         heights = height[np.isfinite(height)]
         if len(heights) >= self.settings.mapping.least_known // 4:
             self.ground_here = float(np.median(heights))
