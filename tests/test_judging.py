@@ -11,11 +11,12 @@ from some_run import candidate, elevation, hazards, site
 from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
-from alight.pipeline.judging import Verdict, land_cover, observer
+from alight.pipeline.judging import JudgingLane, Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
+from alight.pipeline.timing import Timings
 from alight.raster import block_mean, cells_as_blocks
-from alight.records import ElevationMap, MissingVeto, NextView, Sites, View
+from alight.records import ElevationMap, MissingVeto, NextView, Sites, Terrain, View
 from alight.settings import Settings, TerrainSettings
 
 
@@ -137,3 +138,35 @@ def test_grey_pictures_are_warned_of_and_p_pays_for_them() -> None:
     assert "the pictures are grey" in verdict.warnings[0]
     assert replace(verdict, cover=coloured).warnings == ()
     assert "terrain.enabled=false" in replace(verdict, cover=None).warnings[0]
+
+
+def on_a_roof(half: float) -> MapSnapshot:
+    """A flat roof of 8 x 8 m, 4 m over the ground, seen within `half` metres of its middle."""
+    n = round(2 * half / 0.1)
+    seen = cells((n, n), 0.1, 1)
+    grid = replace(seen.grid, east=-half, north=half)
+    x, y = (np.abs(v) for v in grid.xy())
+    height = np.where((x < 4)[None] & (y < 4)[:, None], 4.0, 0.0).astype(np.float32)
+    place = VehiclePosition(np.array([0.0, 0.0, 20.0]), 16.0)
+    frame = MapFrame(0, np.zeros(3), np.eye(3))
+    return MapSnapshot(0, replace(seen, grid=grid, height=height), (look_down(1, 0, 300.0),), place, frame)
+
+
+def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
+    """Also in another frame of the map; a lane that has not seen the rim cannot tell."""
+    lane, new = (JudgingLane(Settings().stages(), None, Timings()) for _ in range(2))
+    near = on_a_roof(2.5)
+    assert not (new.judge(near).cover.label == Terrain.STRUCTURE).any()  # type: ignore[union-attr]
+    far = lane.judge(on_a_roof(12.0)).cover
+    assert far is not None
+    x, y = (np.abs(v) for v in far.grid.xy())
+    assert (far.label == Terrain.STRUCTURE)[(x < 3)[None] & (y < 3)[:, None]].all()
+    assert not (far.label == Terrain.STRUCTURE)[(x > 6)[None] | (y > 6)[:, None]].any()
+    shift = np.array([100.0, -50.0, 2.0])
+    for at in (np.zeros(3), shift):
+        there = replace(near.elevation, grid=replace(near.elevation.grid, east=at[0] - 2.5, north=at[1] + 2.5))
+        frame = MapFrame(int(at.any()), -at, np.eye(3))
+        cover = lane.judge(replace(near, elevation=there, frame=frame)).cover
+        assert cover is not None
+        assert (cover.label == Terrain.STRUCTURE).all()
+        assert (cover.landable == 0).all()

@@ -10,7 +10,8 @@ from some_run import elevation
 
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.pipeline.mapping.passing import Passed
+from alight.pipeline.mapping.passing import traffic, what_moves
+from alight.pipeline.remembered import NOWHERE
 from alight.records import ElevationMap, Flag, Hazard, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -37,49 +38,49 @@ def road(moving: tuple[float, float, float, float] | None = None, east: float = 
     return out
 
 
-def moving(box: tuple[float, float, float, float] | None = None) -> tuple[Grid, np.ndarray]:
-    """Grid and flags of such a map."""
+def cells(box: tuple[float, float, float, float] | None = None) -> np.ndarray:
+    """What moves on such a map."""
     e = road(box)
-    return e.grid, e.flags
+    return what_moves(e.grid, e.flags)
 
 
 def test_what_moved_is_remembered_where_it_was() -> None:
     """A car of 4 x 2 m, found again on another grid of other cells; after two minutes it is forgotten."""
-    seen = Passed().with_seen(*moving((4.0, 8.0, 8.0, 10.0)), 7 * SECOND)
+    seen = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 7 * SECOND)
     assert len(seen.cells) == 32
     other = Grid(3.3, 12.0, 0.25, 24, 24)
     x, y = (v.ravel() for v in other.xy())
     inside = ((y >= 8) & (y < 10))[:, None] & ((x >= 4) & (x < 8))[None]
-    np.testing.assert_array_equal(seen.on(other, None), inside)
-    assert seen.since(7 * SECOND).on(other, None).any()
-    assert not seen.since(8 * SECOND).on(other, None).any()
-    again = seen.with_seen(*moving((6.0, 8.0, 10.0, 10.0)), 9 * SECOND)
+    np.testing.assert_array_equal(seen.on(other), inside)
+    assert seen.since(7 * SECOND).on(other).any()
+    assert not seen.since(8 * SECOND).on(other).any()
+    again = seen.with_seen(cells((6.0, 8.0, 10.0, 10.0)), 9 * SECOND)
     assert len(again.cells) == 48
     assert len(again.since(8 * SECOND).cells) == 32
 
 
 def test_it_goes_with_the_frame() -> None:
-    seen = Passed().with_seen(*moving((4.0, 8.0, 8.0, 10.0)), 0).moved(np.array([100.0, -50.0, 3.0]))
-    assert seen.on(Grid(100.0, -30.0, 0.5, 40, 40), None).sum() == 32
-    assert not seen.on(road().grid, None).any()
+    seen = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).moved(np.array([100.0, -50.0, 3.0]))
+    assert seen.on(Grid(100.0, -30.0, 0.5, 40, 40)).sum() == 32
+    assert not seen.on(road().grid).any()
 
 
 def test_specks_are_noise() -> None:
-    assert not len(Passed().with_seen(*moving((4.0, 8.0, 5.0, 9.5)), 0).cells)
-    assert not len(Passed().with_seen(*moving(), 0).cells)
+    assert not len(NOWHERE.with_seen(cells((4.0, 8.0, 5.0, 9.5)), 0).cells)
+    assert not len(NOWHERE.with_seen(cells(), 0).cells)
 
 
 @pytest.mark.parametrize(("kind", "kept"), [(Terrain.PAVED, 1), (Terrain.BARE, 0), (Terrain.SHORT_GRASS, 0)])
 def test_plants_that_sway_are_no_traffic(kind: Terrain, kept: int) -> None:
     e = road((4.0, 8.0, 8.0, 10.0))
     cover = TerrainMap(e.grid, np.full(e.grid.shape, kind, np.uint8), np.ones(e.grid.shape, np.float32))
-    assert Passed().with_seen(e.grid, e.flags, 0).on(e.grid, cover).any() == bool(kept)
+    assert traffic(NOWHERE.with_seen(what_moves(e.grid, e.flags), 0), e.grid, cover).any() == bool(kept)
 
 
 def test_ground_beside_traffic_is_refused() -> None:
     """The footprint and the margin about it; farther away nothing changes."""
     e, lander, settings = road(), Lander(radius=1.0), HazardsSettings(smoothed=False, traffic_margin=1.0)
-    passed = Passed().with_seen(*moving((4.0, 8.0, 8.0, 10.0)), 0).on(e.grid, None)
+    passed = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).on(e.grid)
     free, found = assess(e, None, lander, settings), assess(e, None, lander, settings, passed=passed)
     x, y = (v.ravel() for v in e.grid.xy())
     refused = (found.reasons & np.uint16(Hazard.TRAFFIC)) != 0

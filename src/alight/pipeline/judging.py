@@ -14,9 +14,21 @@ from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot
+from alight.pipeline.mapping.passing import traffic
+from alight.pipeline.remembered import NOWHERE, Remembered, shown_at
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
-from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, MissingVeto, NextView, Sites, TerrainMap
+from alight.records import (
+    NOTHING_MISSING,
+    ElevationMap,
+    Flag,
+    HazardMap,
+    MissingVeto,
+    NextView,
+    Sites,
+    Terrain,
+    TerrainMap,
+)
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
@@ -72,6 +84,7 @@ class JudgingMemory:
     frame: MapFrame | None = None  # of the newest map
     lost: tuple[str, ...] = ()  # sites given up, in words, the newest last
     warnings: tuple[str, ...] = ()  # what became of the sites where the motion began anew
+    roofs: Remembered = NOWHERE  # flat roofs, in the map's frame: from near by no map shows that the ground is lower
 
     @property
     def reserve(self) -> Reserve:
@@ -129,10 +142,11 @@ class JudgingLane:
         if s.terrain.enabled:
             with self._timings.of("terrain"):
                 cover = land_cover(elevation, s.terrain, self._appearance)
+                cover = self._with_roofs(cover, max((v.t_ns for v in seen.views), default=0))
             _tidy(elevation)
         with self._timings.of("hazards"):
-            traffic = seen.passed.on(elevation.grid, cover)
-            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, traffic)
+            passed = traffic(seen.passed, elevation.grid, cover)
+            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, passed)
         _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))
@@ -146,10 +160,27 @@ class JudgingLane:
             seen.missing,
         )
 
+    def _with_roofs(self, cover: TerrainMap, t_ns: int) -> TerrainMap:
+        """Land cover with the roofs that this map or an earlier one has shown (G13c)."""
+        if cover.raised is None:
+            return cover
+        grid = cover.grid
+        roofs = self.memory.roofs.with_seen(shown_at(grid, cover.raised > 0.5), t_ns)
+        self.memory = replace(self.memory, roofs=roofs)
+        roof = roofs.on(grid) & (cover.label != Terrain.UNKNOWN)
+        label = np.where(roof, np.uint8(Terrain.STRUCTURE), cover.label).astype(np.uint8)
+        return replace(cover, label=label, landable=np.where(roof, np.float32(0), cover.landable))
+
     def _follow(self, frame: MapFrame) -> None:
-        """Move the reserve into the frame of a newer map; what lies too near to a hazard for that is given up."""
+        """Move what is known of earlier maps into the frame of a newer one.
+
+        Sites that lie too near to a hazard for that are given up.
+        """
         m = self.memory
-        if m.frame is not None and frame.frame_id != m.frame.frame_id and m.kept.sites:
+        anew = m.frame is not None and frame.frame_id != m.frame.frame_id
+        if m.frame is not None and anew:
+            m = replace(m, roofs=m.roofs.moved(m.frame.tie(frame).shift))
+        if m.frame is not None and anew and m.kept.sites:
             tie, before = m.frame.tie(frame), len(m.kept.sites)
             m = m.with_reserve(m.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
             left = len(m.kept.sites)

@@ -190,6 +190,7 @@ class TerrainMap:
     landable: F32  # (R, C) probability that this kind of ground may be landed on; NaN = no evidence
     water: F32 | None = None  # (R, C) probability of water; NaN = nothing seen
     enclosed: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface below both its banks
+    raised: F32 | None = None  # (R, C) 0 to 1: how much it is part of a level surface above the ground about it
     novelty: F32 | None = None  # (R, C) how unlike all known ground: 1 at the rim of what is known; NaN = unseen
     bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything

@@ -206,6 +206,7 @@ def classify(
         np.where(known, np.minimum(found.landable, 1 - roof), nothing),
         np.where(known, found.water, nothing),
         surfaces.enclosed(),
+        roof,
         np.where(known, found.novelty, nothing),
         np.where(known, found.bears, nothing),
         found.coloured,

@@ -10,8 +10,8 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.pipeline.map_frame import MapFrame
-from alight.pipeline.mapping.passing import NOWHERE, Passed
 from alight.pipeline.navigation import Navigation, Trajectory
+from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import NOTHING_MISSING, ElevationMap, MissingVeto, View
 
 Progress = Callable[[float], None]
@@ -43,7 +43,7 @@ class MapSnapshot:
     vehicle: VehiclePosition
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
-    passed: Passed = NOWHERE  # where something moved across the ground before
+    passed: Remembered = NOWHERE  # where something moved across the ground before
 
     @property
     def missing(self) -> MissingVeto:

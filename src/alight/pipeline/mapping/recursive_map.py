@@ -12,9 +12,10 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
-from alight.pipeline.mapping.passing import NOWHERE, Passed
+from alight.pipeline.mapping.passing import what_moves
 from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
+from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
 
 COARSE = 4  # cells: every so manieth shows where the ground is
@@ -27,7 +28,7 @@ class RecursiveMap(GroundMap):
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
     out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
     level: int = 0  # of the newest keyframe's cells
-    passed: Passed = NOWHERE  # where something moved, in the frame of the poses
+    passed: Remembered = NOWHERE  # where something moved, in the frame of the poses
     _ring: RecursiveParallax | None = None
 
     @property
@@ -127,7 +128,7 @@ class RecursiveMap(GroundMap):
         keys = self.settings.hazards
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
         if height >= keys.traffic_height and keys.traffic_memory > 0:
-            self.passed = self.passed.with_seen(grid, flags, t_ns)
+            self.passed = self.passed.with_seen(what_moves(grid, flags), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.

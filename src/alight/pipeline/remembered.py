@@ -1,0 +1,81 @@
+"""Places that are remembered beyond the map that showed them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from alight.arrays import F64, I64, Mask
+from alight.geometry import Grid
+
+CELL = 0.5  # metres, of what is remembered
+SHARE = 0.5  # of such a cell that must show it
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """Cells where something was seen, and when, by value; in the frame of a map."""
+
+    cells: I64 = field(default_factory=lambda: np.zeros((0, 2), np.int64))  # (N, 2) east, north over `CELL`
+    t_ns: I64 = field(default_factory=lambda: np.zeros(0, np.int64))  # (N,) the last time
+
+    def with_seen(self, cells: I64, t_ns: int) -> Remembered:
+        """These, and cells (M, 2) where it is seen at `t_ns`."""
+        kept = ~np.isin(_keys(self.cells), _keys(cells))
+        times = np.concatenate([self.t_ns[kept], np.full(len(cells), t_ns)])
+        return Remembered(np.concatenate([self.cells[kept], cells]), times)
+
+    def since(self, t_ns: int) -> Remembered:
+        """Those where it was seen at `t_ns` or later."""
+        kept = self.t_ns >= t_ns
+        return Remembered(self.cells[kept], self.t_ns[kept])
+
+    def moved(self, shift: F64) -> Remembered:
+        """The same in a frame where positions are larger by `shift`, metres."""
+        return Remembered(self.cells + np.rint(shift[:2] / CELL).astype(np.int64), self.t_ns)
+
+    def on(self, grid: Grid) -> Mask:
+        """The cells (R, C) of a grid where it was seen."""
+        if not len(self.cells):
+            return np.zeros(grid.shape, np.bool_)
+        columns, rows = _numbers(grid)
+        low = np.minimum(self.cells.min(axis=0), [columns.min(), rows.min()])
+        high = np.maximum(self.cells.max(axis=0), [columns.max(), rows.max()])
+        seen = np.zeros(high - low + 1, np.bool_)
+        seen[tuple((self.cells - low).T)] = True
+        return np.asarray(seen[np.ix_(columns - low[0], rows - low[1])].T)
+
+
+NOWHERE = Remembered()
+
+
+def shown(grid: Grid, where: Mask) -> tuple[Mask, I64]:
+    """Which cells of `CELL` a mask (R, C) of a grid covers by `SHARE`.
+
+    Returns:
+        (E, N) by east and north, and the number (2,) of its first cell.
+    """
+    columns, rows = _numbers(grid)
+    low = np.array([columns.min(), rows.min()])
+    shape = columns.max() - low[0] + 1, rows.max() - low[1] + 1
+    at = ((columns - low[0])[None, :] * shape[1] + (rows - low[1])[:, None]).ravel()
+    count, there = (np.bincount(at, weights=w, minlength=shape[0] * shape[1]) for w in (None, where.ravel()))
+    return (there >= SHARE * np.maximum(count, 1)).reshape(shape), low
+
+
+def shown_at(grid: Grid, where: Mask) -> I64:
+    """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid covers by `SHARE`."""
+    there, low = shown(grid, where)
+    return np.asarray(np.argwhere(there) + low, np.int64)
+
+
+def _numbers(grid: Grid) -> tuple[I64, I64]:
+    """East of the columns (C,) and north of the rows (R,) of a grid, in cells of `CELL`."""
+    east, north = (np.floor(v / CELL).astype(np.int64).ravel() for v in grid.xy())
+    return east, north
+
+
+def _keys(cells: I64) -> I64:
+    """One number a cell."""
+    return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1], np.int64)
