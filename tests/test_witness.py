@@ -153,3 +153,62 @@ def test_one_camera_has_no_witness() -> None:
     heights = found.heights
     inner = (np.abs(NORTH) < 3.0) & (EAST < -2.5) & (EAST > -5.0)
     assert ((heights.flags[inner] & np.uint16(Flag.MOVING)) != 0).mean() < 0.5
+
+
+def instants_of(kinds: list[int], noise: float = 0.1, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two views of each instant, of one of several grounds (48, 48); pairs and times."""
+    rng = np.random.default_rng(seed)
+    grounds = rng.normal(0, 0.6, (max(kinds) + 1, 48, 48))
+    samples = np.repeat(grounds[kinds], 2, axis=0) + rng.normal(0, noise, (2 * len(kinds), 48, 48))
+    pairs = np.arange(2 * len(kinds)).reshape(-1, 2)
+    return samples.astype(np.float32), pairs, np.repeat(np.arange(len(kinds)) * 200_000_000, 2)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "found"),
+    [
+        ([0, 0, 0, 0, 0, 0], False),
+        ([0, 0, 0, 0, 1, 1], True),
+        ([0, 0, 1, 1, 1, 1], True),
+        ([0, 0, 0, 0, 0, 1], False),  # one instant may look past the map
+        ([0, 1, 0, 1, 0, 1], False),  # waves
+        ([0, 1, 2, 3, 4, 5], False),
+        ([0, 0, 1], False),
+    ],
+)
+def test_a_change_is_what_was_one_ground_before_and_another_after(kinds: list[int], found: bool) -> None:
+    grid = Grid(0.0, 0.0, 0.1, 48, 48)
+    assert witness.changed_since(*instants_of(kinds), grid, TUNING).all() == found
+    assert witness.changed_since(*instants_of(kinds), grid, TUNING).any() == found
+
+
+def test_a_change_of_a_part_is_found_there_only() -> None:
+    """And the same in any order of the pairs."""
+    samples, pairs, times = instants_of([0, 0, 0, 1, 1, 1])
+    samples[6:, :, :24] = samples[:6, :, :24]
+    samples[:, 40:] = np.nan
+    for order in (slice(None), [3, 0, 5, 1, 4, 2]):
+        out = witness.changed_since(samples, pairs[order], times, Grid(0.0, 0.0, 0.1, 48, 48), TUNING)
+        assert out[:32, 32:].all()
+        assert not out[:, :16].any()
+
+
+def test_the_sums_before_and_after_a_moment() -> None:
+    samples, pairs, _ = instants_of([0, 0, 1, 1, 2], 0.3)
+    samples[np.random.default_rng(3).random(samples.shape) < 0.1] = np.nan
+    v = samples.astype(np.float64)[pairs].mean(axis=1)
+    between, whole, count = np.empty((4, 6, 6), np.float32), np.empty((6, 6), np.float32), np.empty((6, 6), np.float32)
+    kernels.before_and_after(samples, pairs, 8, 2, between, whole, count)
+    want = np.zeros((6, 6, 6))
+    for r, c in np.ndindex(48, 48):
+        known, at = np.isfinite(v[:, r, c]), (r // 8, c // 8)
+        if known.sum() < 4:
+            continue
+        values = v[known, r, c]
+        want[4][at] += ((values - values.mean()) ** 2).sum()
+        want[5][at] += len(values)
+        for p in range(4):
+            a, b = (v[s, r, c][known[s]] for s in (slice(p + 1), slice(p + 1, None)))
+            if min(len(a), len(b)) >= 2:
+                want[p][at] += len(a) * len(b) / len(values) * (a.mean() - b.mean()) ** 2
+    assert_allclose(np.concatenate([between, whole[None], count[None]]), want, rtol=1e-3, atol=1e-3)

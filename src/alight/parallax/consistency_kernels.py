@@ -1,4 +1,4 @@
-"""Loop over views of one instant: what they see alike and the others do not (docs/method/uncertainty.md, eq. 15a)."""
+"""Loops over views of one instant: what they see alike and the others do not (eqs. 15a and 16d, docs/method)."""
 
 import numpy as np
 
@@ -52,3 +52,44 @@ def common(samples: F32, pairs: I64, mean: F32, block: int, cut: float, out: F32
         for s in range(5):
             out[s, k] = ZERO
             _fold_row(sums[s], block, out[s, k])
+
+
+@parallel_kernel
+def before_and_after(samples: F32, pairs: I64, block: int, least: int, between: F32, whole: F32, count: F32) -> None:
+    """Split the views in time: how far what was seen before and after each moment lies apart, by blocks of cells.
+
+    Of the means v of each of the `pairs` (K, 2), in the order of time, of the `samples` (N, R, C); cells that fewer
+    than 2 `least` pairs see are left out. Sums over R / `block` x C / `block` blocks, rounded up.
+
+    Args:
+        between: (K - 1, ...) filled with n n' / (n + n') (mean of n before - mean of n' after)^2, 0 where either is
+            fewer than `least`.
+        whole: filled with the sum of squares about the mean of all.
+        count: filled with the number of v.
+    """
+    number, rows, cols = pairs.shape[0], samples.shape[1], samples.shape[2]
+    for k in prange(count.shape[0]):
+        between[:, k], whole[k], count[k] = ZERO, ZERO, ZERO
+        v = np.empty(number, np.float32)
+        for r in range(k * block, min((k + 1) * block, rows)):
+            for c in range(cols):
+                n, total, square, b = ZERO, ZERO, ZERO, c // block
+                for p in range(number):
+                    v[p] = HALF * (samples[pairs[p, 0], r, c] + samples[pairs[p, 1], r, c])
+                    if v[p] == v[p]:
+                        n += ONE
+                        total += v[p]
+                        square += v[p] * v[p]
+                if n < 2 * least:
+                    continue
+                whole[k, b] += square - total * total / n
+                count[k, b] += n
+                first, earlier = ZERO, ZERO
+                for p in range(number - 1):
+                    if v[p] == v[p]:
+                        first += ONE
+                        earlier += v[p]
+                    second = n - first
+                    if first >= least and second >= least:
+                        apart = earlier / first - (total - earlier) / second
+                        between[p, k, b] += first * second / n * apart * apart

@@ -124,9 +124,10 @@ class RecursiveParallax:
         for box in plan.refine:
             recolour = self._blocks.recolour and self._blocks.never_visited(box)
             found = self._refiner.refined(window, skyline, start, ratio, wrong, box, recolour)
-            self._settle(found, known, box)
+            self._settle(None if found is None else found.heights, known, box)
             if found is not None:
-                out.append(replace(found, gauge=gauge))
+                ratio[box][found.changed] = np.nan  # swept again; untrusted until then
+                out.append(replace(found.heights, gauge=gauge))
         return out
 
     def _taking_part(self, drop: float, effort: Effort) -> list[Kept]:

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F32, U8, U16
+from alight.arrays import F32, U8, U16, Mask
 from alight.geometry import Grid
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit, enlarged
@@ -23,6 +23,8 @@ from alight.records import Flag, View
 from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells
+SIDE = 2  # instants that show the ground before a change, and after it, at least
+AROUND = 3  # blocks, the window of the sums of a change
 
 
 def instants(views: Sequence[View]) -> NDArray[np.int64]:
@@ -64,3 +66,34 @@ def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: 
     share = shared(samples, pairs, fit.mean, fit.seen, least, tuning)
     bits = np.where(share > tuning.most_shared, np.uint16(Flag.MOVING), np.uint16(0))
     return enlarged(bits, grid, BLOCK)
+
+
+def changed_since(
+    samples: F32, pairs: NDArray[np.int64], times: NDArray[np.int64], grid: Grid, tuning: ConsistencyTuning
+) -> Mask:
+    """Where the ground looks otherwise since some moment (eq. 16d): somebody stopped there, or went.
+
+    The views from before it agree with each other, and so do those from after it. A majority of one of them would
+    pass for the ground, at the height that the map has.
+
+    Args:
+        samples: (N, R, C) normalised grey, NaN outside a picture.
+        pairs: (K, 2) of them, of one instant each.
+        times: (N,) ns, when the views were taken.
+
+    Returns:
+        (R, C), by blocks.
+    """
+    at, first = np.unique(times[pairs[:, 0]], return_index=True)
+    if len(at) < 2 * SIDE:
+        return np.zeros(grid.shape, np.bool_)
+    shape = tuple(-(-n // BLOCK) for n in grid.shape)
+    between = np.empty((len(at) - 1, *shape), np.float32)
+    whole, count = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    kernels.before_and_after(samples, pairs[first], BLOCK, SIDE, between, whole, count)
+    window = (AROUND, AROUND)
+    whole, count = cv2.blur(whole, window), cv2.blur(count, window)
+    most = np.max([cv2.blur(b, window) for b in between], axis=0)
+    enough = count >= 2 * SIDE * tuning.least_seen * BLOCK * BLOCK
+    found = enough & (most > tuning.changed * whole) & (whole > tuning.least_change * count)
+    return enlarged(found.astype(np.uint8), grid, BLOCK) > 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from alight.parallax.batch import judged, picture_at
 from alight.parallax.blocks import Box
 from alight.parallax.views import Buffers, Kept, maps, rgb_of
 from alight.raster import close_mask, weighted_gaussian
-from alight.records import ElevationMap, Heights
+from alight.records import ElevationMap, Flag, Heights
 from alight.settings import ParallaxSettings
 
 GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
@@ -121,6 +121,13 @@ def first_of_twins(kept: list[Kept], within: float) -> NDArray[np.intp]:
     return np.array(out, np.intp)
 
 
+class Refined(NamedTuple):
+    """A rectangle after a step."""
+
+    heights: Heights
+    changed: Mask  # (R, C) where the ground looks otherwise since some moment: the height is that of before
+
+
 @dataclass(eq=False)
 class Refiner:
     """Refines rectangles of a window with its views.
@@ -135,7 +142,7 @@ class Refiner:
 
     def refined(
         self, window: Window, skyline: refine.Skyline, start: F32, ratio: F32, wrong: Mask, box: Box, recolour: bool
-    ) -> Heights | None:
+    ) -> Refined | None:
         """The heights of a rectangle after a Gauss-Newton step, weighed against the map; None where nothing is known.
 
         Args:
@@ -172,8 +179,12 @@ class Refiner:
         samples = self.buffers.get("samples", (len(fine), *grid.shape))  # as the fit left them
         pairs, consistency = witness.instants([k.view for k in kept]), self.settings.consistency
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
-        found = replace(found, flags=found.flags | moves)
-        return without_halo(fused(found, known, self.settings.recursive.worse), within(box, where))
+        found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
+        times = np.array([k.view.t_ns for k in kept])
+        anew = witness.changed_since(samples, pairs, times, grid, consistency) & np.isfinite(found.height)
+        found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))
+        inner = within(box, where)
+        return Refined(without_halo(found, inner), anew[inner])
 
     def _coloured(self, window: Window, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""
