@@ -12,23 +12,13 @@ from alight.landing import sites
 from alight.landing.next_view import Observer
 from alight.landing.reserve import Reserve
 from alight.parallax import orthophoto
-from alight.pipeline.map_frame import MapFrame
+from alight.pipeline.map_frame import MapFrame, Tie
 from alight.pipeline.mapping import MapSnapshot
 from alight.pipeline.mapping.passing import traffic
 from alight.pipeline.remembered import NOWHERE, Remembered, shown_at
 from alight.pipeline.timing import Timings
 from alight.raster import upsample
-from alight.records import (
-    NOTHING_MISSING,
-    ElevationMap,
-    Flag,
-    HazardMap,
-    MissingVeto,
-    NextView,
-    Sites,
-    Terrain,
-    TerrainMap,
-)
+from alight.records import NOTHING_MISSING, ElevationMap, Flag, HazardMap, MissingVeto, NextView, Sites, TerrainMap
 from alight.settings import Lander, StageSettings, TerrainSettings
 
 WET = np.uint16(Flag.WATER)
@@ -95,6 +85,20 @@ class JudgingMemory:
         return replace(
             r, sites=tuple(frame.site(s) for s in r.sites), lost=tuple((frame.site(s), why) for s, why in r.lost)
         )
+
+    def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
+        """The memory in another frame of the map; how many sites that leaves is warned of."""
+        moved, before = replace(self, roofs=self.roofs.moved(tie.shift)), len(self.kept.sites)
+        if not before:
+            return moved
+        moved = moved.with_reserve(self.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
+        left = len(moved.kept.sites)
+        warning = (
+            f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {left} are "
+            f"moved into the new frame, where their place is known to {tie.sigma_horizontal:.2f} m, and "
+            f"{before - left} are dropped"
+        )
+        return replace(moved, warnings=(*moved.warnings, warning)[-MOST_LOST:])
 
     def with_reserve(self, kept: Reserve, frame: MapFrame) -> JudgingMemory:
         """The memory with another reserve; what that lost is noted in words."""
@@ -167,9 +171,7 @@ class JudgingLane:
         grid = cover.grid
         roofs = self.memory.roofs.with_seen(shown_at(grid, cover.raised > 0.5), t_ns)
         self.memory = replace(self.memory, roofs=roofs)
-        roof = roofs.on(grid) & (cover.label != Terrain.UNKNOWN)
-        label = np.where(roof, np.uint8(Terrain.STRUCTURE), cover.label).astype(np.uint8)
-        return replace(cover, label=label, landable=np.where(roof, np.float32(0), cover.landable))
+        return cover.with_roofs(np.maximum(cover.raised, roofs.on(grid)))
 
     def _follow(self, frame: MapFrame) -> None:
         """Move what is known of earlier maps into the frame of a newer one.
@@ -177,19 +179,8 @@ class JudgingLane:
         Sites that lie too near to a hazard for that are given up.
         """
         m = self.memory
-        anew = m.frame is not None and frame.frame_id != m.frame.frame_id
-        if m.frame is not None and anew:
-            m = replace(m, roofs=m.roofs.moved(m.frame.tie(frame).shift))
-        if m.frame is not None and anew and m.kept.sites:
-            tie, before = m.frame.tie(frame), len(m.kept.sites)
-            m = m.with_reserve(m.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)
-            left = len(m.kept.sites)
-            warning = (
-                f"sites: the motion began anew (frame {frame.frame_id}); of {before} sites found before, {left} are "
-                f"moved into the new frame, where their place is known to {tie.sigma_horizontal:.2f} m, and "
-                f"{before - left} are dropped"
-            )
-            m = replace(m, warnings=(*m.warnings, warning)[-MOST_LOST:])
+        if m.frame is not None and frame.frame_id != m.frame.frame_id:
+            m = m.tied(m.frame.tie(frame), frame)
         self.memory = replace(m, kept=replace(m.kept, frame_id=frame.frame_id), frame=frame)
 
     def _keep(self, found: Sites, danger: HazardMap, frame: MapFrame) -> None:

@@ -195,6 +195,12 @@ class TerrainMap:
     bears: F32 | None = None  # (R, C) probability of ground that bears and is dry, rock counted as such; NaN = unseen
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
+    def with_roofs(self, raised: F32) -> TerrainMap:
+        """The same where what is `raised` (R, C), 0 to 1, is a structure that nothing may land on."""
+        roof = (raised > 0.5) & ~np.isnan(self.landable)
+        label = np.where(roof, np.uint8(Terrain.STRUCTURE), self.label)
+        return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)
+
     def on(self, grid: Grid) -> TerrainMap:
         """The same on another grid, each cell with the value of the nearest one; unknown outside."""
         if grid == self.grid:

@@ -198,16 +198,14 @@ def classify(
     found = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
     surfaces = LevelSurfaces.of(elevation, settings)
-    roof = surfaces.raised()
-    label = np.where(roof > 0.5, np.uint8(Terrain.STRUCTURE), found.label)
-    return TerrainMap(
+    cover = TerrainMap(
         elevation.grid,
-        np.where(known, label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        np.where(known, np.minimum(found.landable, 1 - roof), nothing),
-        np.where(known, found.water, nothing),
-        surfaces.enclosed(),
-        roof,
-        np.where(known, found.novelty, nothing),
-        np.where(known, found.bears, nothing),
-        found.coloured,
+        np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
+        np.where(known, found.landable, nothing),
+        water=np.where(known, found.water, nothing),
+        enclosed=surfaces.enclosed(),
+        novelty=np.where(known, found.novelty, nothing),
+        bears=np.where(known, found.bears, nothing),
+        coloured=found.coloured,
     )
+    return cover.with_roofs(surfaces.raised())

@@ -32,7 +32,7 @@ class LevelSurfaces:
     size: int  # cells of a block's side
     bed: F32  # (r, c) trusted heights of the blocks
     parts: I64  # (r, c) numbers of the parts, from 1; 0 is none
-    areas: F64  # (parts + 1,) m^2
+    areas: F64  # (parts + 1,) m^2; NaN for 0
     tilt: float  # that the heights may share
 
     @classmethod
@@ -49,6 +49,7 @@ class LevelSurfaces:
         tilt = 0.0 if elevation.gauge is None else elevation.gauge.tilt_sigma
         count, parts = _level_parts(bed, block, tilt, settings)
         areas = (np.bincount(parts.ravel(), minlength=count) * block**2).astype(np.float64)
+        areas[0] = np.nan
         return cls(elevation, settings, size, bed, parts, areas, tilt)
 
     def enclosed(self) -> F32:
@@ -71,15 +72,14 @@ class LevelSurfaces:
         """A measure of some parts on every cell of them and of their feet, (R, C); 0 elsewhere.
 
         Args:
-            numbers: of the parts; 0, what is no part, is left out.
+            numbers: of the parts.
             pad: blocks about the map that `measure` is given besides.
             measure: of one part, from its mask.
         """
         out = np.zeros(self.bed.shape, np.float32)
         for number in numbers:
-            if number:
-                part = self.parts == number
-                out[part] = measure(np.pad(part, pad))
+            part = self.parts == number
+            out[part] = measure(np.pad(part, pad))
         grown = cv2.dilate(out, np.ones((2 * INNER + 1,) * 2, np.uint8))
         return upsample(np.asarray(grown, np.float32), self.size, self.elevation.grid.shape)
 
