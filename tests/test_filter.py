@@ -322,6 +322,30 @@ def test_few_features_end_no_start() -> None:
     assert health.judge(known)[0] is MotionState.INITIALISING
 
 
+@pytest.mark.parametrize("passed", [0, 3, 5])
+def test_a_start_in_a_hover_ends_with_gps_ins_only_and_is_good_once_features_are_learned(passed: int) -> None:
+    """A vehicle that waits for its start has no parallax, and learns nothing while it waits."""
+    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
+    states = []
+    for k in range(30):
+        health.on_gps(k * 200 * MS, True, True)
+        health.on_exposure(k * 200 * MS, GateCounts(passed if k < 20 else 30, 0, 1.0))
+        states.append(health.judge(known)[0])
+    assert states[:16] == [MotionState.INITIALISING] * 16
+    assert states[16:20] == [MotionState.DEGRADED] * 4
+    assert states[22:] == [MotionState.GOOD] * 8
+
+
+def test_a_restart_begins_a_new_start() -> None:
+    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
+    for k in range(20):
+        health.on_gps(k * 200 * MS, True, True)
+        health.on_exposure(k * 200 * MS, GateCounts())
+    health.restart(20 * 200 * MS)
+    health.on_exposure(20 * 200 * MS, GateCounts())
+    assert health.judge(known)[0] is MotionState.INITIALISING
+
+
 def test_scrambled_matches_are_gated_out() -> None:
     rng = np.random.default_rng(8)
 

@@ -18,6 +18,7 @@ _FEW, _AGREEING = (
 _DROPPED_FRAME = 0.5  # s without such an exposure that count as a dropped frame only
 _PHOTO_INTERVALS = 2.5  # the same in intervals between exposures: photos come every few seconds
 _SETTLING = 3  # supported exposures until the start is over
+_START, _START_INTERVALS = 3.0, 10.0  # s and intervals after which a start without is over too: hovers lack parallax
 _CONTRADICTIONS = 5  # exposures in a row in which most features contradict the state, until the state is taken as wrong
 _GPS_REJECTIONS = 3  # GPS positions in a row that fail their gate: more than chance
 _MAX_INNOVATION = 3.0  # mean squared innovation over its variance; above it observations are worse than claimed
@@ -46,6 +47,7 @@ class Health:
         """Take the time [s] without any support after which the motion is lost."""
         self._coast = coast
         self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = NEVER_NS
+        self._start_ns: int | None = None  # the first exposure
         self._settled = self._contradictions = 0
         self._innovation = 1.0
         self._interval = 0.0  # s between the last two exposures
@@ -55,6 +57,7 @@ class Health:
     def restart(self, t_ns: int) -> None:
         """Start again from GPS/INS."""
         self._nav_ns = self._position_ns = t_ns
+        self._start_ns = None
         self._settled = self._contradictions = self._gps_rejections = 0
 
     def on_gps(self, t_ns: int, position: bool | None, other: bool) -> float:
@@ -80,6 +83,7 @@ class Health:
         """Take one exposure; True: observations have contradicted the state for so long that it must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
+        self._start_ns = t_ns if self._start_ns is None else self._start_ns
         if counts.passed >= _MIN_SUPPORT and counts.passed >= counts.failed:
             self._supported_ns, self._settled = t_ns, self._settled + 1
         elif counts.passed >= _FEW and counts.passed >= _AGREEING * counts.failed:
@@ -105,7 +109,10 @@ class Health:
         if is_diverged(state):
             return MotionState.LOST, "attitude or velocity are not known any more"
         if self._settled < _SETTLING and nav:
-            return MotionState.INITIALISING, "the first features are being learned"
+            started = t if self._start_ns is None else self._start_ns
+            if (t - started) * 1e-9 <= max(_START, _START_INTERVALS * self._interval):
+                return MotionState.INITIALISING, "the first features are being learned"
+            return MotionState.DEGRADED, "GPS/INS only: no features are learned yet; they are when the vehicle moves"
         if not seen:
             return MotionState.DEGRADED, "GPS/INS only: too few features, or they contradict the motion"
         if self._gps_rejections >= _GPS_REJECTIONS:
