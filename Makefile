@@ -5,7 +5,7 @@ BIN := .venv/bin
 MADE := .venv/.made
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
+.PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 17
@@ -15,6 +15,9 @@ demo: $(MADE)  ## a simulated vehicle looks for a site and lands; the report: ou
 
 test: $(MADE)  ## all tests, the import contracts among them
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+
+test-long: $(MADE)  ## more cases of what shorter tests show: each fault on each autopilot, each damage, a recorded flight
+	$(BIN)/python -m pytest -m long -n auto --dist loadfile --no-loadscope-reorder
 
 check: $(MADE)  ## format, lint, types, imports; seconds
 	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from length import long
 
 import alight
 from alight.cli import call
@@ -346,6 +347,7 @@ def test_a_real_flight_is_the_same_again() -> None:
     assert one.conditions.faults[0].happened == pytest.approx(4.5, abs=0.11)
 
 
+@long
 def test_a_real_landing_on_concrete() -> None:
     """All of it: search, looks, commit, touchdown, and cameras that freeze for 20 s: it says so and waits."""
     fault = FaultRecord(what="cameras frozen", after=5.0, numbers={"seconds": 20.0})

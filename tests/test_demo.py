@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from length import long
 
 from alight.evaluation import evaluate
 from alight.outputs import FILES
@@ -86,6 +87,7 @@ def test_the_page_for_newcomers_shows_the_landing(landed: Done) -> None:
 # -- the recorded flight
 
 
+@long
 def test_the_comparison_shows_a_sound_run(recorded: Done) -> None:
     """The bounds are loose: they tell a broken stage from a sound one. docs/lab/flights.md has the figures."""
     found = rows(recorded[1].stdout)
@@ -99,6 +101,7 @@ def test_the_comparison_shows_a_sound_run(recorded: Done) -> None:
     assert float(found["position RMSE less a constant, m"]) < 0.3
 
 
+@long
 def test_the_page_for_newcomers_shows_lines_of_the_comparison(recorded: Done) -> None:
     shown = rows(start_page().split("```text\n")[2].split("```")[0])
     found = rows(recorded[1].stdout)
@@ -108,6 +111,7 @@ def test_the_page_for_newcomers_shows_lines_of_the_comparison(recorded: Done) ->
         assert re.fullmatch(r"([1-9]\d*) of \1", numbers["sites truly safe, registered"])
 
 
+@long
 def test_the_recorded_run_is_whole_and_the_command_prints_what_the_function_gives(recorded: Done) -> None:
     out, process = recorded
     assert {p.name for p in out.iterdir()} == {*FILES, "run.json"}

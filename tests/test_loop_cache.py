@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from length import first
 
 from alight import compiled
 
@@ -89,7 +90,9 @@ def test_a_folder_of_another_user_is_never_read(loop: Path) -> None:
     assert "is not yours alone" in said
 
 
-@pytest.mark.parametrize("damage", [b"", b"\x80\x04garbage", b"cos\nsystem\n(S'touch planted'\ntR.", bytes(5000)])
+@pytest.mark.parametrize(
+    "damage", first(1, [b"cos\nsystem\n(S'touch planted'\ntR.", b"\x80\x04garbage", b"", bytes(5000)])
+)
 def test_damaged_files_are_compiled_anew(loop: Path, damage: bytes) -> None:
     folder = folder_of(run(loop)[0])
     for path in folder.rglob("*.nbi"):
@@ -128,7 +131,7 @@ def test_nowhere_to_write_at_all(loop: Path, monkeypatch: pytest.MonkeyPatch, tm
 
 
 @pytest.mark.parametrize("name", ["NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"])
-@pytest.mark.parametrize("count", ["0", "-1", "many", "99999999", ""])
+@pytest.mark.parametrize("count", first(2, ["many", "99999999", "0", "-1", ""]))
 def test_a_number_of_threads_that_no_machine_has(loop: Path, name: str, count: str) -> None:
     _, said = run(loop, **{name: count})
     assert f"{name}={count}: not a number from 1 to" in said

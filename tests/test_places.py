@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from damage import write_flight, write_photos
+from length import cases, first, long
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-c", "from alight.cli import main; main()"]
@@ -64,7 +65,7 @@ def test_a_full_standard_output_loses_nothing(flight: Path, tmp_path: Path) -> N
     whole(tmp_path / "out")
 
 
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", first(1, ["<&- >&- 2>&-", "<&-", ">&-", "2>&-"]))
 def test_closed_streams_lose_nothing(flight: Path, tmp_path: Path, closed: str) -> None:
     script = f'exec "$@" {closed}'
     done = subprocess.run(
@@ -130,8 +131,8 @@ def running(flight: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
         yield process
 
 
-@pytest.mark.parametrize("moment", [0.0, 0.2, 0.5])
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("moment", [0.0, pytest.param(0.2, marks=long), 0.5])
+@pytest.mark.parametrize("how", cases([signal.SIGTERM, signal.SIGKILL, signal.SIGINT], lambda s: s == signal.SIGINT))
 def test_a_run_that_is_ended_leaves_nothing_that_harms_the_next(
     running: subprocess.Popen[bytes], flight: Path, tmp_path: Path, how: signal.Signals, moment: float
 ) -> None:

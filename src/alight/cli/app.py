@@ -253,8 +253,10 @@ def call(arguments: Sequence[str] | None = None) -> int:
 
 
 def _end(number: int, frame: object) -> None:
-    """A signal to end is as good as Ctrl-C."""
-    _signals.append(number)
+    """A signal to end is as good as Ctrl-C; objects that it leaves half made have nothing to say that helps a user."""
+    if number != signal.SIGINT:
+        _signals.append(number)
+    sys.unraisablehook = lambda _: None
     raise KeyboardInterrupt
 
 
@@ -282,6 +284,8 @@ def main() -> None:
     for number in _ENDINGS:
         if signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, _end)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a background job keeps its own
+        signal.signal(signal.SIGINT, _end)
     code = call()
     for number in (signal.SIGINT, *_ENDINGS):
         signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more
