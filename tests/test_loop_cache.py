@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +57,93 @@ def test_the_second_process_loads_what_the_first_compiled(loop: Path) -> None:
     assert said == ""
     assert folder_of(first).stat().st_mode & 0o777 == 0o700
     assert run(loop) == (first.replace(" compiled", " loaded"), "")
+
+
+SLOW = """
+import sys, time
+from pathlib import Path
+from alight import compiled
+from numba.extending import overload
+def wait(x): pass
+@overload(wait)
+def _wait(x):
+    with open("compiled", "a") as f:
+        f.write("once ")
+    if Path("dies").exists():
+        Path("dies").unlink()
+        sys.stdout.flush()
+        import os; os._exit(3)
+    if Path("fails").exists():
+        return None
+    time.sleep(1.0)
+    return lambda x: x
+@compiled.kernel
+def inner(x):
+    return wait(x)
+@compiled.kernel
+def outer(x):
+    return inner(x)
+try:
+    assert (inner if sys.argv[1] == "inner" else outer)(21) == 21
+    print("right")
+except Exception as e:
+    print(type(e).__name__)
+if sys.argv[1] == "stay":
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def slow(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
+    """Starts processes that want a loop which takes a second to compile."""
+    path, begun = tmp_path / "slow.py", []
+    path.write_text(SLOW)
+    env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    env |= {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+
+    def start(how: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, path, how], env=env, cwd=tmp_path, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        begun.append(process)
+        return process
+
+    yield start
+    for process in begun:
+        process.communicate(timeout=120)
+
+
+Start = Callable[[str], subprocess.Popen[str]]
+
+
+def test_a_loop_that_another_process_compiles_is_waited_for(slow: Start, tmp_path: Path) -> None:
+    both = [slow("outer"), slow("inner")]
+    assert [p.communicate(timeout=120)[0] for p in both] == ["right\n"] * 2
+    together = len((tmp_path / "compiled").read_text().split())
+    (tmp_path / "compiled").unlink()
+    for cache in (tmp_path / "cache").rglob("*.nb*"):
+        cache.unlink()
+    assert slow("outer").communicate(timeout=120)[0] == "right\n"
+    assert len((tmp_path / "compiled").read_text().split()) == together
+
+
+def test_a_process_that_dies_while_it_compiles_lets_others_go_on(slow: Start, tmp_path: Path) -> None:
+    (tmp_path / "dies").touch()
+    assert slow("outer").wait(timeout=120) == 3
+    begun = time.monotonic()
+    assert slow("outer").communicate(timeout=120)[0] == "right\n"
+    assert time.monotonic() - begun < compiled.LONGEST_TURN / 2
+
+
+def test_a_loop_that_cannot_be_compiled_keeps_nobody_waiting(slow: Start, tmp_path: Path) -> None:
+    (tmp_path / "fails").touch()
+    stays = slow("stay")
+    assert stays.stdout is not None
+    assert stays.stdout.readline() == "TypingError\n"
+    (tmp_path / "fails").unlink()
+    begun = time.monotonic()
+    assert slow("outer").communicate(timeout=120)[0] == "right\n"
+    assert time.monotonic() - begun < compiled.LONGEST_TURN / 2
 
 
 def test_a_folder_that_others_can_write_is_never_read(loop: Path) -> None:

@@ -11,10 +11,11 @@ import logging
 import os
 import pickle
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import IO, Any, Protocol, TypeVar, cast
 
 from alight.loop_cache import NAMED, cache_folder, mend_threads
 
@@ -22,6 +23,7 @@ R = TypeVar("R")
 
 log = logging.getLogger(__name__)
 _DIGEST = hashlib.sha256().digest_size
+LONGEST_TURN, _LOOK_AGAIN = 60.0, 0.01  # s to wait for a loop that another process compiles, and between two looks
 
 
 class _Compile(Protocol):
@@ -86,6 +88,57 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
             file.write(hashlib.sha256(content).digest() + content)
 
 
+class _Turns(event.Listener):  # type: ignore[misc]
+    """The loops that this process compiles now, innermost last: others wait for them instead of compiling them too.
+
+    Two processes never wait for each other: who holds a loop wants only those that it calls. Numba's own lock lets one
+    thread of a process compile at a time.
+    """
+
+    def __init__(self) -> None:
+        self._held: list[IO[bytes] | None] = []
+        event.register("numba:compile", self)
+
+    def take(self, path: Path) -> bool:
+        """Take the turn to compile a loop; True: another process had it, and may have compiled it."""
+        file, waited = self._locked(path)
+        self._held.append(file)
+        return waited
+
+    def leave(self) -> None:
+        """Let others take the innermost loop."""
+        if self._held and (file := self._held.pop()) is not None:
+            file.close()
+
+    def on_start(self, event: Any) -> None:
+        """Its turn was taken when it was not found in the cache."""
+
+    def on_end(self, event: Any) -> None:
+        """A loop that cannot be compiled is not saved either."""
+        if any(getattr(event, "_exc_details", None) or ()):  # `is_failed` says no to every event that has ended
+            self.leave()
+
+    @staticmethod
+    def _locked(path: Path) -> tuple[IO[bytes] | None, bool]:
+        """The locked file; None: it cannot be locked here, or its holder takes too long."""
+        waited = False
+        with suppress(ImportError, OSError):
+            import fcntl  # not on Windows; a record lock: it ends with its process, and forked ones do not inherit it
+
+            file = path.open("wb")
+            for _ in range(int(LONGEST_TURN / _LOOK_AGAIN)):
+                with suppress(BlockingIOError, PermissionError):
+                    fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    return file, waited
+                waited = True
+                time.sleep(_LOOK_AGAIN)
+            file.close()
+        return None, waited
+
+
+_turns = _Turns()
+
+
 class _Cache(FunctionCache):  # type: ignore[misc]
     """The compiled forms of one loop on disk; a full or read-only disk costs time and ends nothing."""
 
@@ -96,12 +149,27 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         own = self._cache_file
         self._cache_file = _CheckedFile(own._cache_path, self._impl.filename_base, own._source_stamp)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled form; None: it is this process's turn to compile it."""
+        found = super().load_overload(sig, target_context)
+        if found is None and _turns.take(self._turn(sig)):
+            found = super().load_overload(sig, target_context)
+            if found is not None:
+                _turns.leave()
+        return found
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled form, if that is possible."""
         try:
             super().save_overload(sig, data)
         except OSError as e:
             log.info("%s: a compiled loop is not kept (%s)", CACHE, e.strerror)
+        finally:
+            _turns.leave()
+
+    def _turn(self, sig: Any) -> Path:
+        name = hashlib.sha256(f"{self._cache_file._index_name} {sig}".encode()).hexdigest()[:16]
+        return Path(self._cache_file._cache_path) / f"{name}.turn"
 
 
 def _compiler(**options: Any) -> _Compile:
