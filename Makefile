@@ -3,6 +3,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11; 
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
 MADE := .venv/.made
+PYTEST = $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-long check format bench fuzz bench-ends bench-heights bench-live bench-coverage bench-ground bench-motion bench-photos bench-simulator train pictures clean
@@ -13,11 +14,11 @@ help:  ## this list
 demo: $(MADE)  ## a simulated vehicle looks for a site and lands; the report: out/demo/report.html
 	$(BIN)/alight demo --out out/demo
 
-test: $(MADE)  ## all tests, the import contracts among them
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+test: $(MADE)  ## the tests, the import contracts among them
+	$(PYTEST)
 
 test-long: $(MADE)  ## more cases of what shorter tests show: each fault on each autopilot, each damage, a recorded flight
-	$(BIN)/python -m pytest -m long -n auto --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m long
 
 check: $(MADE)  ## format, lint, types, imports; seconds
 	$(BIN)/ruff format --check . && $(BIN)/ruff check . && $(BIN)/mypy && $(BIN)/lint-imports

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -294,6 +294,16 @@ def test_repeated_and_backward_times_are_left_out() -> None:
     assert len(f.smoothed()) == len(out) - 2
 
 
+def judged(health: Health, counts: Sequence[GateCounts], first: int = 0) -> list[MotionState]:
+    """The states after exposures, five a second, with GPS/INS that passes its gates."""
+    known, out = FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4), []
+    for k, seen in enumerate(counts, first):
+        health.on_gps(k * 200 * MS, True, True)
+        health.on_exposure(k * 200 * MS, seen)
+        out.append(health.judge(known)[0])
+    return out
+
+
 @pytest.mark.parametrize(
     ("counts", "state"),
     [
@@ -307,43 +317,27 @@ def test_repeated_and_backward_times_are_left_out() -> None:
 )
 def test_few_features_that_agree_hold_the_motion_of_a_landing(counts: GateCounts, state: MotionState) -> None:
     """Three metres above the ground, five exposures a second: few features are seen three times."""
-    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
-    for k in range(20):
-        health.on_gps(k * 200 * MS, True, True)
-        health.on_exposure(k * 200 * MS, GateCounts(30, 0, 1.0) if k < 5 else counts)
-    assert health.judge(known)[0] is state
+    assert judged(Health(2.0), [GateCounts(30, 0, 1.0)] * 5 + [counts] * 15)[-1] is state
 
 
 def test_few_features_end_no_start() -> None:
-    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
-    for k in range(9):
-        health.on_gps(k * 200 * MS, True, True)
-        health.on_exposure(k * 200 * MS, GateCounts(5, 0, 1.0))
-    assert health.judge(known)[0] is MotionState.INITIALISING
+    assert judged(Health(2.0), [GateCounts(5, 0, 1.0)] * 9)[-1] is MotionState.INITIALISING
 
 
 @pytest.mark.parametrize("passed", [0, 3, 5])
 def test_a_start_in_a_hover_ends_with_gps_ins_only_and_is_good_once_features_are_learned(passed: int) -> None:
     """A vehicle that waits for its start has no parallax, and learns nothing while it waits."""
-    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
-    states = []
-    for k in range(30):
-        health.on_gps(k * 200 * MS, True, True)
-        health.on_exposure(k * 200 * MS, GateCounts(passed if k < 20 else 30, 0, 1.0))
-        states.append(health.judge(known)[0])
+    states = judged(Health(2.0), [GateCounts(passed, 0, 1.0)] * 20 + [GateCounts(30, 0, 1.0)] * 10)
     assert states[:16] == [MotionState.INITIALISING] * 16
     assert states[16:20] == [MotionState.DEGRADED] * 4
     assert states[22:] == [MotionState.GOOD] * 8
 
 
 def test_a_restart_begins_a_new_start() -> None:
-    health, known = Health(2.0), FilterState(0, np.eye(3), np.zeros(31), np.eye(31) * 1e-4)
-    for k in range(20):
-        health.on_gps(k * 200 * MS, True, True)
-        health.on_exposure(k * 200 * MS, GateCounts())
+    health = Health(2.0)
+    assert judged(health, [GateCounts()] * 20)[-1] is MotionState.DEGRADED
     health.restart(20 * 200 * MS)
-    health.on_exposure(20 * 200 * MS, GateCounts())
-    assert health.judge(known)[0] is MotionState.INITIALISING
+    assert judged(health, [GateCounts()], 20) == [MotionState.INITIALISING]
 
 
 def test_scrambled_matches_are_gated_out() -> None:

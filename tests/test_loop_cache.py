@@ -35,10 +35,15 @@ def loop(tmp_path: Path) -> Path:
     return path
 
 
+def caching_in(folder: Path) -> dict[str, str]:
+    """The environment of a process whose cache lies in a folder of its own."""
+    env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
+    return env | {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(folder / "cache")}
+
+
 def run(loop: Path, user: int | None = None, **environment: str) -> tuple[str, str]:
     """Compile or load the loop in a process; where its cache was and whether it was loaded, and stderr."""
-    env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    env |= {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(loop.parent / "cache")} | environment
+    env = caching_in(loop.parent) | environment
     done = subprocess.run(
         [sys.executable, loop], env=env, cwd=loop.parent, capture_output=True, text=True, user=user, timeout=120
     )
@@ -98,8 +103,7 @@ def slow(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
     """Starts processes that want a loop which takes a second to compile."""
     path, begun = tmp_path / "slow.py", []
     path.write_text(SLOW)
-    env = {k: v for k, v in os.environ.items() if k not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    env |= {"PYTHONPATH": str(ROOT / "src"), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    env = caching_in(tmp_path)
 
     def start(how: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(

@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
 from damage import write_flight, write_photos
-from length import cases, first, long
+from length import first
 
 ROOT = Path(__file__).parents[1]
 COMMAND = [sys.executable, "-c", "from alight.cli import main; main()"]
@@ -131,11 +132,15 @@ def running(flight: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
         yield process
 
 
-@pytest.mark.parametrize("moment", [0.0, pytest.param(0.2, marks=long), 0.5])
-@pytest.mark.parametrize("how", cases([signal.SIGTERM, signal.SIGKILL, signal.SIGINT], lambda s: s == signal.SIGINT))
+ENDINGS = list(product((signal.SIGTERM, signal.SIGKILL, signal.SIGINT), (0.0, 0.2, 0.5)))  # and s after the start
+ENDINGS = ENDINGS[::4] + [e for k, e in enumerate(ENDINGS) if k % 4]  # each signal and each moment once, then the rest
+
+
+@pytest.mark.parametrize("ending", first(3, ENDINGS))
 def test_a_run_that_is_ended_leaves_nothing_that_harms_the_next(
-    running: subprocess.Popen[bytes], flight: Path, tmp_path: Path, how: signal.Signals, moment: float
+    running: subprocess.Popen[bytes], flight: Path, tmp_path: Path, ending: tuple[signal.Signals, float]
 ) -> None:
+    how, moment = ending
     time.sleep(moment)
     running.send_signal(how)
     _, err = running.communicate(timeout=300)

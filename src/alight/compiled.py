@@ -17,6 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any, Protocol, TypeVar, cast
 
+from alight.file_lock import locked
 from alight.loop_cache import NAMED, cache_folder, mend_threads
 
 R = TypeVar("R")
@@ -91,6 +92,7 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 class _Turns(event.Listener):  # type: ignore[misc]
     """The loops that this process compiles now, innermost last: others wait for them instead of compiling them too.
 
+    A turn is for all forms of a loop: they share one index, and who writes it leaves out what another wrote meanwhile.
     Two processes never wait for each other: who holds a loop wants only those that it calls. Numba's own lock lets one
     thread of a process compile at a time.
     """
@@ -99,11 +101,14 @@ class _Turns(event.Listener):  # type: ignore[misc]
         self._held: list[IO[bytes] | None] = []
         event.register("numba:compile", self)
 
-    def take(self, path: Path) -> bool:
-        """Take the turn to compile a loop; True: another process had it, and may have compiled it."""
-        file, waited = self._locked(path)
+    def take(self, path: Path) -> None:
+        """Take the turn to compile a loop; whoever had it may have compiled it."""
+        file, end = None, time.monotonic() + LONGEST_TURN
+        with suppress(OSError):  # a folder that cannot be written
+            file = path.open("wb")
+            while not locked(file) and time.monotonic() < end:
+                time.sleep(_LOOK_AGAIN)
         self._held.append(file)
-        return waited
 
     def leave(self) -> None:
         """Let others take the innermost loop."""
@@ -117,23 +122,6 @@ class _Turns(event.Listener):  # type: ignore[misc]
         """A loop that cannot be compiled is not saved either."""
         if any(getattr(event, "_exc_details", None) or ()):  # `is_failed` says no to every event that has ended
             self.leave()
-
-    @staticmethod
-    def _locked(path: Path) -> tuple[IO[bytes] | None, bool]:
-        """The locked file; None: it cannot be locked here, or its holder takes too long."""
-        waited = False
-        with suppress(ImportError, OSError):
-            import fcntl  # not on Windows; a record lock: it ends with its process, and forked ones do not inherit it
-
-            file = path.open("wb")
-            for _ in range(int(LONGEST_TURN / _LOOK_AGAIN)):
-                with suppress(BlockingIOError, PermissionError):
-                    fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    return file, waited
-                waited = True
-                time.sleep(_LOOK_AGAIN)
-            file.close()
-        return None, waited
 
 
 _turns = _Turns()
@@ -152,7 +140,8 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled form; None: it is this process's turn to compile it."""
         found = super().load_overload(sig, target_context)
-        if found is None and _turns.take(self._turn(sig)):
+        if found is None:
+            _turns.take(Path(self._cache_file._index_path).with_suffix(".turn"))
             found = super().load_overload(sig, target_context)
             if found is not None:
                 _turns.leave()
@@ -166,10 +155,6 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             log.info("%s: a compiled loop is not kept (%s)", CACHE, e.strerror)
         finally:
             _turns.leave()
-
-    def _turn(self, sig: Any) -> Path:
-        name = hashlib.sha256(f"{self._cache_file._index_name} {sig}".encode()).hexdigest()[:16]
-        return Path(self._cache_file._cache_path) / f"{name}.turn"
 
 
 def _compiler(**options: Any) -> _Compile:

@@ -281,11 +281,9 @@ def main() -> None:
     """Run the command line of this process."""
     memory.keep_little()
     _mend_streams()
-    for number in _ENDINGS:
-        if signal.getsignal(number) == signal.SIG_DFL:
+    for number in (signal.SIGINT, *_ENDINGS):
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # a background job ignores some
             signal.signal(number, _end)
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # a background job keeps its own
-        signal.signal(signal.SIGINT, _end)
     code = call()
     for number in (signal.SIGINT, *_ENDINGS):
         signal.signal(number, signal.SIG_IGN)  # all is written: no signal can spoil the exit code any more

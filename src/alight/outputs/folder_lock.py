@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
+from alight.file_lock import locked
 from alight.records import OutputError
 
 LOCK = ".alight.lock"
@@ -27,22 +28,14 @@ def lock_folder(out: Path) -> None:
     if folder in _held:
         return
     file = (folder / LOCK).open("a+", encoding="ascii")
-    try:
-        import fcntl  # not on Windows; a record lock: processes that are forked do not inherit it
-
-        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        pass
-    except (BlockingIOError, PermissionError) as e:
+    if not locked(file):
         with file:
             file.seek(0)
             process = file.read(20).strip()
         raise OutputError(
             f"{out}: another run writes there (process {process or 'unknown'}); wait for its end or choose another "
             "folder with --out"
-        ) from e
-    except OSError:  # a file system without locks: nothing to hold on to
-        pass
+        )
     with suppress(OSError):  # a full disk is told of by what is written next
         file.truncate(0)
         file.write(str(os.getpid()))

@@ -71,7 +71,7 @@ def moving(samples: F32, pairs: NDArray[np.int64], fit: Fit, grid: Grid, least: 
 def changed_since(
     samples: F32, pairs: NDArray[np.int64], times: NDArray[np.int64], grid: Grid, tuning: ConsistencyTuning
 ) -> Mask:
-    """Where the ground looks otherwise since some moment (eq. 16d): somebody stopped there, or went.
+    """Find ground that looks otherwise since some moment (eq. 16d): somebody stopped there, or went.
 
     The views from before it agree with each other, and so do those from after it. A majority of one of them would
     pass for the ground, at the height that the map has.

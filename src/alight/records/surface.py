@@ -196,7 +196,7 @@ class TerrainMap:
     coloured: bool = True  # False: the pictures were grey, so that no colour could refuse anything
 
     def with_roofs(self, raised: F32) -> TerrainMap:
-        """The same where what is `raised` (R, C), 0 to 1, is a structure that nothing may land on."""
+        """Add structures that nothing may land on where `raised` (R, C), 0 to 1, is above a half."""
         roof = (raised > 0.5) & ~np.isnan(self.landable)
         label = np.where(roof, np.uint8(Terrain.STRUCTURE), self.label)
         return replace(self, label=label, landable=np.minimum(self.landable, 1 - raised), raised=raised)

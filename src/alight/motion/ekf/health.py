@@ -47,7 +47,7 @@ class Health:
         """Take the time [s] without any support after which the motion is lost."""
         self._coast = coast
         self._supported_ns = self._nav_ns = self._position_ns = self._exposure_ns = NEVER_NS
-        self._start_ns: int | None = None  # the first exposure
+        self._start_ns = NEVER_NS  # the first exposure
         self._settled = self._contradictions = 0
         self._innovation = 1.0
         self._interval = 0.0  # s between the last two exposures
@@ -57,7 +57,7 @@ class Health:
     def restart(self, t_ns: int) -> None:
         """Start again from GPS/INS."""
         self._nav_ns = self._position_ns = t_ns
-        self._start_ns = None
+        self._start_ns = NEVER_NS
         self._settled = self._contradictions = self._gps_rejections = 0
 
     def on_gps(self, t_ns: int, position: bool | None, other: bool) -> float:
@@ -83,7 +83,7 @@ class Health:
         """Take one exposure; True: observations have contradicted the state for so long that it must be wrong."""
         self._interval = max((t_ns - self._exposure_ns) * 1e-9, 0.0)
         self._exposure_ns = t_ns
-        self._start_ns = t_ns if self._start_ns is None else self._start_ns
+        self._start_ns = t_ns if self._start_ns == NEVER_NS else self._start_ns
         if counts.passed >= _MIN_SUPPORT and counts.passed >= counts.failed:
             self._supported_ns, self._settled = t_ns, self._settled + 1
         elif counts.passed >= _FEW and counts.passed >= _AGREEING * counts.failed:
@@ -109,8 +109,7 @@ class Health:
         if is_diverged(state):
             return MotionState.LOST, "attitude or velocity are not known any more"
         if self._settled < _SETTLING and nav:
-            started = t if self._start_ns is None else self._start_ns
-            if (t - started) * 1e-9 <= max(_START, _START_INTERVALS * self._interval):
+            if (t - self._start_ns) * 1e-9 <= max(_START, _START_INTERVALS * self._interval):
                 return MotionState.INITIALISING, "the first features are being learned"
             return MotionState.DEGRADED, "GPS/INS only: no features are learned yet; they are when the vehicle moves"
         if not seen:
