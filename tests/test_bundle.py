@@ -428,14 +428,9 @@ def rolled(s: Scene, way: F64, turn: F64, noise: float = 0.3) -> Scene:
     for i in range(len(s.features)):
         R, points, t = s.body[i] @ LOOKS_FORWARD, s.points[s.ids[i]], np.zeros(len(s.ids[i]))
         for _ in range(8):
-            px = np.array(
-                [
-                    CAMERA.project(
-                        so3_exp(turn[i, 0] * k + turn[i, 1] * (k**2 - 1 / 12)).T @ R.T @ (X - s.centres[i] - way[i] * k)
-                    )
-                    for X, k in zip(points, t, strict=True)
-                ]
-            )
+            turned = so3_exp(np.outer(t, turn[i, 0]) + np.outer(t**2 - 1 / 12, turn[i, 1]))
+            in_camera = (points - s.centres[i] - np.outer(t, way[i])) @ R
+            px = CAMERA.project(np.einsum("nji,nj->ni", turned, in_camera))
             t = (px[:, 1] + 0.5) / CAMERA.height - 0.5
         features.append(a_photo(px + rng.normal(0, noise, px.shape)))
     return replace(s, features=features, observations=tracks(features, s.pairs))

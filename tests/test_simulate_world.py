@@ -80,8 +80,9 @@ def test_a_patch_does_not_depend_on_what_was_asked_before(mixed):
     for box in ((30, 30, 31, 31), (-55, 10, -54, 12), (0, -40, 1, 2)):
         other.patch(box)
     other.height_at(200.0, -300.0)
-    assert same(one.patch(whole), other.patch(whole))
-    assert len(np.unique(one.patch(whole).label)) == 8
+    patch = one.patch(whole)
+    assert same(patch, other.patch(whole))
+    assert len(np.unique(patch.label)) == 8
 
 
 def test_a_patch_does_not_depend_on_threads(mixed, on_one_and_all):
