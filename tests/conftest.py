@@ -15,6 +15,9 @@ import numba
 import pytest
 from damage import write_flight, write_photos
 
+from alight import compiled
+from alight.runner.demo import compile_kernels
+
 T = TypeVar("T")
 
 
@@ -25,6 +28,13 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no recordings in {folder}: set ALIGHT_DATA to their folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def warm() -> None:
+    """All loops of a run are compiled: a live run begins with them."""
+    if not compiled.is_warm():
+        compile_kernels(lambda stage, share: None)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
-from ground import covered, ground, plane
+from ground import GREY, covered, ground, plane, textured
 from numpy.testing import assert_allclose
 from scipy.special import logit
 
@@ -252,6 +252,22 @@ def test_quality_falls_with_slope_roughness_cover_and_doubt() -> None:
     assert_allclose(assess(e, covered(e, 0.8), lander, EXACT).quality[MID], -0.2, atol=1e-5)
     doubtful = assess(ground(flat(), sigma=0.075), None, lander, EXACT).quality[MID]
     assert_allclose(doubtful, -0.25, atol=1e-4)
+
+
+def test_quality_is_less_where_ground_is_darker_than_about_it() -> None:
+    """A wet patch; brighter ground and texture of 5 % cost nothing, and no place is refused for it."""
+    lander, shape = Lander(radius=0.5), (121, 121)
+    rgb = textured(GREY, shape, 0.05, 1)
+    wet, light = np.s_[20:35, 20:35], np.s_[80:95, 80:95]
+    rgb[wet] = (rgb[wet] * 0.65).astype(np.uint8)
+    rgb[light] = (rgb[light] * 1.4).astype(np.uint8)
+    h = assess(ground(np.zeros(shape), rgb=rgb), None, lander, EXACT)
+    assert h.quality[27, 27] < -0.9
+    assert h.quality[87, 87] > -0.05
+    assert np.median(h.quality[10:-10, 10:-10]) > -0.1
+    assert (h.reasons[10:-10, 10:-10] == 0).all()
+    unseen = assess(ground(np.zeros(shape), rgb=(0, 0, 0)), None, lander, EXACT)
+    assert_allclose(unseen.quality[60, 60], 0.0, atol=1e-6)
 
 
 def test_maps_of_two_grids_are_refused() -> None:

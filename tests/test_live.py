@@ -174,9 +174,8 @@ def test_a_flight_needs_the_filter() -> None:
 
 
 @pytest.fixture(scope="module")
-def nursery() -> Iterator[Nursery]:
+def nursery(warm: None) -> Iterator[Nursery]:
     """One for all flights; its lanes find the tests' own faults. What it loads has been compiled before."""
-    replayed(Schedule(tracked=stamps(), mapped=stamps()))
     helpers = str(Path(__file__).parent / "helpers")
     with pytest.MonkeyPatch.context() as m:
         m.setenv("PYTHONPATH", os.pathsep.join(p for p in (helpers, os.environ.get("PYTHONPATH")) if p))

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import alight_sim
-from alight import compiled
 from alight.geometry import Camera
 from alight.outputs.recorder import Recorder
 from alight.records import (
@@ -32,7 +31,6 @@ from alight.records import (
     Schedule,
 )
 from alight.records.codec import CAMERAS, FlightHead, pack, unpack
-from alight.runner.demo import compile_kernels
 from alight.runner.live import Capacity, Listener, Live
 from alight.runner.live.stream_clock import Clocks, StreamClock
 from alight.settings import load_settings
@@ -58,10 +56,8 @@ def head() -> FlightHead:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The flight as a log; a live run begins with its loops compiled."""
-    if not compiled.is_warm():
-        compile_kernels(lambda stage, share: None)
+def log(tmp_path_factory: pytest.TempPathFactory, warm: None) -> Path:
+    """The flight as a log."""
     folder = tmp_path_factory.mktemp("log") / "flight"
     alight_sim.write(flight()[0], folder)
     return folder

@@ -56,6 +56,16 @@ def test_the_roomiest_place_comes_first_and_all_are_safe() -> None:
         assert 1.0 >= s.p_safe >= 0.99
 
 
+def test_of_even_ground_the_dry_part_comes_before_a_wet_patch() -> None:
+    """The middle is the roomiest; it is wet."""
+    rgb = np.full((101, 101, 3), 130, np.uint8)
+    dry = choose(ground(np.zeros((101, 101)), rgb=rgb)).sites[0]
+    assert math.hypot(dry.east - 5.0, dry.north - 5.0) < 0.2
+    rgb[40:61, 40:61] = 85
+    beside = choose(ground(np.zeros((101, 101)), rgb=rgb)).sites[0]
+    assert math.hypot(beside.east - 5.0, beside.north - 5.0) > 1.4
+
+
 def test_sites_keep_apart() -> None:
     e = ground(np.zeros((121, 121)))
     found = choose(e, settings=SitesSettings(count=6, separation=4.5)).sites

@@ -18,7 +18,17 @@ from alight.hazards.evidence import FootprintShape
 from alight.hazards.factors import Evidence, evidence_of, factors_of
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma
 from alight.hazards.usable_heights import smoothed_height, usable_height
-from alight.raster import block_quantile, clearance_of, disc_any, disc_crosses_edge, disc_mean, disc_share, upsample
+from alight.raster import (
+    block_quantile,
+    clearance_of,
+    darkness,
+    disc_any,
+    disc_crosses_edge,
+    disc_mean,
+    disc_share,
+    linear_ramp,
+    upsample,
+)
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -149,15 +159,23 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
 
 
 def _quality(
-    f: _Findings, terrain: TerrainMap | None, sigma: F32, lander: Lander, settings: HazardsSettings, cell: float
+    f: _Findings,
+    elevation: ElevationMap,
+    terrain: TerrainMap | None,
+    sigma: F32,
+    lander: Lander,
+    settings: HazardsSettings,
 ) -> F32:
-    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from the land cover and the height's uncertainty."""
+    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, darkness and the height's sigma."""
+    cell = elevation.grid.cell
     flatness = (f.slope / lander.max_slope) ** 2 + (f.footprint.roughness / lander.max_roughness) ** 2
     uncertainty = (sigma / np.float32(lander.max_roughness)) ** 2
     cover = np.zeros_like(uncertainty)
     if terrain is not None:
         cover = np.nan_to_num(1 - disc_mean(terrain.landable, lander.radius, cell), nan=0.0)
-    q: F32 = (-settings.alpha * flatness - settings.beta * (cover + uncertainty)).astype(np.float32)
+    dark = linear_ramp(darkness(elevation.rgb, settings.dark_radius, cell), settings.dark_least, settings.dark_most)
+    terms = cover + disc_mean(dark, lander.radius, cell) + uncertainty
+    q: F32 = (-settings.alpha * flatness - settings.beta * terms).astype(np.float32)
     return q
 
 
@@ -213,7 +231,7 @@ def assess(
     if passed is not None and passed.any():
         beside = disc_any(passed, lander.radius + settings.traffic_margin, elevation.grid.cell)
         reasons |= np.where(beside, np.uint16(Hazard.TRAFFIC), np.uint16(0))
-    quality = _quality(found, terrain, sigma, lander, settings, elevation.grid.cell)
+    quality = _quality(found, elevation, terrain, sigma, lander, settings)
     f = factors_of(
         elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from alight.arrays import F32, U8
 from alight.raster.blocks import block_mean
+from alight.raster.disc import disc_mean
 
 STRIP = 256  # rows of blocks that are worked on at once: pictures have tens of megapixels
 GREY = 2.0  # levels added: noise in the dark is no contrast
@@ -23,6 +24,15 @@ def log_levels(levels: U8) -> F32:
 def log_brightness(rgb: U8) -> F32:
     """Natural logarithm of the brightness of a picture, (R, C) of (R, C, 3)."""
     return log_levels(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
+
+
+def darkness(rgb: U8, radius: float, cell: float) -> F32:
+    """Log brightness by which each pixel (R, C) of a picture (R, C, 3) is below the mean of those within `radius`.
+
+    `radius` and `cell`, the width of a pixel, are in metres. Black is nothing that was seen: NaN.
+    """
+    light = np.where(rgb.any(axis=2), log_brightness(rgb), np.float32(np.nan))
+    return disc_mean(light, radius, cell) - light
 
 
 class BlockLight(NamedTuple):

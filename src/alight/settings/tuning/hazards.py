@@ -46,6 +46,11 @@ class HazardsTuning(FrozenModel):
     traffic_height: Positive = Field(
         5.0, description="Height above the ground from which what moves is noted: below it pictures show too little, m"
     )
+    dark_radius: Positive = Field(3.0, description="Distance within which ground is compared for its brightness, m")
+    dark_least: NonNegative = Field(
+        0.1, description="Difference of log brightness from which on ground counts as darker than what lies about it"
+    )
+    dark_most: Positive = Field(0.25, description="Difference of log brightness that counts as 1")
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
     unseen_bare: NonNegative = Field(
         0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
