@@ -27,6 +27,8 @@ from alight.raster import (
     disc_mean,
     disc_share,
     linear_ramp,
+    log_brightness,
+    patchiness,
     upsample,
 )
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
@@ -158,6 +160,15 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
     return out
 
 
+def _appearance(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
+    """How much of a footprint is darker than what lies about it, and how patchy it is: from 0, plain ground, to 2."""
+    cell, seen = elevation.grid.cell, elevation.rgb.any(axis=2)
+    light = np.where(seen, log_brightness(elevation.rgb), np.float32(np.nan))
+    dark = linear_ramp(darkness(light, settings.dark_radius, cell), settings.dark_least, settings.dark_most)
+    patchy = patchiness(light, lander.radius, settings.patchy_length, cell)
+    return disc_mean(dark, lander.radius, cell) + linear_ramp(patchy, settings.patchy_least, settings.patchy_most)
+
+
 def _quality(
     f: _Findings,
     elevation: ElevationMap,
@@ -166,15 +177,13 @@ def _quality(
     lander: Lander,
     settings: HazardsSettings,
 ) -> F32:
-    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, darkness and the height's sigma."""
-    cell = elevation.grid.cell
+    """Q of the paper's eq. 5 (G10): F from slope and roughness, G from land cover, appearance and sigma."""
     flatness = (f.slope / lander.max_slope) ** 2 + (f.footprint.roughness / lander.max_roughness) ** 2
     uncertainty = (sigma / np.float32(lander.max_roughness)) ** 2
     cover = np.zeros_like(uncertainty)
     if terrain is not None:
-        cover = np.nan_to_num(1 - disc_mean(terrain.landable, lander.radius, cell), nan=0.0)
-    dark = linear_ramp(darkness(elevation.rgb, settings.dark_radius, cell), settings.dark_least, settings.dark_most)
-    terms = cover + disc_mean(dark, lander.radius, cell) + uncertainty
+        cover = np.nan_to_num(1 - disc_mean(terrain.landable, lander.radius, elevation.grid.cell), nan=0.0)
+    terms = cover + _appearance(elevation, lander, settings) + uncertainty
     q: F32 = (-settings.alpha * flatness - settings.beta * terms).astype(np.float32)
     return q
 

@@ -26,13 +26,16 @@ def log_brightness(rgb: U8) -> F32:
     return log_levels(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
 
 
-def darkness(rgb: U8, radius: float, cell: float) -> F32:
-    """Log brightness by which each pixel (R, C) of a picture (R, C, 3) is below the mean of those within `radius`.
-
-    `radius` and `cell`, the width of a pixel, are in metres. Black is nothing that was seen: NaN.
-    """
-    light = np.where(rgb.any(axis=2), log_brightness(rgb), np.float32(np.nan))
+def darkness(light: F32, radius: float, cell: float) -> F32:
+    """Log brightness by which each cell of `light` (R, C) is below the mean of those within `radius`; metres."""
     return disc_mean(light, radius, cell) - light
+
+
+def patchiness(light: F32, radius: float, length: float, cell: float) -> F32:
+    """Standard deviation of `light` (R, C), log brightness averaged over `length`, within `radius`; metres."""
+    smooth = disc_mean(light, length, cell)
+    mean = disc_mean(smooth, radius, cell)
+    return np.sqrt(np.maximum(disc_mean(smooth * smooth, radius, cell) - mean * mean, 0))
 
 
 class BlockLight(NamedTuple):

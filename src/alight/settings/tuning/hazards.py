@@ -51,6 +51,11 @@ class HazardsTuning(FrozenModel):
         0.1, description="Difference of log brightness from which on ground counts as darker than what lies about it"
     )
     dark_most: Positive = Field(0.25, description="Difference of log brightness that counts as 1")
+    patchy_length: Positive = Field(0.15, description="Distance over which brightness is averaged for its spread, m")
+    patchy_least: NonNegative = Field(
+        0.05, description="Spread of log brightness in a footprint from which on it counts as patchy"
+    )
+    patchy_most: Positive = Field(0.2, description="Spread of log brightness that counts as 1")
     hidden_hazard: Fraction = Field(0.25, description="Probability that a footprint that was never seen hides a hazard")
     unseen_bare: NonNegative = Field(
         0.03, description="Obstacles above the limit that bare ground may have unseen, before it was looked at, 1/m^2"
