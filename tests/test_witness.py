@@ -193,6 +193,27 @@ def test_a_change_of_a_part_is_found_there_only() -> None:
         assert not out[:, :16].any()
 
 
+@pytest.mark.parametrize(
+    ("kinds", "found"), [([0, 0, 0, 0], False), ([0, 1, 2, 3], True), ([0, 0, 0, 1], False), ([0, 1], False)]
+)
+def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found: bool) -> None:
+    """Of four instants one may look past the map; two are too few to tell."""
+    samples, _, _ = instants_of(kinds, 0.3)
+    out = witness.contradicted(samples, Grid(0.0, 0.0, 0.1, 48, 48), 5, TUNING)
+    assert out.all() == out.any() == found
+
+
+def test_a_part_without_texture_or_views_contradicts_nothing() -> None:
+    """And the rest is told apart to a block."""
+    samples, _, _ = instants_of([0, 1, 2, 3, 4, 5])
+    samples[:, :, :20] = np.random.default_rng(4).normal(0, 0.05, (len(samples), 48, 20))
+    samples[4:, 24:] = np.nan
+    out = witness.contradicted(samples, Grid(0.0, 0.0, 0.1, 48, 48), 5, TUNING)
+    assert out[:16, 32:].all()
+    assert not out[:, :8].any()
+    assert not out[40:].any()
+
+
 def test_the_sums_before_and_after_a_moment() -> None:
     samples, pairs, _ = instants_of([0, 0, 1, 1, 2], 0.3)
     samples[np.random.default_rng(3).random(samples.shape) < 0.1] = np.nan

@@ -19,12 +19,13 @@ from alight.arrays import F32, U8, U16, Mask
 from alight.geometry import Grid
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit, enlarged
+from alight.raster import block_mean
 from alight.records import Flag, View
 from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells
 SIDE = 2  # instants that show the ground before a change, and after it, at least
-AROUND = 3  # blocks, the window of the sums of a change
+AROUND = 3  # blocks, the window of the sums of a change or a contradiction
 
 
 def instants(views: Sequence[View]) -> NDArray[np.int64]:
@@ -97,3 +98,32 @@ def changed_since(
     enough = count >= 2 * SIDE * tuning.least_seen * BLOCK * BLOCK
     found = enough & (most > tuning.changed * whole) & (whole > tuning.least_change * count)
     return enlarged(found.astype(np.uint8), grid, BLOCK) > 0
+
+
+def contradicted(samples: F32, grid: Grid, least: int, tuning: ConsistencyTuning) -> Mask:
+    """Find ground of which the views agree on nothing (eq. 16e): somebody stands there who is taller than the map.
+
+    Still ground at the height of the map looks alike to all views, whatever they see of a person's sides and shadow.
+
+    Args:
+        samples: (N, R, C) normalised grey, NaN outside a picture.
+        least: views that a cell needs.
+
+    Returns:
+        (R, C), by blocks.
+    """
+    seen = np.isfinite(samples)
+    count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
+    square = np.einsum("nrc,nrc->rc", values, values)
+    own = square - values.sum(axis=0) ** 2 / np.maximum(count, 1)
+    own, square, count = (_by_blocks(np.where(count >= least, a, np.float32(0))) for a in (own, square, count))
+    enough = count >= least * tuning.least_seen
+    found = enough & (own > tuning.most_unlike * square) & (square > tuning.least_change * count)
+    return enlarged(found.astype(np.uint8), grid, BLOCK) > 0
+
+
+def _by_blocks(values: F32) -> F32:
+    """Mean of cells (R, C) by blocks, (R / BLOCK, C / BLOCK) rounded up, over a window of AROUND of them."""
+    rows, cols = (-n % BLOCK for n in values.shape)
+    means = block_mean(np.pad(values, ((0, rows), (0, cols))), BLOCK)
+    return np.asarray(cv2.blur(means, (AROUND, AROUND)), np.float32)

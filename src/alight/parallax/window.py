@@ -19,7 +19,7 @@ from alight.parallax.batch import judged, picture_at
 from alight.parallax.blocks import Box
 from alight.parallax.views import Buffers, Kept, maps, rgb_of
 from alight.raster import close_mask, weighted_gaussian
-from alight.records import ElevationMap, Flag, Heights
+from alight.records import ElevationMap, Flag, Heights, is_trusted
 from alight.settings import ParallaxSettings
 
 GAP = 4  # cells: a gap narrower than twice that, between heights, starts from them
@@ -181,7 +181,9 @@ class Refiner:
         moves = witness.moving(samples, pairs, fit, grid, consistency.least_views, consistency)
         found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
         times = np.array([k.view.t_ns for k in kept])
-        anew = witness.changed_since(samples, pairs, times, grid, consistency) & np.isfinite(found.height)
+        anew = witness.changed_since(samples, pairs, times, grid, consistency)
+        anew |= witness.contradicted(samples, grid, consistency.least_views, consistency) & is_trusted(found.flags)
+        anew &= np.isfinite(found.height)
         found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))
         inner = within(box, where)
         return Refined(without_halo(found, inner), anew[inner])

@@ -103,7 +103,12 @@ class ConsistencyTuning(FrozenModel):
     changed: Fraction = Field(
         0.8, description="Share of the variance between before and after a moment from which the ground changed; MOVING"
     )
-    least_change: NonNegative = Field(0.02, description="Least variance of ground that changed, normalised grey^2")
+    most_unlike: Fraction = Field(
+        0.6, description="Share of their power in which all views differ, from which they contradict the map; MOVING"
+    )
+    least_change: NonNegative = Field(
+        0.02, description="Least variance of ground that changed or is contradicted, normalised grey^2"
+    )
     least_seen: Fraction = Field(0.25, description="Least share of the cells of a block that a pair sees")
     least_views: int = Field(5, ge=2, description="Least number of views of a cell (recursive)")
     least_views_batch: int = Field(7, ge=2, description="Least number of views of a cell (batch)")
