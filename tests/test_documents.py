@@ -21,7 +21,7 @@ LAUGHS = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{chr(98 + k)}: &{chr(98 + k)} [{','.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(12)
 )
 HOSTILE = {
-    "deep": "[" * 1000 + "]" * 1000,
+    "deep": "[" * 3000 + "]" * 3000,
     "deep mappings": "".join(f"{' ' * k}a:\n" for k in range(1000)),
     "exploding aliases": LAUGHS,
     "an alias to itself": "a: &a [*a]",
@@ -136,7 +136,7 @@ def damaged_models() -> dict[str, bytes]:
     bent[rng.integers(200, len(bent), 300)] ^= 0x55
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z:
-        z.writestr("classes.npy", bytes(300_000_000))
+        z.writestr("classes.npy", bytes(400_000_000))
     changes: dict[str, dict[str, np.ndarray]] = {
         "NaN": {weights: nan},
         "a wrong shape": {weights: arrays[weights][:, :-1]},

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from ground_views import DOWN, UP, Scene, Texture, box, plane
+from length import first
 from numpy.testing import assert_allclose, assert_array_equal
 from parts import with_parts
 
@@ -179,7 +180,8 @@ def test_views_are_chosen_for_their_baseline() -> None:
 # -- what must not be trusted
 
 
-def test_no_view_that_sees_a_place_is_lost_at_a_glance_and_most_others_are() -> None:
+@pytest.mark.parametrize("places", first(1, [10, 40]))
+def test_no_view_that_sees_a_place_is_lost_at_a_glance_and_most_others_are(places: int) -> None:
     """Views in all directions over a kilometre, and the same choice from what is left as from all."""
     rng = np.random.default_rng(4)
     like = level_views()[0]
@@ -188,7 +190,7 @@ def test_no_view_that_sees_a_place_is_lost_at_a_glance_and_most_others_are() -> 
         centre = rng.uniform([-500, -500, 20], [500, 500, 60])
         turned = so3_exp(rng.normal(0, 0.4, 3)) @ like.world_from_cam.rotation
         views.append(replace(like, t_ns=k, world_from_cam=Pose(turned, centre)))
-    for _ in range(10):
+    for _ in range(places):
         grid = Grid(*rng.uniform(-400, 400, 2), 0.5, 40, 40)
         low, high = np.sort(rng.uniform(-5, 15, 2))
         near = may_see(views, grid, low, high)

@@ -21,14 +21,12 @@ from alight.hazards.usable_heights import smoothed_height, usable_height
 from alight.raster import (
     block_quantile,
     clearance_of,
-    darkness,
     disc_any,
     disc_crosses_edge,
     disc_mean,
     disc_share,
     linear_ramp,
     log_brightness,
-    patchiness,
     upsample,
 )
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
@@ -161,12 +159,15 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
 
 
 def _appearance(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """How much of a footprint is darker than what lies about it, and how patchy it is: from 0, plain ground, to 2."""
+    """Share of a footprint that is darker than what lies about it, and its patchiness: from 0, plain ground, to 2."""
     cell, seen = elevation.grid.cell, elevation.rgb.any(axis=2)
     light = np.where(seen, log_brightness(elevation.rgb), np.float32(np.nan))
-    dark = linear_ramp(darkness(light, settings.dark_radius, cell), settings.dark_least, settings.dark_most)
-    patchy = patchiness(light, lander.radius, settings.patchy_length, cell)
-    return disc_mean(dark, lander.radius, cell) + linear_ramp(patchy, settings.patchy_least, settings.patchy_most)
+    below = disc_mean(light, settings.dark_radius, cell) - light
+    dark = disc_mean(linear_ramp(below, settings.dark_least, settings.dark_most), lander.radius, cell)
+    smooth = disc_mean(light, settings.patchy_length, cell)
+    mean, square = (disc_mean(v, lander.radius, cell) for v in (smooth, smooth * smooth))
+    spread = np.sqrt(np.maximum(square - mean * mean, 0))
+    return dark + linear_ramp(spread, settings.patchy_least, settings.patchy_most)
 
 
 def _quality(

@@ -103,7 +103,8 @@ def changed_since(
 def contradicted(samples: F32, grid: Grid, least: int, tuning: ConsistencyTuning) -> Mask:
     """Find ground of which the views agree on nothing (eq. 16e): somebody stands there who is taller than the map.
 
-    Still ground at the height of the map looks alike to all views, whatever they see of a person's sides and shadow.
+    Still ground at the height of the map looks alike to all views. The mean is that of all of them: the template leaves
+    out those that deviate.
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.

@@ -1,7 +1,7 @@
 """Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
 
 from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
-from alight.raster.brightness import BlockLight, block_light, darkness, log_brightness, log_levels, patchiness
+from alight.raster.brightness import BlockLight, block_light, log_brightness, log_levels
 from alight.raster.disc import (
     DiscWindow,
     disc_any,
@@ -38,7 +38,6 @@ __all__ = [
     "cells_as_blocks",
     "clearance_of",
     "close_mask",
-    "darkness",
     "difference_of_gaussians",
     "disc_any",
     "disc_crosses_edge",
@@ -62,7 +61,6 @@ __all__ = [
     "log_offset",
     "masked_gaussian",
     "nearest_known",
-    "patchiness",
     "upsample",
     "weighted_gaussian",
     "without_specks",

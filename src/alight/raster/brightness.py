@@ -9,7 +9,6 @@ import numpy as np
 
 from alight.arrays import F32, U8
 from alight.raster.blocks import block_mean
-from alight.raster.disc import disc_mean
 
 STRIP = 256  # rows of blocks that are worked on at once: pictures have tens of megapixels
 GREY = 2.0  # levels added: noise in the dark is no contrast
@@ -24,18 +23,6 @@ def log_levels(levels: U8) -> F32:
 def log_brightness(rgb: U8) -> F32:
     """Natural logarithm of the brightness of a picture, (R, C) of (R, C, 3)."""
     return log_levels(np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.uint8))
-
-
-def darkness(light: F32, radius: float, cell: float) -> F32:
-    """Log brightness by which each cell of `light` (R, C) is below the mean of those within `radius`; metres."""
-    return disc_mean(light, radius, cell) - light
-
-
-def patchiness(light: F32, radius: float, length: float, cell: float) -> F32:
-    """Standard deviation of `light` (R, C), log brightness averaged over `length`, within `radius`; metres."""
-    smooth = disc_mean(light, length, cell)
-    mean = disc_mean(smooth, radius, cell)
-    return np.sqrt(np.maximum(disc_mean(smooth * smooth, radius, cell) - mean * mean, 0))
 
 
 class BlockLight(NamedTuple):
