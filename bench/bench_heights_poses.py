@@ -170,8 +170,8 @@ class Refined(Flight):
         self._ring.push([view], KeyframePosterior(tuple(self._told), joint))
         found = self._ring.step(grid, self._map.read(grid), -1.5, 1.5)
         self._map.add_plane(self._ring.plane, self._ring.about)
-        if found is not None:
-            self._map.add(found, replace_all=True)
+        for part in found:
+            self._map.add(part, replace_all=True)
 
 
 @one_thread()

@@ -16,7 +16,7 @@ from alight.settings.tuning.parallax import RecursiveTuning
 CELL, EVERY = 0.1, 4
 WINDOW = Grid(0.05, 79.95, CELL, 6 * SIDE, 8 * SIDE)  # its blocks are 7 x 8: the rows begin within one
 CHEAP = SweepCost(40.0, 0.1)
-TUNING = RecursiveTuning(least_cells=1)
+TUNING = RecursiveTuning(least_cells=1, watched=0.0)
 
 
 def kinds(grid: Grid, fresh: float = 0.0) -> np.ndarray:
@@ -60,7 +60,7 @@ def test_steps_cost_alike_and_leave_out_no_cell_for_long() -> None:
 
 def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then() -> None:
     """With a budget for all: the wait grows with the number of refinements."""
-    blocks = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000))
+    blocks = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000, watched=0.0))
     visits = np.array([cells(taken(blocks, WINDOW))[0, 0] for _ in range(60)])
     assert visits[:4].sum() == 4
     assert 0.15 < visits[-30:].mean() < 0.5
@@ -68,8 +68,20 @@ def test_a_new_block_is_refined_with_every_keyframe_and_an_old_one_now_and_then(
     assert np.diff(last).max() <= TUNING.longest_wait + 1
 
 
+def test_ground_below_the_vehicle_is_looked_at_with_every_keyframe() -> None:
+    """Whatever else is due, within 1.5 m; and the rest gets no less for it."""
+    below = (slice(192 - 15, 192 + 15), slice(256 - 15, 256 + 15))
+    watching, plain = Blocks(RecursiveTuning(least_cells=1, watched=1.5)), Blocks(TUNING)
+    seen, without = ([cells(taken(b, WINDOW)) for _ in range(40)] for b in (watching, plain))
+    assert all(s[below].all() for s in seen)
+    assert not all(s[below].all() for s in without)
+    rest = np.ones(WINDOW.shape, bool)
+    rest[192 - SIDE : 192 + 2 * SIDE, 256 - SIDE : 256 + SIDE] = False
+    assert np.mean([s[rest].mean() for s in seen]) > 0.9 * np.mean([s[rest].mean() for s in without])
+
+
 def test_blocks_in_which_much_changed_are_new_again() -> None:
-    blocks, every = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000)), []
+    blocks, every = Blocks(RecursiveTuning(share=1.0, least_cells=1_000_000, watched=0.0)), []
     for _ in range(30):
         blocks.move_to(WINDOW)
         plan = blocks.plan(blocks.counted(kinds(WINDOW), EVERY), (0.0, 0.0), CHEAP, EFFORTS[0])

@@ -11,16 +11,15 @@ import pytest
 from ground_views import DOWN, UP, Scene, Texture, box, plane
 from length import first
 from numpy.testing import assert_allclose, assert_array_equal
-from parts import with_parts
+from parts import nothing_known, with_parts
 
-from alight.elevation import TiledElevation
 from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
 from alight.parallax.sparse_points import triangulate_pair
 from alight.parallax.views import choose_views, may_see, prepare_view
-from alight.records import REFUSED, ElevationMap, Flag, Heights, View, is_trusted
+from alight.records import REFUSED, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import PointsTuning
 from alight.spread import nmad
@@ -267,11 +266,6 @@ def test_sigma_grows_with_noise_and_shrinks_with_baseline() -> None:
 
 
 # -- one step at a time
-
-
-def nothing_known(grid: Grid) -> ElevationMap:
-    """A map that never saw anything."""
-    return TiledElevation(grid.cell, 64).read(grid)
 
 
 def test_the_ring_finds_a_plane_and_a_second_step_does_not_lose_it() -> None:

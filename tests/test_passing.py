@@ -10,7 +10,7 @@ from some_run import elevation
 
 from alight.geometry import Grid
 from alight.hazards import assess
-from alight.pipeline.mapping.passing import traffic, what_moves
+from alight.pipeline.mapping.passing import traffic, what_moves, who_came
 from alight.pipeline.remembered import NOWHERE
 from alight.records import ElevationMap, Flag, Hazard, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -68,6 +68,16 @@ def test_it_goes_with_the_frame() -> None:
 def test_specks_are_noise() -> None:
     assert not len(NOWHERE.with_seen(cells((4.0, 8.0, 5.0, 9.5)), 0).cells)
     assert not len(NOWHERE.with_seen(cells(), 0).cells)
+
+
+@pytest.mark.parametrize(("side", "kept"), [(0.2, 0), (0.4, 4)])
+def test_a_person_is_enough_to_be_remembered(side: float, kept: int) -> None:
+    """With every cell that they reach into; less is noise."""
+    e = road((5.0 - side / 2, 9.0 - side / 2, 5.0 + side / 2, 9.0 + side / 2))
+    cells = who_came(e.grid, (e.flags & np.uint16(Flag.MOVING)) != 0)
+    assert len(cells) == kept
+    if kept:
+        np.testing.assert_array_equal(np.sort(cells, axis=0), np.sort([[9, 17], [9, 18], [10, 17], [10, 18]], axis=0))
 
 
 @pytest.mark.parametrize(("kind", "kept"), [(Terrain.PAVED, 1), (Terrain.BARE, 0), (Terrain.SHORT_GRASS, 0)])

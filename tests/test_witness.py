@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from ground_views import Scene, Texture
 from numpy.testing import assert_allclose
-from parts import with_parts
+from parts import nothing_known, with_parts
 
 from alight.elevation import FIELDS
 from alight.geometry import Grid, Pose
 from alight.parallax import Images, RecursiveParallax, match_tile
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax import temporal_consistency as witness
+from alight.pipeline.mapping.recursive_map import box_in
 from alight.records import ElevationMap, Flag, Heights, View
 from alight.settings import ParallaxSettings
 from alight.settings.tuning.parallax import ConsistencyTuning
@@ -88,12 +89,18 @@ def test_only_what_is_common_to_one_instant_counts(together: bool) -> None:
     assert (share > 0.5 * TUNING.most_shared).any() == together
 
 
-def rig(moving: bool, count: int = 7) -> list[list[View]]:
-    """A rig over level ground; in the west, waves change it from one exposure to the next."""
+def rig(moving: bool, count: int = 7, since: int = 0, tall: bool = False) -> list[list[View]]:
+    """A rig over level ground; in the west, waves change it from one exposure to the next, `since` one of them.
+
+    What is `tall` shows each camera another side.
+    """
     still = Texture(1, contrast=30.0)
 
+    def waves(e: np.ndarray, n: np.ndarray, k: int) -> np.ndarray:
+        return 5.0 * (WAVES[k % len(WAVES)](e, n) - 128.0) if tall else WAVES[k // 2 % len(WAVES)](e, n)
+
     def paint(e: np.ndarray, n: np.ndarray, k: int) -> np.ndarray:
-        return still(e, n) + (np.where(e < -1.0, WAVES[k](e, n), 0.0) if moving else 0.0)
+        return still(e, n) + (np.where(e < -1.0, waves(e, n, k), 0.0) if moving and k >= 2 * since else 0.0)
 
     scene = Scene(paint=paint, spacing=1.3)
     out = []
@@ -101,7 +108,7 @@ def rig(moving: bool, count: int = 7) -> list[list[View]]:
         pose, shots = scene.pose(k, count), []
         for cam in (0, 1):
             there = Pose(pose.rotation, pose.translation + np.array([0.0, 0.4 * cam, 0.0]))
-            shots.append(View(k * 100_000_000, cam, scene.picture(there, k), scene.camera, there))
+            shots.append(View(k * 100_000_000, cam, scene.picture(there, 2 * k + cam), scene.camera, there))
         out.append(shots)
     return out
 
@@ -115,10 +122,7 @@ def found(method: str, moving: bool, effort: int = 0) -> Heights:
         heights = found.heights if found else None
     else:
         ring = RecursiveParallax(ParallaxSettings(), CELL, 0.0)
-        empty = (np.nan, np.nan, int(Flag.UNSEEN), 0, np.nan, np.nan)
-        kinds = (np.float32, np.float32, np.uint16, np.uint8, np.float32, np.float32)
-        h, s, f, v, e, g = (np.full(GRID.shape, a, t) for a, t in zip(empty, kinds, strict=True))
-        known = ElevationMap(GRID, h, s, f, v, np.zeros((*GRID.shape, 3), np.uint8), e, g)
+        known = nothing_known(GRID)
         for shot in shots:
             ring.push(shot)
             known = with_parts(known, ring.step(GRID, known, -1.5, 2.5, effort))
@@ -145,6 +149,24 @@ def test_with_less_effort_the_rig_tells_waves_all_the_same(effort: int) -> None:
     inner = (np.abs(NORTH) < 3.0) & (np.abs(EAST) < 5.0)
     assert moves[inner & (EAST < -2.5)].mean() > 0.95
     assert moves[inner & (EAST > 3.5)].mean() < 0.05
+
+
+@pytest.mark.parametrize("since", [0, 4])
+def test_the_ring_tells_that_somebody_has_come(since: int) -> None:
+    """Where the ground was still before: what sways at all times has not come."""
+    ring, known, came = (
+        RecursiveParallax(ParallaxSettings(), CELL, 0.0),
+        nothing_known(GRID),
+        np.zeros(GRID.shape, bool),
+    )
+    for shot in rig(True, 9, since, tall=True):
+        ring.push(shot)
+        known = with_parts(known, ring.step(GRID, known, -1.5, 2.5))
+        for part, where in ring.came:
+            came[box_in(GRID, part)] |= where
+    inner = np.abs(NORTH) < 3.0
+    assert came[inner & (EAST < -2.5) & (EAST > -5.0)].mean() == pytest.approx(float(since > 0), abs=0.1)
+    assert not came[inner & (EAST > 1.5)].any()
 
 
 def test_one_camera_has_no_witness() -> None:
@@ -193,14 +215,43 @@ def test_a_change_of_a_part_is_found_there_only() -> None:
         assert not out[:, :16].any()
 
 
+def known_before(residual: float, flags: int = 0) -> ElevationMap:
+    """A map of the ground of `instants_of`, whose views had so much of their variance apart."""
+    grid, shape = Grid(0.0, 0.0, 0.1, 48, 48), (48, 48)
+    out = nothing_known(grid)
+    return replace(
+        out, height=np.zeros(shape, np.float32), residual=np.full(shape, residual, np.float32),
+        flags=np.full(shape, flags, np.uint16),
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("kinds", "found"), [([0, 0, 0, 0], False), ([0, 1, 2, 3], True), ([0, 0, 0, 1], False), ([0, 1], False)]
 )
 def test_views_that_agree_on_nothing_contradict_the_map(kinds: list[int], found: bool) -> None:
     """Of four instants one may look past the map; two are too few to tell."""
     samples, _, _ = instants_of(kinds, 0.3)
-    out = witness.contradicted(samples, Grid(0.0, 0.0, 0.1, 48, 48), 5, TUNING)
-    assert out.all() == out.any() == found
+    out = witness.contradicted(samples, known_before(0.5), 5, TUNING)
+    assert out.wrong.all() == out.wrong.any() == found
+    assert not out.came.any()
+
+
+@pytest.mark.parametrize(
+    ("kinds", "residual", "flags", "came"),
+    [
+        ([0, 0, 0, 0, 0, 0], 0.05, 0, False),
+        ([0, 0, 0, 0, 1, 2], 0.05, 0, True),  # two instants of a walk
+        ([0, 0, 0, 0, 0, 1], 0.05, 0, False),  # one may look past the map
+        ([0, 0, 0, 0, 1, 2], 0.3, 0, False),  # swayed before
+        ([0, 0, 0, 0, 1, 2], 0.05, int(Flag.UNSURE), False),  # nothing was known
+    ],
+)
+def test_somebody_has_come_where_views_agreed_before(kinds: list[int], residual: float, flags: int, came: bool) -> None:
+    """Sooner than the map's height is contradicted."""
+    samples, _, _ = instants_of(kinds, 0.1)
+    out = witness.contradicted(samples, known_before(residual, flags), 5, TUNING)
+    assert out.came.all() == out.came.any() == came
+    assert not out.wrong.any()
 
 
 def test_a_part_without_texture_or_views_contradicts_nothing() -> None:
@@ -208,10 +259,10 @@ def test_a_part_without_texture_or_views_contradicts_nothing() -> None:
     samples, _, _ = instants_of([0, 1, 2, 3, 4, 5])
     samples[:, :, :20] = np.random.default_rng(4).normal(0, 0.05, (len(samples), 48, 20))
     samples[4:, 24:] = np.nan
-    out = witness.contradicted(samples, Grid(0.0, 0.0, 0.1, 48, 48), 5, TUNING)
-    assert out[:16, 32:].all()
-    assert not out[:, :8].any()
-    assert not out[40:].any()
+    for out in witness.contradicted(samples, known_before(0.05), 5, TUNING):
+        assert out[:16, 32:].all()
+        assert not out[:, :8].any()
+        assert not out[40:].any()
 
 
 def test_the_sums_before_and_after_a_moment() -> None:

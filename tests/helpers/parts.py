@@ -1,4 +1,4 @@
-"""A map of which a step refined some rectangles."""
+"""A map that knows nothing, and one of which a step refined some rectangles."""
 
 from __future__ import annotations
 
@@ -8,8 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from alight.elevation import FIELDS
+from alight.elevation import FIELDS, TiledElevation
+from alight.geometry import Grid
 from alight.records import ElevationMap, Heights
+
+
+def nothing_known(grid: Grid) -> ElevationMap:
+    """A map that never saw anything."""
+    return TiledElevation(grid.cell, 64).read(grid)
 
 
 def with_parts(known: ElevationMap, parts: Iterable[Heights]) -> ElevationMap:

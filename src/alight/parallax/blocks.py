@@ -1,7 +1,8 @@
 """Which blocks of the window a step works on, so that steps cost alike (docs/method/recursive.md).
 
 A new block is refined with every keyframe. What a further one adds falls with their number, so that the block then
-waits the longer the more it has had. First sweeps are put off until the step's share of sweeping suffices.
+waits the longer the more it has had; not below the newest view, where somebody may come while the vehicle lands. First
+sweeps are put off until the step's share of sweeping suffices.
 """
 
 from __future__ import annotations
@@ -100,6 +101,7 @@ class Blocks:
         self._rate = 0.0  # samples of first sweeps a step, until none is due
         self._first = np.zeros(2, np.int64)  # row and column of the window in the raster
         self._shape = (0, 0)  # of the window
+        self._cell = 1.0  # metres
         self._count, self._last, self._since = (np.zeros((0, 0), np.int64) for _ in range(3))
         self.recolour = False  # blocks that were never visited have coarse colours
 
@@ -118,7 +120,7 @@ class Blocks:
             _moved(old, (row - self._row, col - self._col), (rows, cols), empty)
             for old, empty in ((self._count, 0), (self._last, NEVER), (self._since, NEVER))
         )
-        self._row, self._col, self._first, self._shape = row, col, first, grid.shape
+        self._row, self._col, self._first, self._shape, self._cell = row, col, first, grid.shape, grid.cell
 
     def counted(self, kinds: NDArray[np.bool_], every: int) -> Counts:
         """Sums of masks (3, R / every, C / every), a sample of the cells, over each block."""
@@ -144,7 +146,8 @@ class Blocks:
         most = effort.share * min(self._tuning.share * (AT_START if self._begins else 1), 1.0) * cells
         dear = costs > self._tuning.most_sweep
         swept = self._to_sweep(counts, np.where(dear, costs / ROUGH, costs), most, effort)
-        refined = self._to_refine(counts, away, swept, most)
+        beside = np.hypot(np.maximum(dr - SIDE / 2, 0), np.maximum(dc - SIDE / 2, 0))
+        refined = self._to_refine(counts, away, swept, beside * self._cell < self._tuning.watched, most)
         new = counts.fresh / np.maximum(counts.fresh + counts.known, 1)
         self._count[swept] = np.rint(self._count * (1 - new))[swept]
         self._since[swept] = NEVER
@@ -168,12 +171,15 @@ class Blocks:
         order = np.argsort(self._since.ravel(), kind="stable")  # neighbours together: one sweep
         return _within(order, ready, np.maximum(costs / budget, SIDE**2 / most), 1.0)
 
-    def _to_refine(self, counts: Counts, away: F64, swept: Mask, most: float) -> list[Rectangle]:
-        """Rectangles of `most` cells about the blocks that have waited long enough, those just swept first."""
-        wait = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait)
-        urgency = np.where(counts.known >= LEAST, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
-        urgency[swept] = MOST_URGENT + 1
-        return cover(urgency, away, most)
+    def _to_refine(self, counts: Counts, away: F64, swept: Mask, watched: Mask, most: float) -> list[Rectangle]:
+        """Rectangles about the blocks just swept and the watched ones, then those that have waited long enough.
+
+        They have `most` cells, and the watched blocks besides.
+        """
+        wait, known = np.clip(self._count / self._tuning.pace, 1.0, self._tuning.longest_wait), counts.known >= LEAST
+        urgency = np.where(known, np.minimum((self._step - self._last) / wait, MOST_URGENT), 0.0)
+        urgency[watched & known] = urgency[swept] = MOST_URGENT + 1
+        return cover(urgency, away, most + SIDE**2 * int((watched & known & ~swept).sum()))
 
     def _box(self, of: Rectangle) -> Box:
         """The cells of the window in a rectangle of blocks."""

@@ -41,6 +41,7 @@ class RecursiveParallax:
         self._ratio: tuple[Grid, F32] | None = None  # ambiguity, carried along with the window; NaN: look anew
         self._blocks, self._refiner = Blocks(settings.recursive), Refiner(settings, Buffers())
         self._alignment = Alignment(settings.ring, settings.poses)
+        self._came = list[tuple[Grid, Mask]]()
 
     @property
     def plane(self) -> F64:
@@ -60,6 +61,11 @@ class RecursiveParallax:
     def beginning(self) -> bool:
         """Most of the window was not refined often yet: heights of a part may not speak for the rest."""
         return self._blocks.beginning
+
+    @property
+    def came(self) -> list[tuple[Grid, Mask]]:
+        """Rectangles of the last step, with the cells (R, C) of each where somebody came to stand (eq. 16e)."""
+        return self._came
 
     def work_at(self, cell: float, ground: float) -> None:
         """Go on with cells of this size (metres) above a ground of this height; the kept pictures are made ready anew.
@@ -107,7 +113,7 @@ class RecursiveParallax:
         Returns:
             The rectangles that were refined, as they are now; none while no cell has seen enough parallax.
         """
-        ratio, chosen = self._carried(grid), effort_of(effort)
+        ratio, chosen, self._came = self._carried(grid), effort_of(effort), []
         self._kept = self._alignment.align(self._kept, grid, known, np.isnan(ratio), self._ground)
         if self.plane.any():
             known = replace(known, height=known.height + self.plane_on(grid))
@@ -128,6 +134,8 @@ class RecursiveParallax:
             if found is not None:
                 ratio[box][found.changed] = np.nan  # swept again; untrusted until then
                 out.append(replace(found.heights, gauge=gauge))
+                if found.came.any():
+                    self._came.append((found.heights.grid, found.came))
         return out
 
     def _taking_part(self, drop: float, effort: Effort) -> list[Kept]:

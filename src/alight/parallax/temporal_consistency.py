@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from alight.geometry import Grid
 from alight.parallax import consistency_kernels as kernels
 from alight.parallax.gauss_newton import Fit, enlarged
 from alight.raster import block_mean
-from alight.records import Flag, View
+from alight.records import ElevationMap, Flag, View, is_trusted
 from alight.settings.tuning.parallax import ConsistencyTuning
 
 BLOCK = 8  # cells
@@ -100,27 +101,37 @@ def changed_since(
     return enlarged(found.astype(np.uint8), grid, BLOCK) > 0
 
 
-def contradicted(samples: F32, grid: Grid, least: int, tuning: ConsistencyTuning) -> Mask:
+class Contradicted(NamedTuple):
+    """Ground of which the views agree on nothing (eq. 16e), (R, C) each, by blocks."""
+
+    wrong: Mask  # as the height is that the map has there
+    came: Mask  # the views agreed before: somebody has come since
+
+
+def contradicted(samples: F32, known: ElevationMap, least: int, tuning: ConsistencyTuning) -> Contradicted:
     """Find ground of which the views agree on nothing (eq. 16e): somebody stands there who is taller than the map.
 
     Still ground at the height of the map looks alike to all views. The mean is that of all of them: the template leaves
-    out those that deviate.
+    out those that deviate. What sways differs at all times; so for somebody who came it is enough that the views differ
+    less, where the step that gave the map its height had found them alike.
 
     Args:
         samples: (N, R, C) normalised grey, NaN outside a picture.
+        known: the map before the step.
         least: views that a cell needs.
-
-    Returns:
-        (R, C), by blocks.
     """
     seen = np.isfinite(samples)
     count, values = seen.sum(axis=0, dtype=np.float32), np.where(seen, samples, np.float32(0))
     square = np.einsum("nrc,nrc->rc", values, values)
     own = square - values.sum(axis=0) ** 2 / np.maximum(count, 1)
     own, square, count = (_by_blocks(np.where(count >= least, a, np.float32(0))) for a in (own, square, count))
-    enough = count >= least * tuning.least_seen
-    found = enough & (own > tuning.most_unlike * square) & (square > tuning.least_change * count)
-    return enlarged(found.astype(np.uint8), grid, BLOCK) > 0
+    enough = (count >= least * tuning.least_seen) & (square > tuning.least_change * count)
+    trusted = is_trusted(known.flags) & np.isfinite(known.height)
+    before = _by_blocks(np.where(trusted, known.residual, np.float32(0)))
+    share = _by_blocks(trusted.astype(np.float32))
+    alike = (share > tuning.least_seen) & (before < tuning.alike_before * share)
+    wrong, came = enough & (own > tuning.most_unlike * square), enough & alike & (own > tuning.came_unlike * square)
+    return Contradicted(*(enlarged(found.astype(np.uint8), known.grid, BLOCK) > 0 for found in (wrong, came)))
 
 
 def _by_blocks(values: F32) -> F32:

@@ -126,6 +126,7 @@ class Refined(NamedTuple):
 
     heights: Heights
     changed: Mask  # (R, C) where the ground looks otherwise since some moment: the height is that of before
+    came: Mask  # (R, C) where somebody came to stand (eq. 16e)
 
 
 @dataclass(eq=False)
@@ -182,11 +183,12 @@ class Refiner:
         found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
         times = np.array([k.view.t_ns for k in kept])
         anew = witness.changed_since(samples, pairs, times, grid, consistency)
-        anew |= witness.contradicted(samples, grid, consistency.least_views, consistency) & is_trusted(found.flags)
+        doubt = witness.contradicted(samples, part_of(window.known, where), consistency.least_views, consistency)
+        anew |= (doubt.wrong | doubt.came) & is_trusted(found.flags)
         anew &= np.isfinite(found.height)
         found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))
         inner = within(box, where)
-        return Refined(without_halo(found, inner), anew[inner])
+        return Refined(without_halo(found, inner), anew[inner], doubt.came[inner])
 
     def _coloured(self, window: Window, grid: Grid, height: F32, known: ElevationMap, recolour: bool) -> U8:
         """The map's colour, renewed by the newest view just below it and where there was none."""

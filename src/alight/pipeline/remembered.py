@@ -70,6 +70,13 @@ def shown_at(grid: Grid, where: Mask) -> I64:
     return np.asarray(np.argwhere(there) + low, np.int64)
 
 
+def cells_at(grid: Grid, where: Mask) -> I64:
+    """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid reaches into."""
+    columns, rows = _numbers(grid)
+    row, column = np.nonzero(where)
+    return np.unique(np.column_stack([columns[column], rows[row]]), axis=0)
+
+
 def _numbers(grid: Grid) -> tuple[I64, I64]:
     """East of the columns (C,) and north of the rows (R,) of a grid, in cells of `CELL`."""
     east, north = (np.floor(v / CELL).astype(np.int64).ravel() for v in grid.xy())

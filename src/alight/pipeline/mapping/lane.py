@@ -44,6 +44,7 @@ class MapSnapshot:
     frame: MapFrame
     attitude: bool = True  # one was measured, or the poses are given
     passed: Remembered = NOWHERE  # where something moved across the ground before
+    came: Remembered = NOWHERE  # where somebody came to stand a moment ago
 
     @property
     def missing(self) -> MissingVeto:

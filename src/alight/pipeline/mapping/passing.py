@@ -1,4 +1,4 @@
-"""Where things drive or walk: paved ground is remembered for a while after something moved across it.
+"""Where things drive or walk: ground is remembered for a while after something moved across it, or came to stand on it.
 
 A road between two cars looks as level and empty as a yard. `Flag.MOVING` tells that something moves there now, and the
 next map has forgotten it. What moves where plants or water are is those; on paved ground it is traffic. Bare ground
@@ -12,10 +12,11 @@ import numpy as np
 
 from alight.arrays import I64, U16, Mask
 from alight.geometry import Grid
-from alight.pipeline.remembered import CELL, Remembered, shown
+from alight.pipeline.remembered import CELL, Remembered, cells_at, shown
 from alight.records import Flag, Terrain, TerrainMap
 
 LEAST_AREA = 2.0  # m^2 side by side, for less is noise: a car with its rim covers 8 to 15
+LEAST_CAME = 0.08  # m^2 side by side: the shoulders of a person, seen from above
 
 
 def what_moves(grid: Grid, flags: U16) -> I64:
@@ -27,6 +28,13 @@ def what_moves(grid: Grid, flags: U16) -> I64:
     _, label, about, _ = cv2.connectedComponentsWithStats(there.astype(np.uint8), connectivity=4)
     large = about[:, cv2.CC_STAT_AREA] * CELL**2 >= LEAST_AREA
     return np.asarray(np.argwhere(there & large[label]) + low, np.int64)
+
+
+def who_came(grid: Grid, came: Mask) -> I64:
+    """Cells (N, 2) to remember, into which a mask (R, C) of what came to stand reaches, enough of it side by side."""
+    _, label, about, _ = cv2.connectedComponentsWithStats(came.astype(np.uint8), connectivity=8)
+    large = about[:, cv2.CC_STAT_AREA] * grid.cell**2 >= LEAST_CAME
+    return cells_at(grid, came & large[label])
 
 
 def traffic(passed: Remembered, grid: Grid, cover: TerrainMap | None) -> Mask:

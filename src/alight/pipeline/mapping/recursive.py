@@ -125,7 +125,9 @@ class RecursiveMapper:
         centre = views[-1].centre
         vehicle = VehiclePosition(centre, float(centre[2] - (self._map.ground_below or 0.0)))
         attitude = self._newest is None or self._newest.attitude
-        return MapSnapshot(self._step, elevation, tuple(views), vehicle, self._frame, attitude, self._map.passed)
+        return MapSnapshot(
+            self._step, elevation, tuple(views), vehicle, self._frame, attitude, self._map.passed, self._map.came
+        )
 
     def finish(self, trajectory: Trajectory, progress: Progress) -> FinishedMap:
         """The map as the last keyframe left it."""

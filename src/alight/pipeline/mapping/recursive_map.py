@@ -12,7 +12,7 @@ from alight.elevation import TiledElevation
 from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
-from alight.pipeline.mapping.passing import what_moves
+from alight.pipeline.mapping.passing import what_moves, who_came
 from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.pipeline.remembered import NOWHERE, Remembered
@@ -29,6 +29,7 @@ class RecursiveMap(GroundMap):
     out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
     level: int = 0  # of the newest keyframe's cells
     passed: Remembered = NOWHERE  # where something moved, in the frame of the poses
+    came: Remembered = NOWHERE  # where somebody came to stand, in the same frame
     _ring: RecursiveParallax | None = None
 
     @property
@@ -64,7 +65,7 @@ class RecursiveMap(GroundMap):
         self.ground, self._points = self.ground + float(shift[2]), self._points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self._ring, self.gauge, self.out_of_range = None, None, False
-        self.passed = self.passed.moved(shift)
+        self.passed, self.came = self.passed.moved(shift), self.came.moved(shift)
         return mapped
 
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
@@ -114,6 +115,7 @@ class RecursiveMap(GroundMap):
             flags[where] = found.flags
             self.elevation.add(changed(found, known, where), replace_all=True)
         self._note_traffic(grid, flags, down[0].t_ns, up - ground)
+        self._note_who_came(ring, down[0].t_ns)
         self.out_of_range = bool(
             ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond
         )
@@ -129,6 +131,12 @@ class RecursiveMap(GroundMap):
         self.passed = self.passed.since(t_ns - round(keys.traffic_memory * 1e9))
         if height >= keys.traffic_height and keys.traffic_memory > 0:
             self.passed = self.passed.with_seen(what_moves(grid, flags), t_ns)
+
+    def _note_who_came(self, ring: RecursiveParallax, t_ns: int) -> None:
+        """Remember where somebody came to stand (G6c)."""
+        self.came = self.came.since(t_ns - round(self.settings.hazards.came_memory * 1e9))
+        for grid, came in ring.came:
+            self.came = self.came.with_seen(who_came(grid, came), t_ns)
 
     def under(self, views: Sequence[View], about: F64 | None = None) -> ElevationMap | None:
         """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.

@@ -46,6 +46,9 @@ class HazardsTuning(FrozenModel):
     traffic_height: Positive = Field(
         5.0, description="Height above the ground from which what moves is noted: below it pictures show too little, m"
     )
+    came_memory: NonNegative = Field(
+        15.0, description="Time for which ground is refused after somebody came to stand on it in the pictures, s"
+    )
     dark_radius: Positive = Field(3.0, description="Distance within which ground is compared for its brightness, m")
     dark_least: NonNegative = Field(
         0.1, description="Difference of log brightness from which on ground counts as darker than what lies about it"

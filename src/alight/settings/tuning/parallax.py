@@ -106,6 +106,12 @@ class ConsistencyTuning(FrozenModel):
     most_unlike: Fraction = Field(
         0.6, description="Share of their power in which all views differ, from which they contradict the map; MOVING"
     )
+    came_unlike: Fraction = Field(
+        0.45, description="The same where the views agreed before: somebody has come; MOVING, and remembered"
+    )
+    alike_before: Fraction = Field(
+        0.2, description="Residual of the map (share of the variance) below which the views agreed there"
+    )
     least_change: NonNegative = Field(
         0.02, description="Least variance of ground that changed or is contradicted, normalised grey^2"
     )
@@ -141,6 +147,9 @@ class RecursiveTuning(FrozenModel):
     patience: int = Field(2, ge=0, description="Keyframes that a sweep waits for the rest of its block at most")
     pace: Positive = Field(3.0, description="Refinements of a block for each keyframe that it then waits for the next")
     longest_wait: Positive = Field(8.0, description="Keyframes that it waits at most")
+    watched: NonNegative = Field(
+        1.5, description="Distance from below the newest view within which a block is refined with every keyframe, m"
+    )
     unsettled: Fraction = Field(
         0.1, description="Share of heights replaced, newly trusted or refused from which a block is new again"
     )
