@@ -99,3 +99,15 @@ def test_ground_beside_traffic_is_refused() -> None:
     assert (found.p_safe[refused] == 0).all()
     np.testing.assert_array_equal(found.reasons[~refused], free.reasons[~refused])
     assert (free.reasons[refused] == 0).all()
+
+
+def test_ground_beside_somebody_who_came_is_free() -> None:
+    """Footprints that hold some of it are refused, whatever the margin for traffic."""
+    e, lander, settings = road(), Lander(radius=1.0), HazardsSettings(smoothed=False, traffic_margin=1.0)
+    came = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).on(e.grid)
+    found = assess(e, None, lander, settings, came=came)
+    x, y = (v.ravel() for v in e.grid.xy())
+    refused = (found.reasons & np.uint16(Hazard.TRAFFIC)) != 0
+    row = int(np.argmin(np.abs(y - 9.0)))
+    np.testing.assert_allclose([x[refused[row]].min(), x[refused[row]].max()], [3.05, 8.95], atol=0.1)
+    assert (found.p_safe[refused] == 0).all()

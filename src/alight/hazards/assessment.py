@@ -219,6 +219,7 @@ def assess(
     settings: HazardsSettings,
     missing: MissingVeto = NOTHING_MISSING,
     passed: Mask | None = None,
+    came: Mask | None = None,
 ) -> HazardMap:
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
@@ -231,6 +232,7 @@ def assess(
         settings: how strict.
         missing: what could have refused ground, and was not there.
         passed: (R, C), where something moved across a moment ago; None: nothing did.
+        came: (R, C), where somebody came to stand a moment ago; None: nobody did.
 
     Raises:
         ValueError: the two maps do not share a grid.
@@ -238,9 +240,10 @@ def assess(
     if terrain is not None and terrain.grid != elevation.grid:
         raise ValueError("terrain and elevation must share one grid")
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
-    if passed is not None and passed.any():
-        beside = disc_any(passed, lander.radius + settings.traffic_margin, elevation.grid.cell)
-        reasons |= np.where(beside, np.uint16(Hazard.TRAFFIC), np.uint16(0))
+    for where, margin in ((passed, settings.traffic_margin), (came, 0.0)):
+        if where is not None and where.any():
+            beside = disc_any(where, lander.radius + margin, elevation.grid.cell)
+            reasons |= np.where(beside, np.uint16(Hazard.TRAFFIC), np.uint16(0))
     quality = _quality(found, elevation, terrain, sigma, lander, settings)
     f = factors_of(
         elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing

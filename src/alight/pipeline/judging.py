@@ -149,8 +149,8 @@ class JudgingLane:
                 cover = self._with_roofs(cover, max((v.t_ns for v in seen.views), default=0))
             _tidy(elevation)
         with self._timings.of("hazards"):
-            passed = traffic(seen.passed, elevation.grid, cover) | seen.came.on(elevation.grid)
-            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, passed)
+            passed, came = traffic(seen.passed, elevation.grid, cover), seen.came.on(elevation.grid)
+            danger = hazards.assess(elevation, cover, s.lander, s.hazards, seen.missing, passed, came)
         _tidy(elevation)
         with self._timings.of("sites"):
             chosen = sites.choose_sites(danger, cover, elevation, s.sites, s.lander, observer(seen))

@@ -21,6 +21,7 @@ from alight.pipeline.navigation import Navigation
 from alight.pipeline.timing import Timings
 from alight.records import Frame, Motion, MotionState, NavSample
 from alight.records.executive import FlightDiary, FlightState, LookPicture, LookRecord, Order, Seen, Situation
+from alight.runner.mean_tie import MeanTie
 from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
 from alight_sim.steered import SteeredFlight, Wanted
@@ -34,6 +35,7 @@ CROSSING = 2.0  # s, the same while a look leg is flown
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
+BESIDE = 0.7  # m beside the site, from which it waits at its height until it is back above it
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
 
@@ -126,7 +128,7 @@ class _Loop:
         self._number, self._most = 0, LONGEST * settings.executive.time_budget
         self._landing = Landing()
         self._rows: deque[tuple[int, F64]] = deque(maxlen=40)  # GPS/INS, ns and metres
-        self._tie, self._tied_to = np.zeros(3), -1
+        self._tie = MeanTie()
         self._held: F64 | None = None
         self._wanted = Wanted()
 
@@ -196,14 +198,15 @@ class _Loop:
             return
         t = np.array([r[0] for r in self._rows], np.float64)
         own = np.array([np.interp(motion.t_ns, t, axis) for axis in np.array([r[1] for r in self._rows]).T])
-        self._tie, self._tied_to = own - motion.world_from_body.translation, motion.frame_id
+        self._tie.add(own - motion.world_from_body.translation, motion.frame_id)
 
     def _obey(self, order: Order) -> None:
         m = self._motion
         assert m is not None
-        if order.what in ("fly", "land") and order.position is not None and self._tied_to == m.frame_id:
-            down = BELOW if order.what == "land" else 0.0
-            target = order.position + self._tie - np.array([0.0, 0.0, down])
+        if order.what in ("fly", "land") and order.position is not None and self._tie.frame_id == m.frame_id:
+            at, low = m.world_from_body.translation, self._settings.tuning.executive.abort_height
+            to = way_down(order.position, at, low) if order.what == "land" else order.position
+            target = to + self._tie.mean
             self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
             self._held = None
         elif order.what != "nothing":
@@ -229,6 +232,19 @@ class _Loop:
             "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
             "judging": spent.get("judging", 0.0),
         }  # fmt: skip
+
+
+def way_down(site: F64, at: F64, low: float) -> F64:
+    """(3,) metres, the set-point of a touchdown: above the site first, then below it.
+
+    Args:
+        site: (3,) metres.
+        at: (3,) metres, where the vehicle is.
+        low: metres above the site from which it comes down wherever it is.
+    """
+    if at[2] - site[2] > low and math.dist(site[:2], at[:2]) > BESIDE:
+        return np.array([*site[:2], at[2]])
+    return np.array([*site[:2], site[2] - BELOW])
 
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:
