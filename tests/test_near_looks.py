@@ -81,3 +81,17 @@ def test_the_same_bumps_cost_more_the_higher_they_are() -> None:
     p = [looked_at(rough_ground(h), 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11)]
     assert (np.diff(p) <= 0).all()
     assert -np.log(p[-1]) > 1.3 * -np.log(p[0])
+
+
+def test_a_measured_deviation_alone_is_enough_for_doubt() -> None:
+    """Smooth grey ground, as under a cloudy sky: no shadow, no spot, and doubtful heights where it stands up."""
+    stone = np.zeros((81, 81), np.bool_)
+    stone[38:43, 38:43] = True
+    p = []
+    for rise in (0.0, 0.06, 0.13, 0.2):
+        height = np.zeros((81, 81), np.float32)
+        height[39:42, 39:42] = rise
+        p.append(float(looked_at(height, 0.02, stone).p_obstacle[MID]))
+    assert p[1] > 0.95
+    assert p[2] < 0.75
+    assert p[3] == pytest.approx(np.exp(-0.78), abs=0.02)

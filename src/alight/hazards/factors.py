@@ -22,6 +22,7 @@ from alight.hazards.evidence import (
 )
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
 from alight.learned import read_rate
+from alight.learned.terms import NearTerm
 from alight.raster import log_at_least
 from alight.records import ElevationMap, MissingVeto, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -31,6 +32,8 @@ SETTLED = 0.3  # of the doubt that the least P leaves, that unseen obstacles may
 NEARER = 0.5  # of the present pixel, that a closer look takes where the doubt is not one of the pixel's size
 FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
 LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
+DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # of all measured heights, over the limit
+EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # hazards that these alone let expect (docs/lab/looks.md)
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
 
@@ -113,7 +116,8 @@ def _chances(
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    expected = _blended(afar, "near_obstacle_rate", found) + found.nearness * found.unseen * usual
+    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * _measured(found))
+    expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
@@ -126,6 +130,14 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
     near = read_rate(name).log_rate(found.near)
     log = (1 - found.nearness) * log_at_least(afar, LEAST_RATE) + found.nearness * near
     return np.asarray(np.exp(log), np.float32)
+
+
+def _measured(found: Evidence) -> F32:
+    """Hazards expected by the largest deviation of all measured heights alone (G7g).
+
+    The fit also sees the shadow that an obstacle throws. Where the sky is grey, or the sun high, there is none.
+    """
+    return np.asarray(np.interp(found.near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED), np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:
