@@ -166,7 +166,7 @@ class Refiner:
         centres = np.array([window.kept[i].fine.centre for i in first])
         visible = skyline.visible(centres, where, per_px, tuning.occlusion_px)[owner]
         fit = refine.gauss_newton(fine, grid, h, per_px, visible, self.settings.recursive.steps, tuning, self.buffers)
-        known = part_of(window.known, where)
+        before = known = part_of(window.known, where)
         rgb = self._coloured(window, grid, fit.height, known, recolour)
         cost = trust.half_resolution(
             np.where(np.isnan(cost) | np.isnan(h), np.float32(self.settings.recursive.unknown_ratio), cost)
@@ -183,7 +183,7 @@ class Refiner:
         found = fused(replace(found, flags=found.flags | moves), known, self.settings.recursive.worse)
         times = np.array([k.view.t_ns for k in kept])
         anew = witness.changed_since(samples, pairs, times, grid, consistency)
-        doubt = witness.contradicted(samples, part_of(window.known, where), consistency.least_views, consistency)
+        doubt = witness.contradicted(samples, before, consistency.least_views, consistency)
         anew |= (doubt.wrong | doubt.came) & is_trusted(found.flags)
         anew &= np.isfinite(found.height)
         found = replace(found, flags=found.flags | np.where(anew, np.uint16(Flag.MOVING), np.uint16(0)))

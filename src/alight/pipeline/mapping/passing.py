@@ -25,16 +25,18 @@ def what_moves(grid: Grid, flags: U16) -> I64:
     if not moves.any():
         return np.zeros((0, 2), np.int64)
     there, low = shown(grid, moves)
-    _, label, about, _ = cv2.connectedComponentsWithStats(there.astype(np.uint8), connectivity=4)
-    large = about[:, cv2.CC_STAT_AREA] * CELL**2 >= LEAST_AREA
-    return np.asarray(np.argwhere(there & large[label]) + low, np.int64)
+    return np.asarray(np.argwhere(_large(there, CELL, LEAST_AREA, 4)) + low, np.int64)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
     """Cells (N, 2) to remember, into which a mask (R, C) of what came to stand reaches, enough of it side by side."""
-    _, label, about, _ = cv2.connectedComponentsWithStats(came.astype(np.uint8), connectivity=8)
-    large = about[:, cv2.CC_STAT_AREA] * grid.cell**2 >= LEAST_CAME
-    return cells_at(grid, came & large[label])
+    return cells_at(grid, _large(came, grid.cell, LEAST_CAME, 8))
+
+
+def _large(where: Mask, cell: float, least: float, neighbours: int) -> Mask:
+    """The parts of a mask, of cells side by side, of `least` square metres or more; `neighbours`: of a cell, 4 or 8."""
+    _, label, about, _ = cv2.connectedComponentsWithStats(where.astype(np.uint8), connectivity=neighbours)
+    return np.asarray(where & (about[:, cv2.CC_STAT_AREA] * cell**2 >= least)[label])
 
 
 def traffic(passed: Remembered, grid: Grid, cover: TerrainMap | None) -> Mask:
