@@ -115,7 +115,7 @@ class Flight:
             return
         left = order.position - self.position
         if order.what == "land":
-            left[2] = -self.position[2] - 0.1
+            left[2] = -self.position[2] - 0.1 if order.down else 0.0
         flat = np.linalg.norm(left[:2])
         self.position[:2] += left[:2] * min(1.0, order.speed * STEP / max(flat, 1e-9))
         self.position[2] += np.clip(left[2], -order.sink * STEP, 3.0 * STEP)
@@ -374,6 +374,30 @@ def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
     f = Flight(Ground(there), Executive(settings()), shift)
     assert f.fly() is S.LANDED
     np.testing.assert_allclose(f.position[:2], [10.0, 5.0], atol=0.1)
+
+
+def test_it_comes_down_above_the_place() -> None:
+    """Beside it it keeps its height, but near the ground, where a landing is not broken off any more."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    pushed = set[float]()
+
+    def gust(now: Situation, executive: Executive) -> Situation:
+        for height in (3.0, 1.0):
+            if executive.state is S.COMMIT and f.position[2] < height and height not in pushed:
+                pushed.add(height)
+                f.position[0] += 0.9
+                return replace(now, position=f.position.copy())
+        return now
+
+    f.change = gust
+    assert f.fly() is S.LANDED
+    assert pushed == {3.0, 1.0}
+    landing = [(o.down, np.hypot(*(p[:2] - [10.0, 5.0])), p[2]) for s, o, p in f.orders if s is S.COMMIT]
+    assert all(beside < 0.7 or height < 1.5 for down, beside, height in landing if down)
+    assert all(beside > 0.4 and height > 1.5 for down, beside, height in landing if not down)
+    kept = [k for k, (down, _, height) in enumerate(landing) if not down and height < 3.0]
+    assert kept  # once, from the first gust; the second comes too low
+    assert kept == list(range(kept[0], kept[-1] + 1))
 
 
 def test_too_low_to_go_up_it_lands() -> None:

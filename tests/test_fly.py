@@ -225,6 +225,22 @@ def test_a_car_on_the_place_stops_the_descent(dialect: str) -> None:
     assert r.sim.logic.doing is Doing.RETURN
 
 
+@BOTH
+def test_a_vehicle_that_is_blown_off_the_place_is_led_back_above_it(dialect: str) -> None:
+    r = rig(dialect)
+    assert r.fly(S.COMMIT)
+    assert r.run(60.0, lambda: r.sim.vehicle.position[2] < 3.0)
+    assert r.sim.logic.doing is Doing.LAND
+    r.sim.vehicle.position[0] += 1.5
+    assert r.run(5.0, lambda: r.sim.logic.doing is Doing.GUIDED)
+    low = r.sim.vehicle.position[2]
+    assert r.run(20.0, lambda: r.sim.logic.doing is Doing.LAND)
+    assert r.sim.vehicle.position[2] > low - 0.3
+    assert r.fly(S.LANDED)
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.4
+    assert not r.of(NoticeKind.TAKEOVER)
+
+
 def test_the_nose_stays_and_the_speeds_are_those_of_the_orders() -> None:
     """ArduPilot would turn to where it flies, and fly and sink as fast as it likes."""
     r = rig()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from alight.runner.landing import BELOW, BESIDE, way_down
 from alight.runner.mean_tie import COUNT, JUMP, MeanTie
 
 
@@ -29,12 +28,3 @@ def test_a_jump_and_another_frame_are_followed_at_once() -> None:
     np.testing.assert_allclose(tie.mean, [JUMP + 0.15, 0.0, 0.0])
     tie.add(np.ones(3), 1)
     np.testing.assert_allclose(tie.mean, 1.0)
-
-
-def test_it_comes_down_above_the_site() -> None:
-    """Beside it the vehicle keeps its height, but near the ground, where a landing is not broken off any more."""
-    site = np.array([10.0, -5.0, 2.0])
-    beside = site + np.array([BESIDE + 0.1, 0.0, 4.0])
-    np.testing.assert_allclose(way_down(site, beside, 1.5), [10.0, -5.0, 6.0])
-    np.testing.assert_allclose(way_down(site, site + np.array([BESIDE - 0.1, 0.0, 4.0]), 1.5), site - [0.0, 0.0, BELOW])
-    np.testing.assert_allclose(way_down(site, site + np.array([BESIDE + 0.1, 0.0, 1.4]), 1.5), site - [0.0, 0.0, BELOW])

@@ -97,6 +97,7 @@ class Order:
     position: F64 | None = None  # (3,) metres, to fly to or to land on
     speed: float = 5.0  # m/s
     sink: float = 1.0  # m/s, downwards at most
+    down: bool = True  # False: to land, and over the place at the present height first
 
 
 @dataclass(frozen=True)

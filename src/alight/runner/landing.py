@@ -35,7 +35,6 @@ CROSSING = 2.0  # s, the same while a look leg is flown
 LATENCY = 0.5  # s from a map to its verdict: what the loop may not know yet
 LONGEST = 1.5  # times the budget of time, after which the loop gives up
 SILENT_NS = 2_000_000_000  # without a position, after which the autopilot cannot hold its place
-BESIDE = 0.7  # m beside the site, from which it waits at its height until it is back above it
 BELOW = 1.0  # m below the site, where the set-point of a touchdown lies
 
 
@@ -204,8 +203,9 @@ class _Loop:
         m = self._motion
         assert m is not None
         if order.what in ("fly", "land") and order.position is not None and self._tie.frame_id == m.frame_id:
-            at, low = m.world_from_body.translation, self._settings.tuning.executive.abort_height
-            to = way_down(order.position, at, low) if order.what == "land" else order.position
+            to = order.position
+            if order.what == "land":
+                to = np.array([*to[:2], to[2] - BELOW if order.down else m.world_from_body.translation[2]])
             target = to + self._tie.mean
             self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
             self._held = None
@@ -232,19 +232,6 @@ class _Loop:
             "simulator": spent.get("simulator", 0.0), "navigation": pipeline - mapping, "mapping": mapping,
             "judging": spent.get("judging", 0.0),
         }  # fmt: skip
-
-
-def way_down(site: F64, at: F64, low: float) -> F64:
-    """(3,) metres, the set-point of a touchdown: above the site first, then below it.
-
-    Args:
-        site: (3,) metres.
-        at: (3,) metres, where the vehicle is.
-        low: metres above the site from which it comes down wherever it is.
-    """
-    if at[2] - site[2] > low and math.dist(site[:2], at[:2]) > BESIDE:
-        return np.array([*site[:2], at[2]])
-    return np.array([*site[:2], site[2] - BELOW])
 
 
 def look_picture(look: LookRecord, seen: Seen, reach: float = 5.0, size: int = 200) -> LookPicture:

@@ -56,6 +56,7 @@ class Executive:
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
+        self._descends = False  # the vehicle is over the place, and comes down
         self._sound_at = -math.inf  # s, when the motion was not degraded
         self._across: F64 | None = None  # where the look leg leads
         self._leg_done: float | None = None  # s
@@ -272,7 +273,7 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._across, self._leg_done = None, None, None
+        self._way, self._across, self._leg_done, self._descends = None, None, None, False
         if after is S.APPROACH:
             self._begin_place(now)
         elif after is S.DESCEND:
@@ -319,15 +320,13 @@ class Executive:
     # -- where to fly
 
     def _order(self, now: Situation) -> Order:
-        k, r = self._keys, self._route
+        r = self._route
         if self.state in (S.HANDED_OVER, S.LANDED):
             return Order("nothing")
         if self.state is S.RETURN:
             return Order("return")
         if self.state is S.COMMIT:
-            assert self.target is not None
-            place = np.array([self.target.east, self.target.north, self.target.up])
-            return Order("land", place, r.cruise_speed, k.landing_speed)
+            return self._come_down(now)
         if self.state is S.HOLD or now.position is None:
             return Order("hold")
         to = self._across if self.state is S.LOOK and self._across is not None else self._way
@@ -338,6 +337,16 @@ class Executive:
         speed = ground_speed(way, now.wind, r.cruise_speed * (0.4 if self.state is S.LOOK else 1.0), r.air_speed)
         sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
         return Order("fly", to, speed, sink)
+
+    def _come_down(self, now: Situation) -> Order:
+        """Over the place first, then down; over it again from beside, as long as the landing may be broken off."""
+        assert self.target is not None
+        place = np.array([self.target.east, self.target.north, self.target.up])
+        if now.position is not None:
+            beside = math.dist(place[:2], now.position[:2])
+            within = self._keys.off_site if self._descends else self._keys.over_site
+            self._descends = beside <= within or self._left < self._keys.abort_height
+        return Order("land", place, self._route.cruise_speed, self._keys.landing_speed, self._descends)
 
     def _clear(self, now: Situation, to: F64) -> F64:
         """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""

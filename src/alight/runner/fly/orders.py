@@ -14,7 +14,6 @@ from alight.geometry import LocalFrame
 from alight.records import FlightMode, Motion, Place
 from alight.records.executive import FlightState, Order
 
-CENTRED = 0.4  # m beside the place, within which the descent begins
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
 SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
 SAID_SPEED = 0.1  # m/s, the same of its speed
@@ -220,12 +219,11 @@ class OrderSender:
         return f"fly to {words_of(tie.place_of(to))}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        """Over the place first, then down with the target reported: where that is not used it goes straight down."""
+        """Over the place, or down with the target reported: where that is not used it goes straight down."""
         goal = self._report(place, motion, now_ns)
-        here = motion.world_from_body.translation
-        beside = self._mode is not FlightMode.LAND and math.hypot(*(place - here)[:2]) > CENTRED
-        if beside or not self._fly_as(FlightMode.LAND, now_ns):
-            return self._go(np.array([*place[:2], here[2]]), order, motion, now_ns)
+        if not order.down or not self._fly_as(FlightMode.LAND, now_ns):
+            height = motion.world_from_body.translation[2]
+            return self._go(np.array([*place[:2], height]), order, motion, now_ns)
         return "land" if goal is None else f"land on {words_of(goal)}"
 
     def _report(self, place: F64, motion: Motion, now_ns: int) -> Place | None:

@@ -47,6 +47,8 @@ class ExecutiveTuning(FrozenModel):
     degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
+    over_site: Positive = Field(0.4, description="Distance from the site within which it begins to come down, m")
+    off_site: Positive = Field(0.7, description="Distance from the site beyond which it keeps its height again, m")
     abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
     long_way: Positive = Field(
         10.0, description="Ways longer than this over unmapped ground are flown at the height of the search, m"
