@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from alight.records import Frame, OutputError
+from alight.records import Frame, OutputError, Rig
 from alight_sim.autopilot import EstimateError, SimulatedAutopilot, SimulatedHome, SpokenArduPilot, SpokenPx4, UdpServer
 from alight_sim.autopilot.dialects import Doing
 from alight_sim.log import encode_image, write_calibration
@@ -23,18 +23,18 @@ class CameraFolder:
         OutputError: the folder cannot be made, or holds pictures already.
     """
 
-    def __init__(self, root: Path, flight: SteeredFlight) -> None:
+    def __init__(self, root: Path, rig: Rig, rate_hz: float) -> None:
         self._root = root / "mav0"
-        if any((self._root / c.name / "data.csv").exists() for c in flight.rig.cameras):
+        if any((self._root / c.name / "data.csv").exists() for c in rig.cameras):
             raise OutputError(f"{root}: holds pictures already; choose another folder")
         try:
-            write_calibration(flight.rig, flight.rate_hz, self._root)
+            write_calibration(rig, rate_hz, self._root)
         except OSError as e:
             raise OutputError(f"{root}: cannot be written ({e.strerror or e}); choose another folder") from e
-        self._tables = [(self._root / c.name / "data.csv").open("w", encoding="utf-8") for c in flight.rig.cameras]
+        self._tables = [(self._root / c.name / "data.csv").open("w", encoding="utf-8") for c in rig.cameras]
         for table in self._tables:
             table.write("#timestamp [ns],filename\n")
-        self._names = [c.name for c in flight.rig.cameras]
+        self._names = [c.name for c in rig.cameras]
 
     def write(self, frame: Frame, t_ns: int) -> None:
         """Write an exposure under a stamp: each image first, then its row."""
@@ -72,7 +72,7 @@ class Rehearsal:
         self.autopilot = SimulatedAutopilot(dialect, self.vehicle, home, EstimateError(wrong, walk=0.05))
         if flight.height_above_ground > 1.0:
             self.autopilot.hover(Doing.PILOT)
-        self._cameras, self._shift_ns = CameraFolder(folder, flight), 0
+        self._cameras, self._shift_ns = CameraFolder(folder, flight.rig, flight.rate_hz), 0
         self.server = UdpServer(self.autopilot, ("127.0.0.1", port), step=0.01, after_step=self._expose)
 
     def _expose(self) -> None:

@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
+from alight.autopilot.clock import VehicleClock
 from alight.autopilot.firmware import HOVERS, firmware_of
 from alight.autopilot.framing import FrameCounts, Framing, Heard
 from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.remote_vehicle import AUTOPILOT, RemoteVehicle
-from alight.autopilot.telemetry_events import TelemetryEvents
 from alight.records import ImuSample, NavSample, Notice, NoticeKind, Telemetry
 
 COMPANION = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 _ONBOARD, _NO_AUTOPILOT = 18, 8  # MAV_TYPE, MAV_AUTOPILOT
 _HEARTBEAT_NS = 1_000_000_000
+
+
+class TelemetryTaker(Protocol):
+    """Is fed with the messages of a vehicle: `TelemetryEvents`, or something of your own."""
+
+    starts: int  # of the autopilot, that what was taken belongs to
+
+    def forget(self, starts: int) -> None:
+        """Begin anew after the autopilot has started anew, for the so-many-th time."""
+
+    def feed(self, name: str, message: Any, clock: VehicleClock) -> Sequence[NavSample | ImuSample]:
+        """Take a message; return the samples that are complete now, in order."""
 
 
 class Autopilot:
@@ -38,7 +50,7 @@ class Autopilot:
     def __init__(
         self,
         rates: Mapping[str, float] | None = None,
-        events: TelemetryEvents | None = None,
+        events: TelemetryTaker | None = None,
         system: int | None = None,
         component: int = COMPANION,
     ) -> None:

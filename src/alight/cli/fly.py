@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,13 +33,18 @@ from alight.cli.app import (
 )
 from alight.cli.check import WRONG
 from alight.cli.runs import leave_result
+from alight.records import InputError
 from alight.records.executive import FlightState
 
 if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.runner.fly import FlightOutcome, FlightStatus
-    from alight_sim.steered import SteeredFlight
+    from alight_sim.oracle import Touchdown
+    from alight_sim.steered import SteeredFlight, TrueContact
 
+PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
+NOT_DOWN = "it has not touched the ground"
+PORT, HEIGHT = 14550, 30.0  # of a rehearsal; m above the ground
 BEHIND = 1.0  # s, from which a rehearsal says that the machine is too slow
 ANSWERS = {FlightState.LANDED: "LANDED", FlightState.RETURN: "RETURNED", FlightState.HANDED_OVER: "HANDED OVER"}
 
@@ -112,24 +118,40 @@ def rehearse(
     folder: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Filled with the pictures: the --camera of alight fly.")
     ],
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = 14550,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of this machine, where alight fly listens.")] = PORT,
     seed: SeedOption = 0,
     height: Annotated[
         float, typer.Option(min=0.0, max=500.0, help="Metres above the ground at the start; 0: it stands.")
-    ] = 30.0,
+    ] = HEIGHT,
     width: Annotated[int, typer.Option(min=80, max=4000, help="Of the pictures, pixels; the height follows.")] = 320,
     rate: Annotated[float, typer.Option(min=1.0, max=100.0, help="Exposures a second.")] = 5.0,
     wind: Annotated[float, typer.Option(min=0.0, max=50.0, help="From the west, m/s.")] = 0.0,
     autopilot: Annotated[Dialects, typer.Option(help="Whose dialect it speaks.")] = Dialects.ARDUPILOT,
+    follow: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LINK",
+            help="Draw the pictures for another autopilot (a SITL) where it says that it is, on a link of its own: "
+            "tcp:127.0.0.1:5762.",
+        ),
+    ] = None,
     seconds: Annotated[float, typer.Option(min=1.0, help="Then it ends.")] = 900.0,
     verbose: VerboseOption = False,
 ) -> None:
     """Simulate an autopilot and its cameras by the clock, for alight fly to be tried on; Ctrl-C ends it."""
+    if follow is not None:
+        others = autopilot is not Dialects.ARDUPILOT
+        given = {"--port": port != PORT, "--height": height != HEIGHT, "--wind": wind > 0.0, "--autopilot": others}
+        if any(given.values()):
+            which = " and ".join(name for name, is_given in given.items() if is_given)
+            raise InputError(f"{which}: the autopilot that is followed decides that; leave it out, or --follow")
+        _follow(follow, scene, seed, folder, width, rate, seconds)
+        return
     from alight_sim.rehearsal import Rehearsal
     from alight_sim.steered import SteeredFlight
 
     flight = SteeredFlight(
-        scene, seed, size=_size(width), rate_hz=rate, start=(-20.0, -12.0, height), wind=(wind, 0.0, 0.0),
+        scene, seed, size=_size(width), rate_hz=rate, start=(*PLACE, height), wind=(wind, 0.0, 0.0),
         steered_by="truth",
     )  # fmt: skip
     with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
@@ -145,25 +167,35 @@ def rehearse(
             "slow for it; lower --rate or --width",
             "yellow",
         )
-    if flight.contact is None:
-        say("it has not touched the ground")
-        return
-    say(_touchdown(flight))
+    say(NOT_DOWN if flight.contact is None else _touchdown_words(_contact(flight, flight.contact)))
 
 
 def _size(width: int) -> tuple[int, int]:
     return width, width * 3 // 4
 
 
-def _touchdown(flight: SteeredFlight) -> str:
+def _follow(link: str, scene: str, seed: int, folder: Path, width: int, rate: float, seconds: float) -> None:
+    from alight.runner.fly.follow import follow_vehicle
+    from alight_sim.followed import FollowedCameras
+
+    cameras, found = FollowedCameras(scene, seed, size=_size(width), rate_hz=rate, start=PLACE), None
+    with suppress(KeyboardInterrupt):
+        found = follow_vehicle(link, cameras, folder, seconds, say)
+    if cameras.left_out:
+        complain(f"warning: {cameras.left_out} exposures were left out: this machine is too slow for them", "yellow")
+    say(NOT_DOWN if found is None else _touchdown_words(found))
+
+
+def _contact(flight: SteeredFlight, contact: TrueContact) -> Touchdown:
     from alight_sim.oracle import OracleLander
     from alight_sim.steered.touchdown import judge_contact
 
-    contact = flight.contact
-    assert contact is not None
-    found = judge_contact(flight, contact, OracleLander())
-    east, north, _ = contact.pose.translation
-    return f"touchdown at east {east:.2f} m north {north:.2f} m: {'safe' if found.safe else 'unsafe'}"
+    return judge_contact(flight, contact, OracleLander())
+
+
+def _touchdown_words(found: Touchdown) -> str:
+    verdict = "safe" if found.safe else f"unsafe ({', '.join(found.reasons)})"
+    return f"touchdown at east {found.east:.2f} m north {found.north:.2f} m: {verdict}"
 
 
 def _answer(outcome: FlightOutcome) -> None:

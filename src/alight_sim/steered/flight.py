@@ -105,7 +105,7 @@ class SteeredFlight:
         self.scene, self.seed, self.rate_hz, self.standing = made.scene or Scene(), seed, rate_hz, standing
         self.warnings = list(made.warnings)
         self._faults = faults or self.scene.faults
-        self.true_rig = _sized(self.scene.rig.rig, size, stereo)
+        self.true_rig = sized_rig(self.scene.rig.rig, size, stereo)
         self.rig = self._faults.claimed(self.true_rig)
         self._cameras = SteeredCameras(
             self.world, self.true_rig, self.scene.imaging, self._faults, rate_hz, self._seeds
@@ -346,7 +346,7 @@ class SteeredFlight:
         self.battery = max(0.0, self.battery - share)
 
 
-def _sized(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
+def sized_rig(rig: Rig, size: tuple[int, int], stereo: bool) -> Rig:
     """The rig with pictures of another size, all of its cameras or the first alone."""
     cams = []
     for cam in rig.cameras if stereo else rig.cameras[:1]:
