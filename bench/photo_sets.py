@@ -29,6 +29,7 @@ DATA = Path(os.environ.get("ALIGHT_DATA", ROOT.parent / "shared" / "data"))
 OUT = ROOT / "out" / "bench-photos"
 REAL = ("mirafiori", "garfield", "caliterra")
 SENSOR = 13.2e-3, 8.8e-3  # metres, of a one-inch sensor
+AROUND = 25.0  # m of ground about the lines
 FIELD = math.radians(73.7)  # across the picture
 
 
@@ -84,11 +85,12 @@ def draw(what: Drawn, folder: Path) -> None:
     width, height = what.size
     wide = 2 * what.height * math.tan(0.5 * FIELD)
     step, apart = (1 - what.along) * wide * height / width, (1 - what.across) * wide
-    speed = 4.0
+    speed, length = 4.0, (what.per_line - 1) * step
+    needed = max(length, (what.lines - 1) * apart) + 2 * AROUND
     camera = {"resolution": what.size, "field_deg": math.degrees(FIELD), "tilt_deg": what.tilt_deg}
     flight = scene.flight.model_copy(
         update={
-            "pattern": "lawn_mower", "waypoints": None, "lines": what.lines, "length": (what.per_line - 1) * step,
+            "pattern": "lawn_mower", "waypoints": None, "lines": what.lines, "length": length,
             "spacing": apart, "height": what.height, "speed": speed,
         }
     )  # fmt: skip
@@ -96,6 +98,7 @@ def draw(what: Drawn, folder: Path) -> None:
         update={
             "flight": flight,
             "rig": simulate.RigModel.model_validate({"cameras": [camera]}),
+            "ground": scene.ground.model_copy(update={"size": tuple(max(s, needed) for s in scene.ground.size)}),
             "imaging": scene.imaging.model_copy(update={"rate_hz": 10.0}),
         }
     )

@@ -252,6 +252,7 @@ class ExecutiveKeys(FrozenModel):
     """How a landing is flown: search, look, look closer, land or go around."""
 
     search_height: Positive = Field(30.0, description="Height above the ground at which a place is searched, m")
+    search_speed: Positive = Field(7.0, description="Speed over the ground while a place is searched, m/s")
     search_side: Positive = Field(80.0, description="Side of the square about the start that is searched, m")
     commit_height: Positive = Field(
         6.0,

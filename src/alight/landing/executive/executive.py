@@ -33,6 +33,7 @@ from alight.records.executive import (
 from alight.settings import StageSettings
 
 S, E = FlightState, FlightEvent
+LOOK_SPEED = 0.4  # of the cruise speed, across a place
 
 
 class Executive:
@@ -334,7 +335,8 @@ class Executive:
             return Order("hold")
         to = self._clear(now, to)
         way = to - now.position
-        speed = ground_speed(way, now.wind, r.cruise_speed * (0.4 if self.state is S.LOOK else 1.0), r.air_speed)
+        speeds = {S.SEARCH: self._keys.search_speed, S.LOOK: LOOK_SPEED * r.cruise_speed}
+        speed = ground_speed(way, now.wind, speeds.get(self.state, r.cruise_speed), r.air_speed)
         sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
         return Order("fly", to, speed, sink)
 
