@@ -75,6 +75,29 @@ def test_udp_out_speaks_to_one_address_and_listens_to_no_other() -> None:
     link.close()
 
 
+def test_a_patient_link_waits_for_a_server(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A SITL opens its second port when somebody has come to the first."""
+    from alight.autopilot import links
+
+    monkeypatch.setattr(links, "_AGAIN", 0.05)
+    with socket.create_server((LOCAL, 0)) as server:
+        port = server.getsockname()[1]
+    link, never = (open_link(f"tcp:{LOCAL}:{port}", patient=True) for _ in range(2))
+    never.close()
+    assert not link.write(b"lost")
+    assert "refused" in link.broken
+    with socket.create_server((LOCAL, port)) as server:
+        server.settimeout(5.0)
+        end = time.monotonic() + 5.0
+        while link.broken and time.monotonic() < end:
+            assert link.read(0.02) == []
+        peer, _ = server.accept()
+        assert link.write(b"hello")
+        assert peer.recv(10) == b"hello"
+        peer.close()
+    link.close()
+
+
 def test_tcp_comes_back_after_the_other_side_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     from alight.autopilot import links
 

@@ -1,8 +1,11 @@
-"""A landing flown by a real ArduPilot, where `ALIGHT_SITL` names its binary: take-off, looks, touchdown."""
+"""Landings flown by a real ArduPilot, where `ALIGHT_SITL` names its binary: take-off, looks, touchdown."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 from autopilot_rig import LOCAL
@@ -73,3 +76,18 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
     assert np.hypot(*(at[:2] - PLACE)) < 2.0  # its estimate is the truth of this test
     assert not [n for n in notices if n.kind is NoticeKind.TAKEOVER]
     link.close()
+
+
+def test_a_real_ardupilot_lands_on_ground_that_is_drawn_for_it(sitl: str, tmp_path: Path) -> None:  # noqa: F811
+    """Nothing is made up but the ground: pictures, motion, map, verdicts and orders are those of `alight fly`."""
+    alight, folder = [sys.executable, "-c", "from alight.cli import main; main()"], tmp_path / "pictures"
+    draw = [*alight, "rehearse", "concrete", "--folder", str(folder), "--follow", "tcp:127.0.0.1:5762"]
+    with subprocess.Popen(draw, stdout=subprocess.PIPE, text=True) as cameras:
+        assert cameras.stdout is not None
+        assert "ready" in cameras.stdout.readline()
+        fly = ["fly", "--link", sitl, "--camera", str(folder), "--out", str(tmp_path / "out"), "--take-off", "30"]
+        flown = subprocess.run([*alight, *fly], capture_output=True, text=True, check=False, timeout=600)
+        said, _ = cameras.communicate(timeout=60)
+    assert flown.returncode == 0, flown.stdout + flown.stderr
+    assert "LANDED" in flown.stdout
+    assert "touchdown at" in said

@@ -148,11 +148,17 @@ class UdpLink(Link):
 class TcpLink(Link):
     """A stream to a server (ArduPilot's SITL, a telemetry bridge)."""
 
-    def __init__(self, name: str, host: str, port: int) -> None:
+    def __init__(self, name: str, host: str, port: int, patient: bool) -> None:
         super().__init__(name)
         self._address = (host, port)
         self._unsent = b""
-        self._open()
+        self._socket: socket.socket | None = None  # not connected yet
+        try:
+            self._open()
+        except ConnectionRefusedError as e:
+            if not patient:
+                raise
+            self.broken, self._again = str(e), time.monotonic() + _AGAIN
 
     def _open(self) -> None:
         self._socket = socket.create_connection(self._address, timeout=1.0)
@@ -161,6 +167,7 @@ class TcpLink(Link):
         self._unsent = b""
 
     def _read(self, timeout: float) -> list[bytes]:
+        assert self._socket is not None
         if not select.select([self._socket], [], [], timeout)[0]:
             return []
         with suppress(BlockingIOError):
@@ -172,12 +179,14 @@ class TcpLink(Link):
 
     def _write(self, data: bytes) -> None:
         """Half a message would spoil the stream: what does not fit now goes first the next time."""
+        assert self._socket is not None
         whole = self._unsent + data if len(self._unsent) < _CHUNK else self._unsent
         self._unsent = whole
         self._unsent = whole[self._socket.send(whole) :]
 
     def _shut(self) -> None:
-        self._socket.close()
+        if self._socket is not None:
+            self._socket.close()
 
 
 class SerialLink(Link):
@@ -220,22 +229,23 @@ def _host_port(name: str, rest: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _opened(name: str, kind: str, rest: str) -> Link:
+def _opened(name: str, kind: str, rest: str, patient: bool) -> Link:
     if kind in ("udp", "udpin", "udpout"):
         return UdpLink(name, *_host_port(name, rest), listen=kind != "udpout")
     if kind == "tcp":
-        return TcpLink(name, *_host_port(name, rest))
+        return TcpLink(name, *_host_port(name, rest), patient)
     device, _, baud = rest.rpartition(":")
     if kind != "serial" or not device or not baud.isdigit():
         raise InputError(f"{name}: no link; write {NAMES}")
     return SerialLink(name, device, int(baud))
 
 
-def open_link(name: str) -> Link:
+def open_link(name: str, patient: bool = False) -> Link:
     """Open a link by its name.
 
     Args:
         name: `udp:0.0.0.0:14550`, `udpout:192.168.1.10:14555`, `tcp:127.0.0.1:5760` or `serial:/dev/ttyACM0:57600`.
+        patient: a TCP server that does not answer yet is waited for, as one that has broken off.
 
     Raises:
         InputError: the name is malformed, or there is no such host or device.
@@ -244,7 +254,7 @@ def open_link(name: str) -> Link:
     """
     kind, _, rest = name.partition(":")
     try:
-        return _opened(name, kind, rest)
+        return _opened(name, kind, rest, patient)
     except AlightError:
         raise
     except PermissionError as e:

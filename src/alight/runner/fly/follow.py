@@ -17,7 +17,7 @@ from alight_sim.rehearsal import CameraFolder
 RATES = {"LOCAL_POSITION_NED": 50.0, "ATTITUDE_QUATERNION": 50.0}  # Hz
 SECOND_COMPANION = 192  # MAV_COMP_ID_ONBOARD_COMPUTER2: the first is `alight fly`
 STEP = 0.02  # s
-UNHEARD = 30.0  # s without a vehicle, after which this is an error
+UNHEARD = 120.0  # s without a vehicle, after which this is an error; a SITL waits for the first link before this one
 LINGER = 5.0  # s after the touchdown, for whoever reads the pictures
 
 
@@ -90,7 +90,7 @@ def follow_vehicle(
         cameras: of the scene.
         folder: for the pictures, in the layout of a flight log.
         seconds: after which it ends anyway.
-        say: is told when the first picture was written.
+        say: is told when `alight fly` may be started, and when the first picture was written.
 
     Returns:
         The oracle's verdict on the touchdown; None: there was none.
@@ -99,10 +99,11 @@ def follow_vehicle(
         InputError: the link's name is wrong, or no supported vehicle is heard.
         OutputError: the folder cannot be made, or holds pictures already.
     """
-    opened = open_link(link)
+    opened = open_link(link, patient=True)
     try:
         pictures = CameraFolder(folder, cameras.rig, cameras.rate_hz)
         try:
+            say(f"ready: alight fly --link LINK --camera {folder} --out OUT --take-off 30")
             return _follow(opened, VehicleFollower(cameras, pictures), seconds, say)
         finally:
             pictures.close()
