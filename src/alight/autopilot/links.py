@@ -29,7 +29,7 @@ class Link(ABC):
     def __init__(self, name: str) -> None:
         self.name = name
         self.broken = ""  # why nothing goes through now
-        self._again = 0.0
+        self._again, self._closed = 0.0, False
 
     @abstractmethod
     def _open(self) -> None:
@@ -72,19 +72,21 @@ class Link(ABC):
         return True
 
     def close(self) -> None:
-        """Close the socket or the port."""
+        """Close the socket or the port for good."""
+        self._closed = True
         with suppress(OSError):
             self._shut()
 
     def _break(self, error: OSError) -> None:
-        if not self.broken:
+        if not self.broken and not self._closed:
             log.warning("%s: %s; trying again", self.name, error)
         self.broken = str(error) or type(error).__name__
         self._again = time.monotonic() + _AGAIN
-        self.close()
+        with suppress(OSError):
+            self._shut()
 
     def _reopened(self) -> bool:
-        if time.monotonic() < self._again:
+        if self._closed or time.monotonic() < self._again:
             return False
         try:
             self._open()

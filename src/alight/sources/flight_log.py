@@ -37,6 +37,8 @@ WEIGHT = (3.0, 30.0)  # m/s^2, the median force on an aircraft: gravity, and som
 NOISE = (1e-9, 1e3)  # of an IMU, in the units of imu0/sensor.yaml
 FARTHEST = (100.0, 10.0)  # km that a flight may be from its origin, across and up: heights are single precision
 
+NO_NAV = "nav0 is missing: there is no GPS/INS, so heights and places are relative and nothing can be put on a map"
+
 
 class CalibratedFolder(RecordedSource):
     """What a folder in the layout of a flight log says of the aircraft: cameras, IMU, the origin of the world.
@@ -63,6 +65,11 @@ class CalibratedFolder(RecordedSource):
         self.local, self.georeferenced = local, True
         self.notes["nav"] = True
 
+    @property
+    def warnings(self) -> list[str]:
+        """What could not be read and why."""
+        return [*(() if self.georeferenced else [NO_NAV]), *self._findings.warnings]
+
     def _note(self, nav: bool, imu: bool) -> None:
         lens = self.rig.cameras[0].camera
         self.notes.setdefault("focal_from", "sensor.yaml of cam0")
@@ -77,9 +84,6 @@ class CalibratedFolder(RecordedSource):
     def _origin(self) -> tuple[LocalFrame, bool]:
         if (self._root / "nav0").is_dir():
             return origin(self._root / "nav0" / "sensor.yaml"), True
-        self._findings.say(
-            "nav0 is missing: there is no GPS/INS, so heights and places are relative and nothing can be put on a map"
-        )
         return LocalFrame(0.0, 0.0, 0.0), False
 
     def _read_imu_pose(self) -> Pose:

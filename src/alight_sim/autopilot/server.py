@@ -13,9 +13,11 @@ from typing import Any
 from alight_sim.autopilot.channel import LossyChannel
 from alight_sim.autopilot.simulated import SimulatedAutopilot
 
+OF_LATE = 10.0  # s
+
 
 class UdpServer:
-    """Speaks to `to`, and to whoever speaks to its own port; keeps up with the clock, or `speed` times as fast.
+    """Speaks to `to`, and to all who have spoken to its own port of late; `speed` times as fast as the clock.
 
     `after_step` is called in its thread after every step.
     """
@@ -31,7 +33,7 @@ class UdpServer:
         after_step: Callable[[], None] = lambda: None,
     ) -> None:
         self.autopilot = autopilot
-        self._peer: Any = to
+        self._to, self._spoke = to, dict[Any, float]()  # s of the steady clock
         self._speed, self._step, self._after_step = speed, step, after_step
         self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -68,13 +70,15 @@ class UdpServer:
                 due += pace
             with suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
-                    data, self._peer = self._socket.recvfrom(65_535)
+                    data, peer = self._socket.recvfrom(65_535)
+                    self._spoke[peer] = now
                     self._inwards.put(data, now)
             for data in self._inwards.get(now):
                 self.autopilot.receive(data)
             for data in self.autopilot.pending():
                 self._outwards.put(data, now)
+            self._spoke = {peer: t for peer, t in self._spoke.items() if now - t < OF_LATE}
             for data in self._outwards.get(now):
-                with suppress(BlockingIOError, ConnectionRefusedError):
-                    if self._peer is not None:
-                        self._socket.sendto(data, self._peer)
+                for peer in {*self._spoke, *([] if self._to is None else [self._to])}:
+                    with suppress(BlockingIOError, ConnectionRefusedError):
+                        self._socket.sendto(data, peer)
