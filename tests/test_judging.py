@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from descent_views import look, surface
 from some_run import candidate, elevation, hazards, site
 
 from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
+from alight.parallax import orthophoto
 from alight.pipeline.judging import JudgingLane, Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
@@ -170,3 +172,19 @@ def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
         assert cover is not None
         assert (cover.label == Terrain.STRUCTURE).all()
         assert (cover.landable == 0).all()
+
+
+def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
+    """The finest picture of a large map, of which few photos are taken from near by, took a sixth of the memory."""
+    views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
+    grid = Grid(-1.5, -1.5, 0.1, 30, 30)
+    level = np.full(grid.shape, np.float32(surface(np.array(0.0), np.array(0.0))))
+    ground = replace(cells(grid.shape, 0.1, 1), grid=grid, height=level)
+    whole, sampling = orthophoto(views, ground)
+    n = whole.shape[0] // grid.rows
+    assert n > 1
+    coarse, wider = orthophoto(views, ground, most=grid.rows * grid.cols * n**2 - 1)
+    assert coarse.shape[0] == whole.shape[0] // 2
+    mean = whole.reshape(coarse.shape[0], 2, coarse.shape[1], 2, 3).mean(axis=(1, 3))
+    assert np.abs(coarse - mean).mean() < 0.5 * np.abs(mean - mean.mean(axis=(0, 1))).mean()
+    np.testing.assert_allclose(wider, np.maximum(sampling, 0.1 / (n / 2)), rtol=1e-6)

@@ -28,6 +28,7 @@ from alight.records import ElevationMap, Flag, View
 
 BLOCK = 192  # cells a side that are done at a time
 MOST = 4  # fine pixels a cell, each way
+LARGE = 80_000_000  # pixels, 240 MB: a picture of more is coarser; few photos of a card are taken from so near
 SAME = 0.3  # share of a block that two views must share for their exposures to be compared
 AROUND = 0.05  # of the side of the ground that a picture shows: rows that were exposed at other times, and the lens
 FLAT = 0.05  # sine of the angle to the ground of a ray whose end on it is not looked for
@@ -120,19 +121,29 @@ def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
     return int(np.clip(2 ** math.ceil(math.log2(max(0.95 * elevation.grid.cell / finest, 1e-3))), 1, MOST))
 
 
-def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -> tuple[U8, F32]:
+def _affordable(wanted: int, cells: int, most: int) -> int:
+    """Fine pixels a cell, each way, of a map of so many cells: as wanted, or as few as make at most so many pixels."""
+    while wanted > 1 and cells * wanted**2 > most:
+        wanted //= 2
+    return wanted
+
+
+def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, most: int = LARGE) -> tuple[U8, F32]:
     """Look at the ground of a map on its views' own pixels.
 
     Args:
         views: with the poses that the map was made of.
         elevation: where the ground is.
         count: views whose mean is taken.
+        most: pixels of the picture.
 
     Returns:
         The picture, (f R, f C, 3): the map's own colours where none of the views looks, black where nothing was seen.
         Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
-    grid, factor = elevation.grid, pixels_a_cell(views, elevation)
+    grid, wanted = elevation.grid, pixels_a_cell(views, elevation)
+    factor = _affordable(wanted, elevation.height.size, most)
+    narrowest = np.float32(grid.cell / factor if factor < wanted else 0.0)
     height = np.nan_to_num(nearest_known(elevation.height, ~np.isnan(elevation.height)))
     unseen = (elevation.flags & np.uint16(Flag.UNSEEN)) != 0
     out, sampling = upsample(elevation.rgb, factor), np.maximum(elevation.sampling, np.float32(grid.cell))
@@ -148,5 +159,5 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5) -
             seen = number > 0
             np.copyto(out[to], np.rint(mean).clip(0, 255).astype(np.uint8), where=seen[..., None])
             middle = (slice(factor // 2, None, factor),) * 2
-            np.copyto(sampling[rows, cols], pixel[middle], where=seen[middle])
+            np.copyto(sampling[rows, cols], np.maximum(pixel[middle], narrowest), where=seen[middle])
     return out, sampling

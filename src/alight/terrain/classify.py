@@ -26,6 +26,8 @@ SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
 APART = 3  # cells between those whose likeness to known ground is judged
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
+ROWS_AT_A_TIME = 64
+WATER = Terrain.WATER - 1
 OPEN = [i for i, k in enumerate(KINDS) if k in LANDABLE]
 BEARS = [i for i, k in enumerate(KINDS) if k in (*LANDABLE, Terrain.ROCK)]
 
@@ -87,22 +89,41 @@ def _open_kind(colours: Appearance, leafy: float) -> U8:
 
 
 def _with_water_and_tufts(odds: F32, water: Mask, cell: float, settings: TerrainSettings) -> F32:
-    """Log odds with standing water made certain, and gaps between tufts given to the tufts."""
-    out = odds.copy()
+    """Log odds with standing water made certain, and gaps between tufts given to the tufts; in place."""
     best = odds.max(axis=0)
-    wet, tall = Terrain.WATER - 1, Terrain.TALL_VEGETATION - 1
-    out[wet] = np.where(water, best + np.float32(settings.basin_odds), odds[wet])
-    plants = out[tall] >= out.max(axis=0)
+    wet, tall = WATER, Terrain.TALL_VEGETATION - 1
+    np.copyto(odds[wet], best + np.float32(settings.basin_odds), where=water)
+    plants = odds[tall] >= odds.max(axis=0)
     tufts = close_mask(without_specks(plants, cell, SPECK), max(1, round(TUFT_GAP / cell))) & ~water
-    out[tall] = np.where(tufts, best + 1, out[tall])
+    np.copyto(odds[tall], best + 1, where=tufts)
+    return odds
+
+
+class _Shares(NamedTuple):
+    """Probability of some kinds together, (R, C) each."""
+
+    open: F32
+    bears: F32
+    water: F32
+
+
+def _shares(odds: F32) -> _Shares:
+    """Of log odds (8, R, C), some rows at a time: a map has millions of cells, and of each eight probabilities."""
+    out = _Shares(*(np.empty(odds.shape[1:], np.float32) for _ in _Shares._fields))
+    for top in range(0, odds.shape[1], ROWS_AT_A_TIME):
+        rows = slice(top, top + ROWS_AT_A_TIME)
+        p = np.exp(log_softmax(odds[:, rows], axis=0))
+        out.open[rows], out.bears[rows], out.water[rows] = p[OPEN].sum(axis=0), p[BEARS].sum(axis=0), p[WATER]
     return out
 
 
 def _labels(odds: F32, landable: F32, colours: Appearance, shape: Relief, settings: TerrainSettings) -> U8:
-    """The likeliest class; colour decides between open grounds, height between tall vegetation and tree."""
-    hazards = odds.copy()
-    hazards[OPEN] = -np.inf
-    kind = (np.argmax(hazards, axis=0) + 1).astype(np.uint8)
+    """The likeliest class; colour decides between open grounds, height between tall vegetation and tree.
+
+    The log odds are worn out by it.
+    """
+    odds[OPEN] = -np.inf
+    kind = (np.argmax(odds, axis=0) + 1).astype(np.uint8)
     height_above, leafy = np.nan_to_num(shape.height_above), np.nan_to_num(colours.green) > settings.leafy
     raised = (height_above > settings.raised) & (kind != Terrain.WATER)
     plants = leafy & (raised | (kind == Terrain.ROCK))  # no rock is green
@@ -130,27 +151,30 @@ def _classified(elevation: ElevationMap, settings: TerrainSettings, model: Model
     water = ponds(elevation, colours, shape, wet, settings)
     some: dict[str, F32] = {}
     terms = _kept(land_cover_terms(elevation, colours, shape), some)
-    plain = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
+    odds = _with_water_and_tufts(relu_net(tables.net, terms), water, cell, settings)
     added = appearance_odds(model, elevation, colours)
-    odds = plain if added is None else plain + np.float32(settings.appearance) * added
-    each = [np.exp(log_softmax(o, axis=0)) for o in ((odds,) if added is None else (odds, plain))]
+    each = [_shares(odds)]
+    if added is not None:
+        odds += np.float32(settings.appearance) * added
+        del added
+        each.insert(0, _shares(odds))
     standing = (np.nan_to_num(shape.height_above) > settings.raised) | beside_tall(elevation, shape, settings)
 
-    def surely(kinds: list[int]) -> F32:
-        """The smaller share of the classes, with and without appearance, which never permits (T5)."""
-        share = fill_pits(np.minimum.reduce([p[kinds].sum(axis=0) for p in each]), round(PIT / cell))
+    def surely(shares: list[F32]) -> F32:
+        """The smaller share, with and without appearance, which never permits (T5)."""
+        share = fill_pits(np.minimum.reduce(shares), round(PIT / cell))
         return np.where(standing, np.minimum(share, np.float32(settings.beside_tall)), share)
 
-    landable = surely(OPEN)
+    landable = surely([p.open for p in each])
     label = _labels(odds, landable, colours, shape, settings)
     novelty = _novelty(tables.known, some, landable.shape)
-    return _Found(label, landable, surely(BEARS), each[0][Terrain.WATER - 1], novelty, colours.coloured)
+    return _Found(label, landable, surely([p.bears for p in each]), each[0].water, novelty, colours.coloured)
 
 
 def _kept(terms: Iterable[tuple[str, F32]], some: dict[str, F32]) -> Iterator[tuple[str, F32]]:
     """Pass terms on, and keep every `APART`-th cell of each."""
     for name, values in terms:
-        some[name] = values[APART // 2 :: APART, APART // 2 :: APART]
+        some[name] = values[APART // 2 :: APART, APART // 2 :: APART].copy()  # a view would keep the whole
         yield name, values
 
 
