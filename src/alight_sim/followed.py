@@ -130,8 +130,8 @@ class FollowedCameras:
         if self._shift_ns is None:
             self._shift_ns = span[1] + LEAD_NS
         out = []
-        while self._ns(self._cameras.done_at()) <= span[1]:
-            if self._ns(self._cameras.done_at()) < max(span[0] + LEAD_NS, span[1] - LATEST_NS):
+        while (done := self._ns(self._cameras.done_at())) <= span[1]:
+            if done < max(span[0] + LEAD_NS, span[1] - LATEST_NS):
                 self._cameras.next += 1
                 self.left_out += 1
                 continue

@@ -81,7 +81,7 @@ class Autopilot:
         return out
 
     def notices(self) -> list[Notice]:
-        """What the vehicle did, or answered to an order, since the last call; each notice is handed out once."""
+        """Deeds of the vehicle, and its answers to orders, since the last call; each is handed out once."""
         out, self._notices = self._notices, []
         return out
 

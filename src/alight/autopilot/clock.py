@@ -41,7 +41,7 @@ class VehicleClock:
 
     @property
     def known(self) -> bool:
-        """Whether an answer has come, so that instants can be carried from one clock to the other."""
+        """True once an answer has come: instants can be carried from one clock to the other."""
         return self._base is not None
 
     def question(self, now_ns: int) -> int:

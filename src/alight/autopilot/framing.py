@@ -45,14 +45,14 @@ class _Order:
         self._recent: deque[tuple[int, str, int]] = deque(maxlen=_COPIES)
 
     def is_copy(self, sequence: int, name: str, checksum: int) -> bool:
-        """Whether the same message has come a moment ago."""
+        """Remember a message; True: its copy came a moment ago."""
         entry = (sequence, name, checksum)
         known = entry in self._recent
         self._recent.append(entry)
         return known
 
     def place(self, name: str, sequence: int, now_ns: int) -> tuple[bool, bool]:
-        """Whether a message is late, and whether it was overtaken."""
+        """Take a message into the order; return if it is late by its kind, and if any newer one overtook it."""
         if self._newest is None or now_ns - self._newest_ns > _REMEMBERED_NS:
             self._newest, self._newest_ns = sequence, now_ns
             self._of_kind = {name: sequence}

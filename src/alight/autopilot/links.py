@@ -47,6 +47,15 @@ class Link(ABC):
     def _shut(self) -> None:
         """Let go of what is open."""
 
+    def open(self, patient: bool = False) -> None:
+        """Open it for the first time; raises OSError. Patient: what refuses is waited for, as if it had broken off."""
+        try:
+            self._open()
+        except ConnectionRefusedError as e:
+            if not patient:
+                raise
+            self._wait(e)
+
     def read(self, timeout: float = 0.0) -> list[bytes]:
         """Give what has come, one entry a datagram or chunk; wait for it at most `timeout` seconds."""
         if self.broken and not self._reopened():
@@ -80,10 +89,14 @@ class Link(ABC):
     def _break(self, error: OSError) -> None:
         if not self.broken and not self._closed:
             log.warning("%s: %s; trying again", self.name, error)
-        self.broken = str(error) or type(error).__name__
-        self._again = time.monotonic() + _AGAIN
+        self._wait(error)
         with suppress(OSError):
             self._shut()
+
+    def _wait(self, error: OSError) -> None:
+        """Note why it is not open, and when to try again."""
+        self.broken = str(error) or type(error).__name__
+        self._again = time.monotonic() + _AGAIN
 
     def _reopened(self) -> bool:
         if self._closed or time.monotonic() < self._again:
@@ -105,7 +118,6 @@ class UdpLink(Link):
         super().__init__(name)
         self._address, self._listen = (host, port), listen
         self._peers: dict[Any, float] = {}
-        self._open()
 
     @property
     def port(self) -> int:
@@ -150,17 +162,11 @@ class UdpLink(Link):
 class TcpLink(Link):
     """A stream to a server (ArduPilot's SITL, a telemetry bridge)."""
 
-    def __init__(self, name: str, host: str, port: int, patient: bool) -> None:
+    def __init__(self, name: str, host: str, port: int) -> None:
         super().__init__(name)
         self._address = (host, port)
         self._unsent = b""
         self._socket: socket.socket | None = None  # not connected yet
-        try:
-            self._open()
-        except ConnectionRefusedError as e:
-            if not patient:
-                raise
-            self.broken, self._again = str(e), time.monotonic() + _AGAIN
 
     def _open(self) -> None:
         self._socket = socket.create_connection(self._address, timeout=1.0)
@@ -197,7 +203,6 @@ class SerialLink(Link):
     def __init__(self, name: str, device: str, baud: int) -> None:
         super().__init__(name)
         self._device, self._baud = device, baud
-        self._open()
 
     def _open(self) -> None:
         try:
@@ -231,11 +236,11 @@ def _host_port(name: str, rest: str) -> tuple[str, int]:
     return host, int(port)
 
 
-def _opened(name: str, kind: str, rest: str, patient: bool) -> Link:
+def _closed_link(name: str, kind: str, rest: str) -> Link:
     if kind in ("udp", "udpin", "udpout"):
         return UdpLink(name, *_host_port(name, rest), listen=kind != "udpout")
     if kind == "tcp":
-        return TcpLink(name, *_host_port(name, rest), patient)
+        return TcpLink(name, *_host_port(name, rest))
     device, _, baud = rest.rpartition(":")
     if kind != "serial" or not device or not baud.isdigit():
         raise InputError(f"{name}: no link; write {NAMES}")
@@ -255,8 +260,9 @@ def open_link(name: str, patient: bool = False) -> Link:
         MissingExtraError: pyserial is not installed.
     """
     kind, _, rest = name.partition(":")
+    link = _closed_link(name, kind, rest)
     try:
-        return _opened(name, kind, rest, patient)
+        link.open(patient)
     except AlightError:
         raise
     except PermissionError as e:
@@ -271,3 +277,4 @@ def open_link(name: str, patient: bool = False) -> Link:
         if "could not open port" in str(e) and "No such file" in str(e):
             raise InputError(f"{name}: there is no such host or device") from e
         raise InputError(f"{name}: {e}") from e
+    return link

@@ -37,9 +37,9 @@ def local_max(values: F32, reach: int) -> F32:
     return np.asarray(cv2.dilate(values, ellipse(reach)), np.float32)
 
 
-def without_specks(mask: Mask, cell: float, least: float) -> Mask:
-    """Drop connected patches (8 neighbours) of less than `least` square metres; `cell` in metres."""
-    labels, stats = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)[1:3]
+def without_specks(mask: Mask, cell: float, least: float, neighbours: int = 8) -> Mask:
+    """Drop connected patches of less than `least` square metres; `cell` in metres, `neighbours` of a cell: 4 or 8."""
+    labels, stats = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=neighbours)[1:3]
     big = stats[:, cv2.CC_STAT_AREA] * cell**2 >= least
     big[0] = False
     return np.asarray(big[labels])

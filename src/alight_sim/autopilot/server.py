@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 import time
 from collections.abc import Callable
@@ -33,7 +34,7 @@ class UdpServer:
         after_step: Callable[[], None] = lambda: None,
     ) -> None:
         self.autopilot = autopilot
-        self._to, self._spoke = to, dict[Any, float]()  # s of the steady clock
+        self._spoke: dict[Any, float] = {} if to is None else {to: math.inf}  # s of the steady clock; for ever: `to`
         self._speed, self._step, self._after_step = speed, step, after_step
         self._outwards, self._inwards = outwards or LossyChannel(), inwards or LossyChannel()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -71,7 +72,7 @@ class UdpServer:
             with suppress(BlockingIOError, ConnectionRefusedError):
                 while True:
                     data, peer = self._socket.recvfrom(65_535)
-                    self._spoke[peer] = now
+                    self._spoke[peer] = max(now, self._spoke.get(peer, now))
                     self._inwards.put(data, now)
             for data in self._inwards.get(now):
                 self.autopilot.receive(data)
@@ -79,6 +80,6 @@ class UdpServer:
                 self._outwards.put(data, now)
             self._spoke = {peer: t for peer, t in self._spoke.items() if now - t < OF_LATE}
             for data in self._outwards.get(now):
-                for peer in {*self._spoke, *([] if self._to is None else [self._to])}:
+                for peer in self._spoke:
                     with suppress(BlockingIOError, ConnectionRefusedError):
                         self._socket.sendto(data, peer)

@@ -7,12 +7,12 @@ does not count: dry grass is called so, and it sways.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from alight.arrays import I64, U16, Mask
 from alight.geometry import Grid
 from alight.pipeline.remembered import CELL, Remembered, cells_at, shown
+from alight.raster import without_specks
 from alight.records import Flag, Terrain, TerrainMap
 
 LEAST_AREA = 2.0  # m^2 side by side, for less is noise: a car with its rim covers 8 to 15
@@ -25,18 +25,12 @@ def what_moves(grid: Grid, flags: U16) -> I64:
     if not moves.any():
         return np.zeros((0, 2), np.int64)
     there, low = shown(grid, moves)
-    return np.asarray(np.argwhere(_large(there, CELL, LEAST_AREA, 4)) + low, np.int64)
+    return np.asarray(np.argwhere(without_specks(there, CELL, LEAST_AREA, neighbours=4)) + low, np.int64)
 
 
 def who_came(grid: Grid, came: Mask) -> I64:
     """Cells (N, 2) to remember, into which a mask (R, C) of what came to stand reaches, enough of it side by side."""
-    return cells_at(grid, _large(came, grid.cell, LEAST_CAME, 8))
-
-
-def _large(where: Mask, cell: float, least: float, neighbours: int) -> Mask:
-    """The parts of a mask, of cells side by side, of `least` square metres or more; `neighbours`: of a cell, 4 or 8."""
-    _, label, about, _ = cv2.connectedComponentsWithStats(where.astype(np.uint8), connectivity=neighbours)
-    return np.asarray(where & (about[:, cv2.CC_STAT_AREA] * cell**2 >= least)[label])
+    return cells_at(grid, without_specks(came, grid.cell, LEAST_CAME))
 
 
 def traffic(passed: Remembered, grid: Grid, cover: TerrainMap | None) -> Mask:
