@@ -267,15 +267,22 @@ def test_a_place_in_doubt_is_left_for_a_clearly_better_one() -> None:
         assert len(first) == looks
 
 
-def test_without_looking_again_the_first_site_is_taken() -> None:
-    """And stones that only a near look shows are landed on: what the loop is for."""
-    ground = Ground({(10.0, 5.0): lambda h: 0.0 if h < 5.0 else 0.96})
-    plain = Flight(ground, Executive(settings("executive.look_again=false")))
-    plain.fly()
-    assert S.COMMIT in plain.states
-    careful = Flight(Ground({(10.0, 5.0): lambda h: 0.0 if h < 9.0 else 0.96}), Executive(settings()))
+@pytest.mark.parametrize("first", [0.96, 0.85])
+def test_without_looking_again_the_first_good_place_is_landed_on(first: float) -> None:
+    """And so are stones that only a near look shows: what the loop is for."""
+    stones = {(10.0, 5.0): lambda h: 0.0 if h < 9.0 else first}
+    plain = Flight(Ground(stones), Executive(settings("executive.look_again=false")))
+    assert plain.fly() is S.LANDED
+    assert not plain.executive.diary.looks
+    careful = Flight(Ground(stones), Executive(settings()))
     careful.fly()
     assert S.COMMIT not in careful.states
+
+
+def test_without_looking_again_a_doubtful_place_is_not_taken() -> None:
+    flight = Flight(Ground({(10.0, 5.0): lambda h: 0.7}), Executive(settings("executive.look_again=false")))
+    assert flight.fly() is S.RETURN
+    assert S.APPROACH not in flight.states
 
 
 def test_it_climbs_over_what_stands_in_the_way() -> None:

@@ -151,3 +151,10 @@ def test_a_dry_run_takes_nothing_off(tmp_path: Path) -> None:
         fly_vehicle(request)
     with pytest.raises(InputError, match="SEPARATION"):
         Home.parse("47.6,13.4,500")
+
+
+def test_nothing_is_landed_blind(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"executive": {"look_again": False}})
+    with pytest.raises(InputError, match="look_again"):
+        fly_vehicle(FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", settings))
+    assert not (tmp_path / "out").exists()

@@ -259,7 +259,9 @@ class ExecutiveKeys(FrozenModel):
         description="Height above the site of the last look; below it the vehicle lands or goes up, nothing else, m",
     )
     look_again: bool = Field(
-        True, description="Look again from lower heights before landing; false: land on the first site that is found"
+        True,
+        description="Look again from lower heights, and during the descent; false: for comparison, land without a "
+        "further look on the first site, or candidate of `tuning.executive.at_once`, that is found"
     )
     time_budget: Positive = Field(300.0, description="Time after which a landing that is not begun is given up, s")
     least_battery: Fraction = Field(0.2, description="Share of the battery below which the vehicle returns")

@@ -199,7 +199,7 @@ class Executive:
 
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
-        said = self._opinion(now)
+        said = self._opinion(now) if self._keys.look_again else None
         if said is not None and self._is_fallen(said):
             return E.REFUSED, f"P(safe) has fallen to {said.p_safe:.2f}: {said.why}"
         if said is not None and said.standing is Standing.REFUSED:

@@ -35,8 +35,8 @@ class KnownPlaces:
         if seen.number <= self._noted_by:
             return
         self._noted_by = seen.number
-        listed = seen.sites.listed if self._keys.look_again else seen.sites.sites
-        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + list(listed)
+        listed = [p for p in seen.sites.listed if self._keys.look_again or self.worth_a_visit(p)]
+        self._noted = [p for p in self._noted if not self._judged_in(p, seen)] + listed
 
     def refuse(self, place: Site | None) -> None:
         """Never visit a place again."""

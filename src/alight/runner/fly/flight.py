@@ -101,6 +101,8 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
     """
     if plan.dry_run and plan.take_off is not None:
         raise InputError("--take-off: a dry run sends nothing; leave it out, or leave out --dry-run")
+    if not plan.settings.executive.look_again:
+        raise InputError("executive.look_again=false lands without looking: it is for campaigns; leave it out")
     prepare_folder(plan.out, plan.overwrite)
     over = threading.Event()
     opened = open_live(
