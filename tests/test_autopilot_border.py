@@ -133,13 +133,12 @@ def test_modes_of_copter_are_those_of_pymavlink() -> None:
 def test_modes_of_px4_are_those_of_pymavlink() -> None:
     firmware = Px4Firmware()
     names = {"MISSION": FlightMode.MISSION, "OFFBOARD": FlightMode.GUIDED, "LOITER": FlightMode.HOLD,
-             "RTL": FlightMode.RETURN, "TAKEOFF": FlightMode.TAKE_OFF}  # fmt: skip
+             "RTL": FlightMode.RETURN, "TAKEOFF": FlightMode.TAKE_OFF, "LAND": FlightMode.LAND}  # fmt: skip
     for name, mode in names.items():
         _, main, sub = mavutil.px4_map[name]
         assert firmware.mode_parameters(mode) == (1.0, main, sub)
         assert firmware.mode(main << 16 | sub << 24)[0] is mode
-    _, main, sub = mavutil.px4_map["LAND"]
-    assert firmware.mode(main << 16 | sub << 24) == (FlightMode.LAND, "AUTO.LAND")
+    assert firmware.mode(4 << 16 | 9 << 24) == (FlightMode.LAND, "AUTO.PRECLAND")
     assert firmware.mode(3 << 16) == (FlightMode.PILOT, "POSCTL")
 
 

@@ -69,10 +69,20 @@ def test_a_jump_is_seen_and_the_new_offset_counts() -> None:
     clock = VehicleClock()
     for k in range(20):
         exchange(clock, 50.0 + k, 0.003, 0.004)
-    shifted = OFFSET + 70 * SECOND
-    asked = clock.question(shifted - 3 * MS)
-    clock.answer(asked, 2 * SECOND, shifted + 3 * MS)  # its clock was at 70 s and is at 2 s
-    assert abs(clock.ours_ns(2 * SECOND) - shifted) < MS
+    for k in range(2):  # its clock was at 70 s and is at 2 s
+        shifted = OFFSET + (70 + k) * SECOND
+        asked = clock.question(shifted - 3 * MS)
+        clock.answer(asked, (2 + k) * SECOND, shifted + 3 * MS)
+    assert abs(clock.ours_ns(2 * SECOND) - (OFFSET + 70 * SECOND)) < MS
+
+
+def test_one_late_clock_is_not_a_jump() -> None:
+    """A simulated autopilot that waits for its machine is 80 ms late once, and again two answers later."""
+    clock = VehicleClock()
+    for k in range(20):
+        arrived, late = OFFSET + (50 + k) * SECOND, 80 * MS if k in (12, 14) else 0
+        clock.answer(clock.question(arrived - 3 * MS), (50 + k) * SECOND - late, arrived + 3 * MS)
+        assert abs(error_ms(clock, 50.0 + k)) < 1.0
 
 
 def test_there_and_back_is_the_same_instant() -> None:

@@ -191,7 +191,9 @@ def test_reading_waits_no_longer_than_told() -> None:
 def parameters(binary: Path, folder: Path) -> str:
     """Files of parameters: those of ArduPilot's own tree where the binary lies in it, and a precision landing."""
     own = folder / "alight.parm"
-    own.write_text("FRAME_CLASS 1\nPLND_ENABLED 1\nPLND_TYPE 1\nPLND_STRICT 0\n")
+    own.write_text(
+        "FRAME_CLASS 1\nPLND_ENABLED 1\nPLND_TYPE 1\nPLND_STRICT 0\nINS_GYRO_FILTER 80\nINS_ACCEL_FILTER 80\n"
+    )
     trees = [p / "Tools/autotest/default_params/copter.parm" for p in binary.resolve().parents]
     return ",".join(str(p) for p in (*trees, own) if p.exists())
 

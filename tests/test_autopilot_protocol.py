@@ -478,6 +478,19 @@ def test_texts_of_the_autopilot_are_passed_on() -> None:
     assert (text.text, text.ok) == ("PreArm: Compass not healthy", False)
 
 
+def test_a_long_text_comes_in_pieces() -> None:
+    """The last piece of the second text is lost: what has come of it is passed on with the next text."""
+    from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+    rig, long = met(Rig()), "Preflight Fail: No connection to the ground control station, or none at all by now"
+    for number, count in ((7, 2), (8, 1), (0, 1)):
+        for k in range(count):
+            piece = (long if number else "over").encode()[50 * k : 50 * (k + 1)]
+            rig.sim._send(mavlink.MAVLink_statustext_message(3, piece, number, k))
+    rig.run(0.2)
+    assert [n.text for n in rig.of(NoticeKind.TEXT)] == [long, long[:50], "over"]
+
+
 def test_positions_of_an_instant() -> None:
     """The autopilot's place at our instants, between and just after its reports."""
     rig = met(Rig(step=0.01))

@@ -8,12 +8,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-from autopilot_rig import LOCAL
+from autopilot_rig import HOME
 from test_autopilot_links import drive, ready_vehicle, sitl  # noqa: F401  (a fixture)
 from test_executive import Ground, clearer_from_below
 
 from alight.autopilot import TelemetryEvents
-from alight.geometry import Pose
+from alight.geometry import LocalFrame, Pose
 from alight.records import Frame, Motion, NavSample, NoticeKind
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runner.fly.pilot import LandingPilot
@@ -21,6 +21,7 @@ from alight.runner.fly.take_off import TakeOff
 from alight.settings import load_settings
 
 PLACE = (10.0, 5.0)
+LOCAL = LocalFrame(HOME.latitude, HOME.longitude, HOME.altitude_msl)  # its GPS takes the sea for the ellipsoid
 
 
 class Silent:
@@ -33,7 +34,7 @@ class Silent:
 
 def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
     """Pictures and verdicts are made up; motions are the autopilot's own rows; orders and protocol are real."""
-    link, ours, vehicle = ready_vehicle(sitl, TelemetryEvents(LOCAL))
+    link, ours, vehicle = ready_vehicle(sitl, TelemetryEvents(LOCAL, separation=0.0))
     climb = TakeOff(vehicle, vehicle, 20.0, time.monotonic_ns())
 
     def climbed() -> bool:
@@ -52,7 +53,7 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
 
     pilot, begin = LandingPilot(settings, LOCAL, vehicle, vehicle, judge, Silent()), time.monotonic_ns()
     pilot.begin(begin)
-    image, notices = np.zeros((8, 8), np.uint8), []
+    image, notices, searched = np.zeros((8, 8), np.uint8), [], list[float]()
 
     def landed() -> bool:
         nonlocal image
@@ -65,10 +66,15 @@ def test_a_real_ardupilot_flies_a_landing(sitl: str) -> None:  # noqa: F811
             notices.append(notice)
             pilot.noticed(notice)
         pilot.tick(now)
+        if pilot.state is FlightState.SEARCH:
+            assert ours.telemetry is not None
+            assert ours.telemetry.place is not None
+            searched.append(ours.telemetry.place.above_home)
         return pilot.over
 
     assert drive(link, ours, 300, landed), notices
     assert pilot.state is FlightState.LANDED, pilot.diary.transitions
+    assert 15.0 < min(searched) < max(searched) < 25.0
     assert ours.telemetry is not None
     assert ours.telemetry.place is not None
     place = ours.telemetry.place

@@ -37,6 +37,7 @@ class VehicleClock:
         self._exchanges: deque[_Exchange] = deque(maxlen=_WINDOW)
         self._fit: F64 = np.zeros(2)  # s from the base, s/s
         self._base: _Exchange | None = None
+        self._doubtful: _Exchange | None = None  # the last one did not fit the others
         self.sigma = float("nan")  # s, of an instant carried over now
 
     @property
@@ -52,6 +53,9 @@ class VehicleClock:
     def answer(self, asked_ns: int, theirs_ns: int, now_ns: int) -> bool:
         """Take an answer to TIMESYNC. After a jump of the autopilot's clock all begins anew.
 
+        A jump is believed when two answers in turn agree on it: a simulated autopilot that had to wait for its machine
+        is late once, and catches up.
+
         Args:
             asked_ns: our stamp, as the answer repeats it.
             theirs_ns: the autopilot's clock when it answered.
@@ -64,8 +68,13 @@ class VehicleClock:
             return False
         self._asked.remove(asked_ns)
         exchange = _Exchange(theirs_ns, (asked_ns + now_ns) // 2 - theirs_ns, (now_ns - asked_ns) * 1e-9)
+        before, self._doubtful = self._doubtful, None
         if self._jumped(exchange):
+            if before is None or not _agree(before, exchange):
+                self._doubtful = exchange
+                return True
             self.forget()
+            self._exchanges.append(before)
         self._exchanges.append(exchange)
         self._update()
         return True
@@ -74,7 +83,7 @@ class VehicleClock:
         """Forget all exchanges, as after a reboot: instants cannot be carried over until the next answer."""
         self._exchanges.clear()
         self._asked.clear()
-        self._base = None
+        self._base = self._doubtful = None
         self.sigma = float("nan")
 
     def _jumped(self, new: _Exchange) -> bool:
@@ -117,6 +126,11 @@ class VehicleClock:
             raise ValueError("the autopilot's clock is not known yet")
         guess = ours_ns - self._base.offset_ns
         return guess - (self.ours_ns(guess) - ours_ns)  # the drift over what is left is nothing
+
+
+def _agree(a: _Exchange, b: _Exchange) -> bool:
+    """Whether two exchanges have the same offset, as far as their round trips tell."""
+    return abs(a.offset_ns - b.offset_ns) * 1e-9 <= _JUMP + (a.round_trip + b.round_trip) / 2
 
 
 class Pace:

@@ -163,7 +163,7 @@ class Px4Firmware:
         FlightMode.HOLD: (4.0, 3.0),
         FlightMode.MISSION: (4.0, 4.0),
         FlightMode.RETURN: (4.0, 5.0),
-        FlightMode.LAND: (4.0, 9.0),  # precision landing: like LAND where no target is reported
+        FlightMode.LAND: (4.0, 6.0),  # not its precision landing, which climbs and searches where reports stop
     }
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
@@ -192,7 +192,7 @@ class Px4Firmware:
         return tuple(i for i in items if i.command != CONDITION_YAW and not _is_descent_speed(i))
 
     def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
-        """Position in the estimator's local frame."""
+        """Position in the estimator's local frame. LAND uses none; precision landing does, where a pilot chooses it."""
         if own_ned is None:
             return None
         x, y, z = (float(v) for v in own_ned + border.ned(target_world))

@@ -17,6 +17,7 @@ from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
 from alight.autopilot.speeds import SpeedKeeper
+from alight.autopilot.status_text import TextJoiner
 from alight.autopilot.streams import StreamKeeper
 from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
@@ -24,7 +25,7 @@ from alight.records import FlightMode, NoticeKind, Place, Telemetry
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _TAKEOFF, _DO_SET_MODE, _MISSION_START, _ARM = 22, 176, 300, 400  # MAV_CMD
-_SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 1_000_000_000, 100_000_000
+_SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 200_000_000, 100_000_000
 _FIRST_TIMESYNCS = 10
 _BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
 _HELICOPTER = 4  # MAV_TYPE
@@ -61,6 +62,7 @@ class RemoteVehicle:
         self._commands.target = self._transfer.target = (system, AUTOPILOT)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
         self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
+        self._texts = TextJoiner()
         self._target: Target | None = None
         self._target_ns = self._timesync_ns = self._now_ns = 0
         self._timesyncs = self._uploads = self._heartbeat_pace_ns = 0
@@ -354,7 +356,8 @@ class RemoteVehicle:
             self._keep_pace(m.tc1)
 
     def _text(self, m: Any) -> None:
-        self._note(NoticeKind.TEXT, str(m.text), ok=m.severity > 3)
+        for said in self._texts.take(m):
+            self._note(NoticeKind.TEXT, said.text, ok=said.ok)
 
     def _reached(self, m: Any) -> None:
         item = m.seq - self.firmware.home_items

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from enum import Enum
 from typing import Protocol
@@ -32,7 +33,7 @@ class Dialect(Protocol):
     turns_to_course: bool  # turns the nose to where it flies where no heading is named
     speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
     stores_at_once: bool  # each item of a mission as it comes, over the one that was there
-    target_delay: float  # s of reports until a landing target is used; a landing waits for the first one
+    target_delay: float  # s of reports until LAND uses a target and waits for the first one; infinite: it uses none
 
     def number(self, doing: Doing) -> int:
         """The custom mode of a heartbeat."""
@@ -88,7 +89,7 @@ class SpokenPx4:
     turns_to_course = False
     speeds_by_command = False
     stores_at_once = False
-    target_delay = 0.0
+    target_delay = math.inf
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL
         Doing.GUIDED: (6, 0),
@@ -96,7 +97,7 @@ class SpokenPx4:
         Doing.HOLD: (4, 3),
         Doing.MISSION: (4, 4),
         Doing.RETURN: (4, 5),
-        Doing.LAND: (4, 9),
+        Doing.LAND: (4, 6),
     }
 
     def number(self, doing: Doing) -> int:
@@ -106,6 +107,4 @@ class SpokenPx4:
 
     def doing(self, parameters: tuple[float, ...]) -> Doing | None:
         """By main mode and sub-mode."""
-        asked = (round(parameters[1]), round(parameters[2]))
-        asked = (4, 9) if asked == (4, 6) else asked  # LAND and PRECLAND
-        return {pair: d for d, pair in self._numbers.items()}.get(asked)
+        return {pair: d for d, pair in self._numbers.items()}.get((round(parameters[1]), round(parameters[2])))

@@ -272,7 +272,8 @@ class FlightLogic:
         seen &= t - self._target_since >= self.dialect.target_delay
         self._target_seen |= seen
         self._landing_since = t if self._landing_since is None else self._landing_since
-        waits = self.dialect.target_delay > 0 and not self._target_seen and t - self._landing_since < _TARGET_WAIT
+        early = t - self._landing_since < _TARGET_WAIT
+        waits = math.isfinite(self.dialect.target_delay) and early and not self._target_seen
         goal = self._target[1] if seen and self._target is not None else place
         fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
         sink = _RUSH if fast else _SINK

@@ -115,7 +115,7 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
         return FlightOutcome(machine, REFUSED)
     feed = TelemetryFeed(plan.link, None, plan.separation, {"HIGHRES_IMU": plan.imu_rate})
     try:
-        met = _Meeting(plan, feed, tell)
+        met = _Meeting(plan, feed, tell, say)
         checks = met.wait(machine)
         if not feed.located:
             return FlightOutcome(checks, REFUSED)
@@ -147,8 +147,8 @@ def _until_well(
 class _Meeting:
     """Waits until an autopilot is heard and says where it is."""
 
-    def __init__(self, plan: FlightRequest, feed: TelemetryFeed, tell: Tell) -> None:
-        self._plan, self._feed, self._tell, self._refused = plan, feed, tell, ""
+    def __init__(self, plan: FlightRequest, feed: TelemetryFeed, tell: Tell, say: Say) -> None:
+        self._plan, self._feed, self._tell, self._say, self._refused = plan, feed, tell, say, ""
 
     def wait(self, machine: Sequence[CheckResult]) -> list[CheckResult]:
         """Return the findings, those of the machine first, when its position is known or the patience is over."""
@@ -161,9 +161,14 @@ class _Meeting:
 
     def _checks(self) -> list[CheckResult]:
         with self._feed.lock:
-            refused = [n.text for n in self._feed.autopilot.notices() if n.kind is NoticeKind.FOUND and not n.ok]
+            notices = self._feed.autopilot.notices()
+            refused = [n.text for n in notices if n.kind is NoticeKind.FOUND and not n.ok]
             self._refused = refused[-1] if refused else self._refused
-            return autopilot_checks(self._plan, self._feed, self._refused)
+            found = autopilot_checks(self._plan, self._feed, self._refused)
+        for notice in notices:
+            if notice.kind is NoticeKind.TEXT:
+                self._say(f"autopilot: {notice.text}")
+        return found
 
 
 def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = "") -> list[CheckResult]:

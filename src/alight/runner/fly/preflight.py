@@ -89,7 +89,11 @@ def _clock(vehicle: RemoteVehicle) -> CheckResult:
 
 def _streams(missing: Sequence[str]) -> CheckResult:
     if needed := [n for n in missing if n in NEEDED]:
-        return bad("streams", f"{', '.join(needed)} do not come", "see that the link has room for about 3 kB a second")
+        return bad(
+            "streams",
+            f"{', '.join(needed)} do not come",
+            "see that the link has room: 3 kB a second, 10 with IMU samples",
+        )
     if missing:
         return warning("streams", f"{', '.join(missing)} do not come", "what they tell counts as fine")
     return good("streams", "all come")
@@ -136,11 +140,14 @@ def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
     above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
     if heard.landed is Landed.GROUND or not heard.armed:
         if take_off and heard.ready and heard.checks_off:
-            return warning("ready", "the autopilot's own checks before arming are off", "set ARMING_CHECK to 1")
+            return warning(
+                "ready", "the autopilot's own checks before arming are off", "switch them on (ARMING_CHECK 1)"
+            )
         if take_off and heard.ready:
             return good("ready", "on the ground, and may be armed")
         if take_off:
-            return bad("ready", "the autopilot may not be armed", "read what it says; its ground station shows it")
+            read = "read what it says. PX4 wants a ground station, too, unless NAV_DLL_ACT is 0"
+            return bad("ready", "the autopilot may not be armed", read)
         if dry:
             return warning("in the air", "it stands on the ground", "orders are shown for a vehicle in the air")
         return bad("in the air", "it stands on the ground", "take off and hover, or give --take-off 30")
