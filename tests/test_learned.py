@@ -72,8 +72,8 @@ def test_the_rectified_net_is_its_formula_whatever_the_order_of_the_terms(net: N
     plain = replace(net, output=AffineLayer(net.output.weights[:5], net.output.bias))
     x = standardised(net, given())
     want = np.maximum(x @ net.hidden.weights + net.hidden.bias, 0) @ plain.output.weights + plain.output.bias
-    assert_allclose(relu_net(plain, given().items())[0].ravel(), want[:, 0], rtol=1e-4, atol=1e-5)
-    assert_allclose(relu_net(plain, list(given().items())[::-1])[0].ravel(), want[:, 0], rtol=1e-4, atol=1e-5)
+    assert_allclose(relu_net(plain, given().items())[0].ravel(), want[:, 0], rtol=2e-3, atol=2e-3)
+    assert_allclose(relu_net(plain, list(given().items())[::-1])[0].ravel(), want[:, 0], rtol=2e-3, atol=2e-3)
 
 
 def test_terms_that_are_missing_strange_or_doubled_are_refused(net: Net) -> None:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alight.arrays import F32, F64
+from alight.arrays import F16, F32, F64
 
 CLIP = np.float32(4.0)  # spreads; a term further from the training data counts no further
 CELLS_AT_A_TIME = 8192  # whose hidden units stay in the cache
@@ -32,21 +32,22 @@ class Net:
     output: AffineLayer
     calibration: F64 | None = None  # (2, N) output, ascending, and the log odds that it was worth on flights left out
 
-    def standardised(self, found: Iterable[tuple[str, F32]]) -> F32:
+    def standardised(self, found: Iterable[tuple[str, F32]]) -> F16:
         """Terms (R, C) in spreads about their mean and clipped, (terms, R, C) in the order of the net.
 
-        A term is let go before the next one is asked for: tens of them, of millions of cells, are gigabytes.
+        A term is let go before the next one is asked for, and they are kept to a thousandth: tens of them, of
+        millions of cells, are gigabytes.
 
         Raises:
             ValueError: not every term of the net was given, each once.
         """
         left = {name: i for i, name in enumerate(self.terms)}
-        out = np.zeros((0, 0, 0), np.float32)
+        out = np.zeros((0, 0, 0), np.float16)
         for name, values in found:
             if name not in left:
                 raise ValueError(f"terms that the net was not fitted on, or that are doubled: {name}")
             if len(left) == len(self.terms):
-                out = np.empty((len(left), *values.shape), np.float32)
+                out = np.empty((len(left), *values.shape), np.float16)
             i = left.pop(name)
             np.clip((values - self.usual[i]) / self.spread[i], -CLIP, CLIP, out=out[i])
         if left:
@@ -65,6 +66,6 @@ def relu_net(net: Net, found: Iterable[tuple[str, F32]]) -> F32:
     out = np.empty((len(output), x.shape[1]), np.float32)
     for begin in range(0, x.shape[1], CELLS_AT_A_TIME):
         some = slice(begin, begin + CELLS_AT_A_TIME)
-        units = hidden @ x[:, some] + net.hidden.bias[:, None]
+        units = hidden @ x[:, some].astype(np.float32) + net.hidden.bias[:, None]
         out[:, some] = output @ np.maximum(units, 0, out=units) + net.output.bias[:, None]
     return out.reshape(-1, *terms.shape[1:])
