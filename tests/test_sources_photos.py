@@ -415,9 +415,37 @@ def test_malformed_factory_calibration_falls_back(tmp_path: Path, dewarp: str) -
 
 
 def test_no_focal_length_at_all(tmp_path: Path) -> None:
+    """A guess of a usual field of view, which says that it is one."""
     d.write_photo(tmp_path / "a.jpg", xmp=b"")
-    with pytest.raises(InputError, match=r"a\.jpg: no focal length in its tags.*sources\.calibration"):
-        opened(tmp_path)
+    source = opened(tmp_path)
+    lens = source.rig.cameras[0].camera
+    assert (lens.fu, lens.fv, lens.cu, lens.model) == (pytest.approx(0.85 * 64), lens.fu, 31.5, "none")
+    assert source.notes["focal_from"].startswith("a guess")
+    assert source.photos[0].focal_from.startswith("a guess")
+    (warning,) = (w for w in source.warnings if "guess" in w)
+    assert "DJI FC1, 64x48" in warning
+    assert "sources.calibration" in warning
+    assert "heights above ground scale with it" in warning
+
+
+@pytest.mark.parametrize(
+    ("make", "model", "size", "focal", "expected"),
+    [
+        ("SONY", "DSC-WX220", (64, 48), 4.45, 64 / 6.17),
+        ("SONY", "DSC-RX100M3", (96, 64), 8.8, 96 / 13.2),
+        ("SONY", "ILCE-5100", (96, 54), 20.0, 96 / 23.5),  # 16:9 keeps the whole width of a 3:2 sensor
+        ("Canon", "Canon PowerShot S110", (48, 64), 5.2, 64 / 7.44),
+        ("DJI", "FC6310", (64, 48), 8.8, 48 * 1.5 / 13.2),  # 4:3 keeps the whole height of a 3:2 sensor
+    ],
+)
+def test_focal_length_by_the_size_of_a_known_sensor(
+    tmp_path: Path, make: str, model: str, size: tuple[int, int], focal: float, expected: float
+) -> None:
+    d.write_photo(tmp_path / "a.jpg", xmp=b"", main={271: make}, model=model, photo={37386: focal}, size=size)
+    source = opened(tmp_path)
+    assert source.rig.cameras[0].camera.fu == pytest.approx(focal * expected)
+    assert model in source.notes["focal_from"]
+    assert not any("guess" in w for w in source.warnings)
 
 
 def test_calibration_of_the_user_wins(photos: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from alight.geometry import Camera
 from alight.records import InputError
 from alight.sources.lens_bounds import why_no_lens
 from alight.sources.photo_tags import PhotoTags, finite
+from alight.sources.sensor_sizes import sensor_pixels_a_millimetre
 
 Base = ExifTags.Base
 Notes = dict[str, Any]
@@ -20,6 +21,8 @@ FILM_DIAGONAL = math.hypot(36, 24)  # mm
 LONGEST_READOUT = 0.5  # s
 SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor has
 TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a slip, not a lens
+GUESSED = "a guess: no focal length in the tags"
+GUESS = 0.85  # focal length over the longer side, where no tag tells it; most cameras have 0.65 to 1.05
 
 
 def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
@@ -28,7 +31,7 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    for known in (_from_dewarp, _from_factory, _from_calibrated, _from_sensor, _from_film):
+    for known in (_from_dewarp, _from_factory, _from_calibrated, _from_sensor, _from_film, _from_model):
         try:
             found = known(tags)
         except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
@@ -39,6 +42,16 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     raise InputError(
         f"{tags.path.name}: no focal length in its tags; give one with --set sources.calibration=camchain.yaml"
     )
+
+
+def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
+    """A camera of usual field of view, where the photo carries no focal length in any form."""
+    camera = _camera(tags, GUESS * max(tags.size))
+    return camera, {
+        "focal_from": GUESSED,
+        "focal_px": round(camera.fu, 2),
+        "focal_note": "the focal length is a guess, wrong by up to a quarter; heights above ground scale with it",
+    }
 
 
 def photo_readout(tags: PhotoTags) -> float | None:
@@ -172,3 +185,12 @@ def _from_film(tags: PhotoTags) -> tuple[Camera, Notes] | None:
         return None
     pixels = math.hypot(*tags.size) * focal / FILM_DIAGONAL
     return _camera(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}
+
+
+def _from_model(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    focal, make, model = tags.number(Base.FocalLength), tags.text(Base.Make), tags.text(Base.Model)
+    pixels = sensor_pixels_a_millimetre(make, model, tags.size)
+    if not focal or pixels is None:
+        return None
+    camera = _camera(tags, focal * pixels * tags.digital_zoom)
+    return camera, {"focal_from": f"FocalLength and the sensor's size of a {model}"}

@@ -21,7 +21,7 @@ from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
 from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
-from alight.sources.photo_camera import photo_camera, photo_readout
+from alight.sources.photo_camera import GUESSED, guessed_camera, photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
 from alight.sources.photo_tags import PhotoTags, read_tags
@@ -47,7 +47,7 @@ class Photos(RecordedSource):
     """The photos in one folder.
 
     Raises:
-        InputError: no readable photo, none with GPS, or no focal length.
+        InputError: no readable photo, or none with GPS.
     """
 
     kind: Literal["photos"] = "photos"
@@ -211,7 +211,16 @@ class Photos(RecordedSource):
             self._findings.say(
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"
             )
-        return photo_camera(chosen)
+        try:
+            return photo_camera(chosen)
+        except InputError:
+            lens, notes = guessed_camera(chosen)
+            self._findings.say(
+                f"no focal length in the tags of {_title(camera)}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
+                "quarter, and heights above ground scale with it; give the true one with --set "
+                "sources.calibration=camchain.yaml"
+            )
+            return lens, notes
 
     def _readout(self, camera: CameraKey) -> float | None:
         """The readout that most photos of a camera tell, in seconds."""
@@ -227,9 +236,10 @@ class Photos(RecordedSource):
             flight, before = flight + new, before if taken is None else taken
             own = self._cameras.index(tags.camera)
             lens = self.rig.cameras[own].camera
+            facts = self._facts[tags.path]
             self._facts[tags.path] = replace(
-                self._facts[tags.path], name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
-                focal_px=round(lens.fu, 1),
+                facts, name=name, t_ns=t_ns, group=f"flight {flight + 1}, camera {own + 1}",
+                focal_px=round(lens.fu, 1), focal_from=facts.focal_from or GUESSED,
             )  # fmt: skip
             if "Kalibr" in str(self.notes["focal_from"]):
                 self._facts[tags.path] = replace(self._facts[tags.path], focal_from=str(self.notes["focal_from"]))

@@ -1,0 +1,66 @@
+"""Sensor sizes of cameras that map, for photos that tell a focal length in millimetres and nothing else."""
+
+from __future__ import annotations
+
+FOUR_THIRDS, THREE_HALVES = 4 / 3, 3 / 2
+# Part of the maker's name, start of the model's name, width of the sensor in mm, and width over height; from the
+# makers' data sheets. Of one maker the first start that fits counts.
+SENSORS = (
+    ("sony", "dsc-wx", 6.17, FOUR_THIRDS),
+    ("sony", "dsc-rx100", 13.2, THREE_HALVES),
+    ("sony", "dsc-rx10", 13.2, THREE_HALVES),
+    ("sony", "dsc-rx1", 35.8, THREE_HALVES),
+    ("sony", "dsc-rx0", 13.2, THREE_HALVES),
+    ("sony", "ilce-5000", 23.2, THREE_HALVES),
+    ("sony", "ilce-5100", 23.5, THREE_HALVES),
+    ("sony", "ilce-6", 23.5, THREE_HALVES),
+    ("sony", "ilce-qx1", 23.2, THREE_HALVES),
+    ("sony", "ilce-7", 35.9, THREE_HALVES),
+    ("sony", "nex-", 23.5, THREE_HALVES),
+    ("sony", "umc-r10c", 23.2, THREE_HALVES),
+    ("canon", "canon powershot s100", 7.44, FOUR_THIRDS),
+    ("canon", "canon powershot s110", 7.44, FOUR_THIRDS),
+    ("canon", "canon powershot s120", 7.44, FOUR_THIRDS),
+    ("canon", "canon powershot sx", 6.17, FOUR_THIRDS),
+    ("canon", "canon powershot elph", 6.17, FOUR_THIRDS),
+    ("canon", "canon powershot g7 x", 13.2, THREE_HALVES),
+    ("canon", "canon powershot g9 x", 13.2, THREE_HALVES),
+    ("canon", "canon ixus", 6.17, FOUR_THIRDS),
+    ("canon", "canon eos 5d", 36.0, THREE_HALVES),
+    ("canon", "canon eos m", 22.3, THREE_HALVES),
+    *(("gopro", f"hero{k}", 6.17, FOUR_THIRDS) for k in "345678"),
+    ("ricoh", "gr", 23.5, THREE_HALVES),
+    ("dji", "fc220", 6.17, FOUR_THIRDS),
+    ("dji", "fc2103", 6.3, FOUR_THIRDS),
+    ("dji", "fc300", 6.17, FOUR_THIRDS),
+    ("dji", "fc330", 6.17, FOUR_THIRDS),
+    ("dji", "fc350", 6.17, FOUR_THIRDS),
+    ("dji", "fc550", 17.3, FOUR_THIRDS),
+    ("dji", "fc6310", 13.2, THREE_HALVES),
+    ("dji", "fc6510", 13.2, THREE_HALVES),
+    ("dji", "fc6520", 17.3, FOUR_THIRDS),
+    ("dji", "fc6540", 23.5, THREE_HALVES),
+    ("dji", "fc7203", 6.3, FOUR_THIRDS),
+    ("dji", "fc3170", 6.4, FOUR_THIRDS),
+    ("dji", "fc3411", 13.2, THREE_HALVES),
+    ("dji", "fc3582", 9.7, FOUR_THIRDS),
+    ("dji", "zenmusep1", 35.9, THREE_HALVES),
+    ("hasselblad", "l1d-20c", 13.2, THREE_HALVES),
+    ("hasselblad", "l2d-20c", 17.3, FOUR_THIRDS),
+    ("parrot", "anafi", 5.87, FOUR_THIRDS),
+    ("sensefly", "s.o.d.a", 12.75, THREE_HALVES),
+    ("yuneec", "cgo3", 6.17, FOUR_THIRDS),
+    ("yuneec", "e90", 13.2, THREE_HALVES),
+)
+
+
+def sensor_pixels_a_millimetre(make: str, model: str, size: tuple[int, int]) -> float | None:
+    """Pixels of a photo a millimetre of its sensor; None: the camera is not in the table.
+
+    A photo of another shape than the sensor is cut from the middle: it keeps the whole width or the whole height.
+    """
+    longer, shorter = max(size), min(size)
+    for maker, start, width, shape in SENSORS:
+        if maker in make.lower() and model.lower().startswith(start):
+            return max(longer / width, shorter * shape / width)
+    return None
