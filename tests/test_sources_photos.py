@@ -206,6 +206,32 @@ def test_two_cameras_mixed(photos: Path) -> None:
     assert source.counts["photos of another camera"] == 2
 
 
+def test_thermal_pictures_do_not_become_the_camera(photos: Path) -> None:
+    """However many they are; the name, the tags or the size tells them."""
+    source = d.xmp_packet(d.dji_tags(ImageSource="InfraredCamera"))
+    lwir = d.xmp_packet({"BandName": "LWIR"}, d.PIX4D)
+    for k in range(4):
+        d.write_photo(photos / f"DJI_{k:04d}_T.JPG", model="H20T", size=(32, 24))
+        d.write_photo(photos / f"infrared_{k}.JPG", model="H20T", size=(40, 30), xmp=source)
+        d.write_photo(photos / f"lwir_{k}.JPG", model="Altum", size=(40, 30), xmp=lwir)
+        d.write_photo(photos / f"small_{k}.JPG", model="XT", size=(160, 120))
+    found = opened(photos)
+    assert names(found) == [f"DJI_{k:04d}.JPG" for k in range(4)]
+    assert found.warnings == ["16 thermal picture(s) are left out (first: DJI_0000_T.JPG)"]
+    assert found.counts["thermal pictures"] == 16
+    assert {p.left_out for p in found.photos} == {"", "a thermal picture"}
+
+
+def test_nothing_but_thermal_pictures_is_used(tmp_path: Path) -> None:
+    """And photos that were made as small as those of a thermal camera are no thermal pictures."""
+    d.write_photo(tmp_path / "a" / "a_T.JPG")
+    assert names(opened(tmp_path / "a")) == ["a_T.JPG"]
+    for k in range(3):
+        d.write_photo(tmp_path / "b" / f"{k}.JPG", size=(160, 120), second=f"{k + 10}")
+    d.write_photo(tmp_path / "b" / "9.JPG", second="20")
+    assert names(opened(tmp_path / "b")) == ["0.JPG", "1.JPG", "2.JPG"]
+
+
 # -- damage
 
 

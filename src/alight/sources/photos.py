@@ -24,6 +24,7 @@ from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import GUESSED, guessed_camera, photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
+from alight.sources.photo_selection import thermal_photos
 from alight.sources.photo_tags import PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
@@ -61,7 +62,7 @@ class Photos(RecordedSource):
         self._findings.expect("photos", len(files))
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         self._facts: dict[Path, PhotoFacts] = {}
-        photos = self._of_cameras(self._upright(self._readable(files)), settings)
+        photos = self._of_cameras(self._without_thermal(self._upright(self._readable(files))), settings)
         if not any(p.position for p in photos):
             raise InputError(
                 f"{root}: no photo has a GPS position; photos need EXIF GPS latitude, longitude and altitude"
@@ -142,6 +143,16 @@ class Photos(RecordedSource):
             )
         return upright
 
+    def _without_thermal(self, photos: list[PhotoTags]) -> list[PhotoTags]:
+        thermal = thermal_photos(photos)
+        if thermal:
+            self._findings.say(f"{len(thermal)} thermal picture(s) are left out (first: {thermal[0].path.name})")
+            self._findings.counts["thermal pictures"] = len(thermal)
+        for p in thermal:
+            self._leave_out(p.path, "a thermal picture")
+        aside = {p.path for p in thermal}
+        return [p for p in photos if p.path not in aside]
+
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
         groups = Counter(p.camera for p in photos).most_common()
@@ -153,8 +164,6 @@ class Photos(RecordedSource):
                 out[camera] = "sources.calibration is of another camera"
             elif count < LEAST_OF_A_CAMERA:
                 out[camera] = f"fewer than {LEAST_OF_A_CAMERA} photos of its camera"
-            elif "infrared" in its.xmp.get("dji:ImageSource", "").lower():
-                out[camera] = "an infrared picture"
             elif not has_focal_length(its):
                 out[camera] = "no focal length in its tags"
             else:
