@@ -16,7 +16,7 @@ from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.records import Event, Frame, InputError, NavSample
 from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
-from alight.sources.images import has_end
+from alight.sources.images import has_end, image_size, read_image
 from alight.sources.photo_pose import BODY_FROM_CAM
 from alight.sources.photo_tags import parse_xmp
 
@@ -297,15 +297,34 @@ def test_one_photo_without_gps(photos: Path) -> None:
     assert source.warnings == ["1 of 5 photos have no GPS position: their place comes from the pictures alone"]
 
 
-def test_turned_photos_are_left_out(photos: Path) -> None:
-    d.write_photo(photos / "DJI_0009.JPG", main={274: 6})
+def test_turned_photos_are_used_as_they_are_stored(photos: Path) -> None:
+    """Of one camera with the others; only where they looked is not known."""
+    d.write_photo(photos / "DJI_0009.JPG", 9, second="59", main={274: 6})
     source = opened(photos)
-    assert source.length == 4
-    assert "DJI_0009.JPG: its EXIF orientation is 6" in source.warnings[0]
-    for path in photos.iterdir():
-        d.write_photo(path, main={274: 3})
-    with pytest.raises(InputError, match="every photo has an EXIF orientation other than 1"):
-        opened(photos)
+    assert (source.length, len(source.rig.cameras)) == (5, 1)
+    navs, frames = of_kind(source, NavSample), of_kind(source, Frame)
+    assert [n.world_from_body is None for n in navs] == [False] * 4 + [True]
+    assert navs[-1].position_world is not None
+    with Image.open(photos / "DJI_0009.JPG") as stored:
+        np.testing.assert_array_equal(np.asarray(frames[-1].images[0]), np.asarray(stored))
+    assert source.photos[-1].attitude_from == "not used: EXIF orientation 6"
+    assert source.warnings == [
+        "1 photo(s) have an EXIF orientation other than 1: their pixels are used as they are stored, their attitude "
+        "tags are not used"
+    ]
+    for k, path in enumerate(sorted(photos.iterdir())):
+        d.write_photo(path, k, main={274: 3})
+    assert opened(photos).length == 5
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_tiff_is_not_turned_either(tmp_path: Path, orientation: int) -> None:
+    picture, path = d.picture(3), tmp_path / "a.tif"
+    exif = Image.Exif()
+    exif[274] = orientation
+    picture.save(path, exif=exif)
+    assert image_size(path) == d.SIZE
+    np.testing.assert_array_equal(read_image(path, d.SIZE), np.asarray(picture))
 
 
 @pytest.mark.parametrize("packet", [b"<x:xmpmeta", b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>'])

@@ -8,9 +8,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
+
+# how the turn of each EXIF orientation is undone
+_UNTURN = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_90, 7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_270,
+}  # fmt: skip
 
 
 def open_image(path: Path) -> Image.Image:
@@ -35,7 +43,22 @@ def image_size(path: Path) -> tuple[int, int]:
         One of `UNREADABLE`.
     """
     with open_image(path) as image:
-        return image.size
+        return stored_size(image)
+
+
+def stored_size(image: Image.Image) -> tuple[int, int]:
+    """(width, height) as the pixels lie in the file: pillow turns a TIFF by its EXIF orientation, and nothing else."""
+    if isinstance(image, TiffImageFile):
+        return int(image.tag_v2[IMAGEWIDTH]), int(image.tag_v2[IMAGELENGTH])
+    return image.size
+
+
+def _as_stored(image: Image.Image) -> Image.Image:
+    if not isinstance(image, TiffImageFile):
+        return image
+    unturn = _UNTURN.get(image.tag_v2.get(ExifTags.Base.Orientation, 1))  # the tag is gone once the pixels are read
+    image.load()
+    return image if unturn is None else image.transpose(unturn)
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
@@ -62,7 +85,7 @@ def has_end(jpeg: bytes) -> bool:
 
 
 def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Decode a whole image, (H, W) when the file is grey, else (H, W, 3) RGB.
+    """Decode a whole image as it is stored, (H, W) when the file is grey, else (H, W, 3) RGB.
 
     OpenCV decodes a truncated JPEG without a word and leaves its lower part grey: hence pillow, which refuses it.
 
@@ -71,9 +94,10 @@ def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     """
     try:
         with open_image(path) as image:
-            if image.size != size:
-                raise ValueError(f"it is {image.size[0]}x{image.size[1]}, the camera {size[0]}x{size[1]}")
-            pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
+            stored = stored_size(image)
+            if stored != size:
+                raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
+            pixels, jpeg = _pixels(_as_stored(image)), image.format in ("JPEG", "MPO")
         if jpeg and not has_end(path.read_bytes()):
             raise ValueError("it is truncated: its end is missing")
         return pixels

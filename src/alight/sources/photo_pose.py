@@ -26,10 +26,15 @@ GPS_SIGMA = np.array([3.0, 3.0, 5.0])  # m, a consumer receiver
 def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     """`world_from_body` (3, 3) of the gimbal, and which tags it came from ("" without any).
 
+    None where the EXIF orientation turns the picture: nobody says whether the angles are of the turned one or of the
+    pixels as they are stored.
+
     DJI and Parrot's own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
     Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
     image's top to the north. Some Autel drones write a pitch from the horizon into these: no camera looks so far back.
     """
+    if tags.turned:
+        return None, f"not used: EXIF orientation {tags.turned}"
     for pattern in ("dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree"):
         if (gimbal := _angles(tags, pattern)) is not None:
             return enu_from_flu(*gimbal), "gimbal"

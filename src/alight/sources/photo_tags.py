@@ -13,7 +13,7 @@ from typing import Any
 
 from PIL import ExifTags, Image
 
-from alight.sources.images import open_image
+from alight.sources.images import open_image, stored_size
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
 MOST_ZOOM = 100.0  # of a digital zoom
@@ -77,9 +77,10 @@ class PhotoTags:
         return "sea level or ellipsoid: not said"
 
     @property
-    def orientation(self) -> int:
-        """EXIF orientation; 1 is upright, 0 is unknown."""
-        return int(self.number(Base.Orientation) or 0)
+    def turned(self) -> int:
+        """EXIF orientation of a picture that is to be turned before it is looked at; 0: upright, or not said."""
+        orientation = int(self.number(Base.Orientation) or 0)
+        return orientation if 2 <= orientation <= 8 else 0
 
     @property
     def time_ns(self) -> int | None:
@@ -195,4 +196,4 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
                 xmp = parse_xmp(packet)
         except ValueError as e:
             problem = str(e)
-        return PhotoTags(path, image.size, exif, gps, xmp), problem
+        return PhotoTags(path, stored_size(image), exif, gps, xmp), problem

@@ -62,7 +62,7 @@ class Photos(RecordedSource):
         self._findings.expect("photos", len(files))
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         self._facts: dict[Path, PhotoFacts] = {}
-        photos = self._of_cameras(self._without_thermal(self._upright(self._readable(files))), settings)
+        photos = self._of_cameras(self._without_thermal(self._readable(files)), settings)
         if not any(p.position for p in photos):
             raise InputError(
                 f"{root}: no photo has a GPS position; photos need EXIF GPS latitude, longitude and altitude"
@@ -129,19 +129,6 @@ class Photos(RecordedSource):
         if not photos:
             raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
         return photos
-
-    def _upright(self, photos: list[PhotoTags]) -> list[PhotoTags]:
-        """Leave out photos that are stored turned: their attitude tags do not say about which axes."""
-        upright = [p for p in photos if p.orientation in (0, 1)]
-        for p in photos:
-            if p.orientation not in (0, 1):
-                why = f"its EXIF orientation is {p.orientation}; turn it losslessly and set the tag to 1"
-                self._lose(p.path, why)
-        if not upright:
-            raise InputError(
-                f"{photos[0].path.parent}: every photo has an EXIF orientation other than 1; turn them losslessly"
-            )
-        return upright
 
     def _without_thermal(self, photos: list[PhotoTags]) -> list[PhotoTags]:
         thermal = thermal_photos(photos)
@@ -283,6 +270,11 @@ class Photos(RecordedSource):
         if kinds["flight"]:
             self._findings.say(
                 f"{kinds['flight']} photo(s) have no gimbal angles: a camera fixed to look down is assumed"
+            )
+        if turned := sum(p.turned > 0 for p in photos):
+            self._findings.say(
+                f"{turned} photo(s) have an EXIF orientation other than 1: their pixels are used as they are stored, "
+                "their attitude tags are not used"
             )
         if kinds["none"]:
             self._findings.say(f"{kinds['none']} photo(s) say nothing about where the camera looked")
