@@ -187,6 +187,16 @@ def test_sub_folders_and_names(tmp_path: Path) -> None:
     assert source.name == tmp_path.name  # "DCIM" says nothing
 
 
+def test_the_root_of_a_memory_card(tmp_path: Path) -> None:
+    d.write_photo(tmp_path / "DCIM/100MEDIA/a.JPG")
+    d.write_photo(tmp_path / "DCIM/survey/101MEDIA/b.JPG", second="12")
+    d.write_photo(tmp_path / "c.JPG", second="14")
+    for folder in (".Trash", "DCIM/odm_orthophoto", "DCIM/thumbs", "MISC/my_thumbnails", "out", "DCIM/a/b/c"):
+        d.write_photo(tmp_path / folder / "no.JPG")
+    (tmp_path / "out" / "run.json").write_text("{}")
+    assert names(opened(tmp_path)) == ["a.JPG", "b.JPG", "c.JPG"]
+
+
 def test_skip_and_every(photos: Path) -> None:
     assert names(opened(photos, "sources.skip=1", "sources.every=2")) == ["DJI_0001.JPG", "DJI_0003.JPG"]
     with pytest.raises(InputError, match=r"sources\.skip"):

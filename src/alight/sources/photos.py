@@ -30,6 +30,7 @@ from alight.sources.source import Findings, RecordedSource, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 GENERIC = ("images", "photos", "dcim", "jpg")  # folder names that say nothing; the parent's says more
+DEEPEST = 3  # levels of sub-folders in which photos are looked for
 SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
@@ -38,10 +39,24 @@ CameraKey = tuple[str, str, tuple[int, int], float | None]
 RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
-def find_photos(folder: Path) -> list[Path]:
-    """Pictures of a folder and of its sub-folders (one level: DCIM/100MEDIA), hidden ones left out."""
-    found = [*folder.iterdir(), *(p for sub in sorted(folder.iterdir()) if sub.is_dir() for p in sub.iterdir())]
-    return sorted(p for p in found if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and not p.is_dir())
+def find_photos(folder: Path, depth: int = DEEPEST) -> list[Path]:
+    """Pictures of a folder and of its sub-folders (as `DCIM/100MEDIA` of a card), sorted.
+
+    Hidden ones are left out, as are thumbnails and what programs wrote there, Alight too.
+    """
+    found, inside = list[Path](), sorted(folder.iterdir())
+    for path in inside:
+        if path.is_dir():
+            found += find_photos(path, depth - 1) if depth > 0 and _may_hold_photos(path) else []
+        elif path.suffix.lower() in SUFFIXES and not path.name.startswith("."):
+            found.append(path)
+    return sorted(found)
+
+
+def _may_hold_photos(folder: Path) -> bool:
+    name = folder.name.lower()
+    output = name == "mav0" or name.startswith((".", "odm_", "thumb")) or "thumbnails" in name
+    return not output and not (folder / "run.json").exists()
 
 
 class Photos(RecordedSource):
