@@ -88,7 +88,9 @@ def survey(
     state = BundleState(centres, rotations, points, lens, rng.normal(0, 0.01, 3), turns)
     photo, point = np.concatenate(seen), np.repeat(np.arange(POINTS), [len(s) for s in seen])
     velocity = rng.normal(0, 4, (PHOTOS, 3))
-    obs = BundleObservations(photo.astype(np.int64), point, rng.uniform(0, 640, (len(photo), 2)))
+    obs = BundleObservations(
+        photo.astype(np.int64), point, rng.uniform(0, 640, (len(photo), 2)), np.zeros(len(photo), bool)
+    )
     pixels = twins.predicted(state, obs, lenses.moved(lens), velocity) + rng.normal(0, 2, obs.pixels.shape)
     free = rng.random(numbers) < 0.7
     priors = Priors(
@@ -151,7 +153,7 @@ def close(found: F64, wanted: F64, size: F64, tolerance: float) -> None:
 def test_blocks_are_those_of_the_rows_written_out(cameras: tuple[Camera, ...], turning: float) -> None:
     """Every lens, with turns and without, several cameras with free numbers of their own."""
     state, obs, priors = survey(cameras, turning)
-    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system = Adjustment(obs, priors, sigmas(obs), LOSS)
     system.linearise(state)
     H, g = parts(system)
     wanted, right = expected(system, state)
@@ -193,7 +195,7 @@ def test_the_reduced_system_is_the_dense_schur_complement(
 ) -> None:
     """Matrix, right side, and the steps of points that follow, by the whole system solved at once."""
     state, obs, priors = survey(cameras, turning)
-    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system = Adjustment(obs, priors, sigmas(obs), LOSS)
     system.linearise(state)
     H, g = parts(system)
     H += damping * np.diag(np.diag(H))
@@ -220,7 +222,7 @@ def test_a_point_behind_a_camera_is_far_off_and_no_reason_to_stop() -> None:
     assert np.isnan(pixels[behind]).all()
     assert np.isfinite(pixels[~behind]).all()
     np.testing.assert_array_equal(residuals(state, obs, priors)[behind], twins.FAR)
-    system = Adjustment(obs, priors, SIGMA, LOSS)
+    system = Adjustment(obs, priors, sigmas(obs), LOSS)
     system.linearise(state)
     assert np.isfinite(system.reduce(1e-3)[0]).all()
 
@@ -239,6 +241,11 @@ def test_predictions_and_rays_are_those_of_numpy(cameras: tuple[Camera, ...], tu
         wanted = R @ lenses.of_photo(int(photo)).rays(pixel)
         np.testing.assert_allclose(ray[n], wanted / np.linalg.norm(wanted), atol=1e-9)
         np.testing.assert_allclose(origin[n], C, atol=1e-12)
+
+
+def sigmas(obs: BundleObservations) -> F64:
+    """(N,) px, some of features, some of patches."""
+    return np.where(np.arange(len(obs.photo)) % 3, SIGMA, 0.2 * SIGMA)
 
 
 def starts_of(obs: BundleObservations) -> I64:
@@ -275,6 +282,6 @@ def test_no_observation_is_no_error() -> None:
     lenses = priors.lenses.moved(state.lens)
     assert triangulate_bundle(empty, lenses, priors.velocity, none).shape == (0, 3)
     assert intersection_angle(empty.points, empty.centres, none).shape == (0,)
-    system = Adjustment(none, priors, SIGMA, LOSS)
+    system = Adjustment(none, priors, sigmas(none), LOSS)
     system.linearise(empty)
     np.testing.assert_allclose(system.reduce(0.0)[0], system._prior_blocks(empty)[0], atol=1e-10)

@@ -72,7 +72,7 @@ def rows(state: BundleState, obs: BundleObservations, priors: Priors, each: int)
     return np.nan_to_num(r, nan=FAR).ravel(), J[:, :, keep].reshape(2 * len(obs.photo), -1)
 
 
-def cauchy_weights(r: F64, sigma: float, loss: float) -> F64:
+def cauchy_weights(r: F64, sigma: F64, loss: float) -> F64:
     """(2N,) weights of rows, in units of 1 / px^2."""
     square = (r.reshape(-1, 2) ** 2).sum(axis=1) / sigma**2
     return np.repeat(1.0 / (1.0 + square / loss**2) / sigma**2, 2)

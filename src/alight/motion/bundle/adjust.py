@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from alight.arrays import F64, I64
+from alight.arrays import F64, I64, Mask
 from alight.geometry import Pose, skew
 from alight.jobs import InTurn, Jobs
 from alight.motion.bundle.exposure import exposure_gains
@@ -28,6 +28,7 @@ from alight.motion.bundle.matching import (
     tracks,
 )
 from alight.motion.bundle.orientation import Oriented, components, orient
+from alight.motion.bundle.patch_matching import refine_observations
 from alight.motion.bundle.points import confirmed
 from alight.motion.bundle.priors import corrected_priors, levelled, make_priors, observable_lens
 from alight.motion.bundle.resection import resect, without_photos
@@ -54,7 +55,7 @@ from alight.spread import robust_sigma
 
 log = logging.getLogger(__name__)
 
-_LEAST_SIGMA = 0.3  # px; below it errors of features are correlated
+_LEAST_SIGMA, _LEAST_BY_PATCH = 0.3, 0.1  # px, of features and of patches; below it their errors are correlated
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
 _LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
@@ -106,7 +107,13 @@ def adjust(
         pairs += matched
         tell(0.35 + 0.35 * n / len(frames))
     seconds = np.array([f.t_ns * 1e-9 for f in frames])
-    solved = solve_bundle(tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f), seconds)
+
+    def sharper(state: BundleState, obs: BundleObservations, with_lens: Priors) -> BundleObservations:
+        return refine_observations(state, obs, with_lens, frames, jobs)
+
+    solved = solve_bundle(
+        tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f), seconds, sharper
+    )
     tell(1.0)
     return _result(frames, features, rig, priors, solved, settings)
 
@@ -118,10 +125,12 @@ def solve_bundle(
     settings: BundleSettings,
     tell: Callable[[float], None] = lambda _: None,
     seconds: F64 | None = None,
+    sharper: Callable[[BundleState, BundleObservations, Priors], BundleObservations] = lambda state, obs, priors: obs,
 ) -> Solved | None:
     """First poses, then rounds of triangulation, selection and adjustment; None when no two photos are connected.
 
-    `seconds` (n,) says when the photos were taken; None: rows count as exposed at once.
+    `seconds` (n,) says when the photos were taken; None: rows count as exposed at once. `sharper` finds observations
+    more exactly before the last adjustment.
     """
     first = first_poses(pairs, priors)
     if first is None:
@@ -144,8 +153,11 @@ def solve_bundle(
         photos = np.setdiff1d(photos, lost)
         state, _ = one_round(state, few, priors, *ROUNDS[-2])
     state, used = one_round(state, most, priors, *ROUNDS[-1])
+    tell(0.75)
+    obs = sharper(*retriangulate(state, obs, priors, 4.0, 2.0), priors)
+    state, used = retriangulate(state, select(obs, settings.observations), priors, 4.0, 2.0)
     tell(0.85)
-    sigma = max(_LEAST_SIGMA, robust_sigma(residuals(state, used, priors)))
+    sigma = pixel_sigmas(residuals(state, used, priors), used.by_patch)
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
     joint = last.covariance(state)
@@ -157,7 +169,15 @@ def solve_bundle(
     registered = np.intersect1d(photos, np.flatnonzero((seen >= LEAST_SEEN) & fixed))
     free = priors.sigma_lens > 0
     free[priors.lenses.readout_numbers] = False
-    return Solved(state, registered, every, joint, sigma, first, placed, free, priors)
+    return Solved(state, registered, every, joint, first, placed, free, priors)
+
+
+def pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
+    """(N,) px, the 1-sigma of observations with residuals (N, 2): one of features, one of patches."""
+    out = np.empty(len(residual))
+    for which, least in ((~by_patch, _LEAST_SIGMA), (by_patch, _LEAST_BY_PATCH)):
+        out[which] = max(least, robust_sigma(residual[which])) if which.any() else least
+    return out
 
 
 def _of_no_height(joint: F64, tags: F64) -> F64:

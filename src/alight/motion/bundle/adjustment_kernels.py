@@ -126,7 +126,7 @@ def _couple(B: F64, J: F64, each: int, place: I64, coupling: F64, lens_coupling:
 @kernel
 def linearise(
     photo: I64, pixels: F64, R: F64, C: F64, turns: F64, velocity: F64, camera: I64, lens: F64, model: I64,
-    point: I64, x: F64, scale: F64, number: I64, place: I64, each: int, sigma: float, loss: float,
+    point: I64, x: F64, scale: F64, number: I64, place: I64, each: int, sigma: F64, loss: float,
     own: F64, right: F64, coupling: F64, lens_coupling: F64, information: F64, gradient: F64,
 ) -> None:  # fmt: skip
     """Add the blocks of the normal equations of all observations, weighted by a Cauchy loss (eqs. 2, 3, 7, 11).
@@ -137,7 +137,8 @@ def linearise(
         number: (c, f) which numbers of a lens are free (`READOUT_NUMBER`), then -1.
         place: (c, f) where each stands among all k that are free.
         each: e.
-        sigma, loss: px, and the scale of the loss in sigmas.
+        sigma: (N,) px, of each observation.
+        loss: the scale of the loss in sigmas.
         own: (n, e + f, e + f) blocks of the photos and their lenses, the lower triangle.
         right: (n, e + f) right side of these.
         coupling: (N, 3, e) blocks of points and photos, written and not added to.
@@ -155,7 +156,7 @@ def linearise(
         to_camera(row_R, row_C, x[k], q)
         near = 1.0 / max(q[2], MIN_DEPTH)
         distort(q[0] * near, q[1] * near, model[c], of[4:9], flat, by_xy, by_k)
-        w = _residual(q[2], flat, of, pixels[n], sigma, loss, r)
+        w = _residual(q[2], flat, of, pixels[n], sigma[n], loss, r)
         _by_point(row_R, q[0] * near, q[1] * near, near, of, by_xy, B)
         _by_pose(B, x[k], row_C, R[i], t, each, J)
         _by_lens(flat, by_k, of, scale[c], B, velocity[i], t, D)

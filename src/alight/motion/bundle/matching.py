@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from alight.arrays import F32, F64, I64, U8
+from alight.arrays import F32, F64, I64, U8, Mask
 from alight.geometry import Camera
 from alight.jobs import Jobs, Sent, Task
 from alight.motion.bundle.lenses import PhotoLenses
@@ -65,6 +65,7 @@ class BundleObservations:
     photo: I64  # (N,)
     point: I64  # (N,) 0 .. points - 1, every number occurs
     pixels: F64  # (N, 2)
+    by_patch: Mask  # (N,) whose pixels are those of patches that were matched, not of features
 
     @property
     def starts(self) -> I64:
@@ -81,7 +82,7 @@ class BundleObservations:
         count = np.bincount(self.point[rows], minlength=self.points)
         rows = rows & (count[self.point] >= least)
         old, point = np.unique(self.point[rows], return_inverse=True)
-        return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows]), old
+        return BundleObservations(self.photo[rows], point.astype(np.int64), self.pixels[rows], self.by_patch[rows]), old
 
 
 def colmap() -> ModuleType:
@@ -116,11 +117,19 @@ def colmap_camera(camera: Camera) -> object:
     return out
 
 
-def _shrunk(picture: U8, factor: float) -> U8:
+def shrunk(image: Pixels, longest: float) -> U8:
+    """A picture whose longest side has no more pixels than that, (H, W) grey or (H, W, 3) RGB."""
+    picture = np.asarray(image)
+    factor = longest / max(picture.shape[:2])
     if factor < 1.0:
         size = (round(picture.shape[1] * factor), round(picture.shape[0] * factor))
         picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
     return np.ascontiguousarray(picture, dtype=np.uint8)
+
+
+def grey_levels(picture: U8) -> U8:
+    """(H, W) of a picture that is grey or RGB."""
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)) if picture.ndim == 3 else picture
 
 
 def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
@@ -130,9 +139,8 @@ def extract(image: Pixels, settings: BundleSettings) -> PhotoFeatures:
     four times as much a picture.
     """
     picture = np.asarray(image)
-    factor = min(1.0, settings.image_px / max(picture.shape[:2]))
-    read = _shrunk(picture, factor)
-    grey = cv2.cvtColor(read, cv2.COLOR_RGB2GRAY) if read.ndim == 3 else read
+    read = shrunk(picture, settings.image_px)
+    grey = grey_levels(read)
     place, table = described(grey, detect(grey, _CONTRAST), settings.features)
     if len(place) < min(_ENOUGH, settings.features):
         twice = np.asarray(cv2.resize(grey, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR), np.uint8)
@@ -299,7 +307,7 @@ def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> B
     offset = np.concatenate([[0], np.cumsum([0 if f is None else len(f.pixels) for f in features])])
     total = int(offset[-1])
     if not pairs:
-        return BundleObservations(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)))
+        return BundleObservations(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty(0, bool))
     edges = np.concatenate([p.matches + np.array([offset[p.i], offset[p.j]]) for p in pairs])
     graph = sparse.coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
     label = connected_components(graph, directed=False)[1].astype(np.int64)
@@ -311,4 +319,7 @@ def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> B
     sorted_photo = photo[order]
     twice = (np.diff(point, prepend=-1) == 0) & (np.diff(sorted_photo, prepend=-1) == 0)
     clean = ~np.isin(point, point[twice])
-    return BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order]).keep(clean)[0]
+    by_patch = np.zeros(len(order), dtype=bool)
+    return BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order], by_patch).keep(
+        clean
+    )[0]

@@ -99,7 +99,7 @@ def _by_rows(first: BundleState, obs: BundleObservations, priors: Priors) -> tup
 def _misfit(state: BundleState, obs: BundleObservations, priors: Priors) -> float:
     """The robust cost of all observations, those that no point explains like the mean of the others."""
     state, used = retriangulate(state, obs, priors, np.inf, 2.0)
-    return total_cost(state, used, priors, 1.0, 2.0) * len(obs.photo) / max(len(used.photo), 1)
+    return total_cost(state, used, priors, np.ones(len(used.photo)), 2.0) * len(obs.photo) / max(len(used.photo), 1)
 
 
 def one_round(
@@ -108,7 +108,7 @@ def one_round(
     """Triangulate, remove outliers, adjust; return the state and the observations used."""
     state, used = retriangulate(state, obs, priors, cut, loss)
     if len(used.photo):
-        state = Adjustment(used, priors, 1.0, loss).solve(state, 15, 1e-4)
+        state = Adjustment(used, priors, np.ones(len(used.photo)), loss).solve(state, 15, 1e-4)
         left = float(np.median(np.abs(residuals(state, used, priors))))
         log.info("cut %g px: %d observations, median %.2f px", cut, len(used.photo), left)
     return state, used

@@ -100,16 +100,23 @@ def prior_cost(state: BundleState, priors: Priors) -> float:
     return cost + (float((state.mounting**2).sum()) / priors.sigma_mounting**2 if priors.sigma_mounting > 0 else 0.0)
 
 
-def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixel_sigma: float, loss: float) -> float:
-    """Return the whole robust cost; `loss` is the Cauchy scale of the pictures in sigmas."""
-    r = residuals(state, obs, priors) / pixel_sigma
+def total_cost(state: BundleState, obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float) -> float:
+    """Return the whole robust cost; `pixel_sigma` (N,) px, `loss` is the Cauchy scale of the pictures in sigmas."""
+    r = residuals(state, obs, priors) / pixel_sigma[:, None]
     return cauchy((r**2).sum(axis=1), loss)[1] + prior_cost(state, priors)
 
 
 class Adjustment:
-    """One Gauss-Newton system over fixed observations: build it, step, accept or damp."""
+    """One Gauss-Newton system over fixed observations: build it, step, accept or damp.
 
-    def __init__(self, obs: BundleObservations, priors: Priors, pixel_sigma: float, loss: float) -> None:
+    Args:
+        obs: N of them.
+        priors: of GPS, gimbal and lens.
+        pixel_sigma: (N,) px, 1-sigma of each observation.
+        loss: Cauchy scale in sigmas.
+    """
+
+    def __init__(self, obs: BundleObservations, priors: Priors, pixel_sigma: F64, loss: float) -> None:
         self.obs, self.priors, self.pixel_sigma, self.loss = obs, priors, pixel_sigma, loss
         self.photos = len(priors.centres)
         self.free = np.flatnonzero(priors.sigma_lens > 0)

@@ -41,7 +41,6 @@ class Solved:
     registered: I64
     observations: BundleObservations  # of `state.points`, outliers removed
     joint: F64  # (6 n + k, 6 n + k) of the poses of all photos and the k lens numbers that are free
-    pixel_sigma: float
     first: FirstPoses
     placed: I64  # photos whose GPS was ignored and which were placed by resection
     free: NDArray[np.bool_]  # lens numbers that were estimated: scale aspect cu cv distortion...; readouts are not told

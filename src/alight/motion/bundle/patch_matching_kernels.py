@@ -1,0 +1,162 @@
+"""Least squares matching of patches: kernels. Equation numbers: docs/method/patches.md.
+
+A patch is a square of (2 `HALF` + 1 + 2) pixels about an observation, a margin of one about what is compared.
+"""
+
+import math
+
+import numpy as np
+
+from alight.arrays import F32, F64
+from alight.compiled import kernel, pixelwise
+
+HALF = 7  # pixels from the middle of a patch to its sides
+SPREAD = 4.2  # pixels, 1-sigma of the weights about the middle
+MOST = 1.5  # pixels that an observation may move
+_STEP = 0.003  # pixels; smaller steps end the search
+_ROUNDS = 10
+_LEAST_VARIANCE = 1.0  # squared grey levels of a patch
+_LEAST_ANGLE = 1e-4  # determinant over the product of the diagonal, of the normal equations
+
+
+@pixelwise
+def _weights(f: float, out: F64) -> None:
+    """Write the four weights of cubic convolution at a fraction of a pixel (Keys 1981, a = -1/2)."""
+    out[0] = f * (-0.5 + f * (1.0 - 0.5 * f))
+    out[1] = 1.0 + f * f * (-2.5 + 1.5 * f)
+    out[2] = f * (0.5 + f * (2.0 - 1.5 * f))
+    out[3] = f * f * (-0.5 + 0.5 * f)
+
+
+@pixelwise
+def _sample(picture: F32, x: float, y: float, wx: F64, wy: F64) -> float:
+    """The grey level at a place (column, row); NaN too near the picture's edge."""
+    i, j = math.floor(x), math.floor(y)
+    if i < 1 or j < 1 or i > picture.shape[1] - 3 or j > picture.shape[0] - 3:
+        return math.nan
+    _weights(x - i, wx)
+    _weights(y - j, wy)
+    grey = 0.0
+    for b in range(4):
+        row = 0.0
+        for a in range(4):
+            row += wx[a] * picture[j - 1 + b, i - 1 + a]
+        grey += wy[b] * row
+    return grey
+
+
+@kernel
+def sample_patches(picture: F32, at: F64, out: F32) -> None:
+    """Write the patches (K, S, S) of a picture (H, W) about places (K, 2), NaN beyond its edge."""
+    wx, wy = np.empty(4), np.empty(4)
+    for k in range(len(at)):
+        for r in range(out.shape[1]):
+            for c in range(out.shape[2]):
+                out[k, r, c] = _sample(picture, at[k, 0] + c - HALF - 1, at[k, 1] + r - HALF - 1, wx, wy)
+
+
+@pixelwise
+def _inverse(N: F64, out: F64) -> bool:
+    """Write the inverse of a symmetric matrix (3, 3); False: it has none."""
+    a, b, c, d, e, f = N[0, 0], N[0, 1], N[0, 2], N[1, 1], N[1, 2], N[2, 2]
+    out[0, 0], out[0, 1], out[0, 2] = d * f - e * e, c * e - b * f, b * e - c * d
+    out[1, 1], out[1, 2], out[2, 2] = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * out[0, 0] + b * out[0, 1] + c * out[0, 2]
+    if not det > _LEAST_ANGLE * a * d * f:
+        return False
+    for i in range(3):
+        for j in range(i, 3):
+            out[i, j] /= det
+            out[j, i] = out[i, j]
+    return True
+
+
+@pixelwise
+def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
+    """Write the grey levels and slopes (3, P) of a patch less their means, and their products (3, 3) with weights (P,).
+
+    Returns its variance, squared grey levels; NaN where it reaches over the edge of its picture.
+    """
+    side = 2 * HALF + 1
+    mean, whole = np.zeros(3), 0.0
+    for r in range(side):
+        for c in range(side):
+            p = r * side + c
+            terms[0, p] = patch[r + 1, c + 1]
+            terms[1, p] = 0.5 * (patch[r + 1, c + 2] - patch[r + 1, c])
+            terms[2, p] = 0.5 * (patch[r + 2, c + 1] - patch[r, c + 1])
+            whole += weight[p]
+            for i in range(3):
+                mean[i] += weight[p] * terms[i, p]
+    N[:] = 0.0
+    for p in range(side * side):
+        for i in range(3):
+            terms[i, p] -= mean[i] / whole
+        for i in range(3):
+            for j in range(3):
+                N[i, j] += weight[p] * terms[i, p] * terms[j, p]
+    variance: float = N[0, 0] / whole
+    return variance
+
+
+@kernel
+def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, likeness: F64) -> None:
+    """Find patches (K, S, S) in another picture (H, W) to a fraction of a pixel (eqs. 13, 14).
+
+    Args:
+        patches: grey levels about the first observation of each point.
+        picture: the other one.
+        at: (K, 2) where they are expected there.
+        warp: (K, 2, 2) how far a place moves there by one pixel of the patch.
+        moved: (K, 2) how far from there they were found; NaN: they were not.
+        likeness: (K,) coefficient of correlation; 0 where they were not found.
+    """
+    side = 2 * HALF + 1
+    weight = np.empty(side * side)
+    for r in range(side):
+        for c in range(side):
+            weight[r * side + c] = math.exp(-0.5 * ((r - HALF) ** 2 + (c - HALF) ** 2) / SPREAD**2)
+    whole = weight.sum()
+    terms, N, C = np.empty((3, side * side)), np.empty((3, 3)), np.empty((3, 3))
+    right, h, wx, wy = np.empty(3), np.empty(3), np.empty(4), np.empty(4)
+    for k in range(len(at)):
+        moved[k] = np.nan
+        likeness[k] = 0.0
+        if not _template(patches[k], weight, terms, N) > _LEAST_VARIANCE or not _inverse(N, C):
+            continue
+        x, y, found = 0.0, 0.0, False
+        for _ in range(_ROUNDS):
+            right[:] = 0.0
+            mean, square = 0.0, 0.0
+            for r in range(side):
+                for c in range(side):
+                    p, u, v = r * side + c, c - HALF, r - HALF
+                    there_x = at[k, 0] + x + warp[k, 0, 0] * u + warp[k, 0, 1] * v
+                    there_y = at[k, 1] + y + warp[k, 1, 0] * u + warp[k, 1, 1] * v
+                    grey = _sample(picture, there_x, there_y, wx, wy)
+                    mean += weight[p] * grey
+                    square += weight[p] * grey * grey
+                    for i in range(3):
+                        right[i] += weight[p] * terms[i, p] * grey
+            variance = square / whole - (mean / whole) ** 2
+            if not variance > _LEAST_VARIANCE:  # nor is NaN
+                break
+            likeness[k] = right[0] / whole / math.sqrt(variance * N[0, 0] / whole)
+            for i in range(3):
+                h[i] = C[i, 0] * right[0] + C[i, 1] * right[1] + C[i, 2] * right[2]
+            if not h[0] > 0.0:
+                break
+            dx, dy = h[1] / h[0], h[2] / h[0]
+            step_x = warp[k, 0, 0] * dx + warp[k, 0, 1] * dy
+            step_y = warp[k, 1, 0] * dx + warp[k, 1, 1] * dy
+            x -= step_x
+            y -= step_y
+            if x * x + y * y > MOST * MOST:
+                break
+            if step_x * step_x + step_y * step_y < _STEP * _STEP:
+                found = True
+                break
+        if found:
+            moved[k, 0], moved[k, 1] = x, y
+        else:
+            likeness[k] = 0.0
