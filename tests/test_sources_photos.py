@@ -18,7 +18,8 @@ from alight.settings import Settings, load_settings
 from alight.sources import Source, open_source
 from alight.sources.images import has_end, image_size, read_image
 from alight.sources.photo_pose import BODY_FROM_CAM
-from alight.sources.photo_tags import parse_xmp
+from alight.sources.photo_tags import finite
+from alight.sources.photo_xmp import parse_xmp, salvage_xmp
 
 
 def opened(path: Path, *assignments: str) -> Source:
@@ -339,12 +340,68 @@ def test_a_tiff_is_not_turned_either(tmp_path: Path, orientation: int) -> None:
 
 @pytest.mark.parametrize("packet", [b"<x:xmpmeta", b'<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>'])
 def test_broken_xmp(photos: Path, packet: bytes) -> None:
-    d.write_photo(photos / "DJI_0009.JPG", second="59", xmp=packet)
+    """One warning, however many photos."""
+    for k in range(8, 10):
+        d.write_photo(photos / f"DJI_000{k}.JPG", second=f"5{k}", xmp=packet)
     source = opened(photos)
-    assert source.length == 5
-    assert source.warnings[0].startswith("DJI_0009.JPG: its XMP")
+    assert source.length == 6
+    (warning,) = (w for w in source.warnings if "XMP" in w)
+    assert warning.startswith("2 photo(s) have damaged XMP (first: DJI_0008.JPG: its XMP")
     with pytest.raises(ValueError, match="its XMP"):
         parse_xmp(packet)
+
+
+@pytest.mark.parametrize("elements", [False, True])
+def test_values_are_picked_out_of_damaged_xmp(tmp_path: Path, elements: bool) -> None:
+    """A prefix that nobody declared, an element that nobody closed."""
+    whole = d.xmp_packet(d.dji_tags(), elements=elements)
+    packet = whole.replace(b"<rdf:Description", b"<rdf:Description odd:tag='1'").replace(
+        b"</rdf:RDF>", b"<a></rdf:RDF>"
+    )
+    d.write_photo(tmp_path / "a.jpg", xmp=packet)
+    d.write_photo(tmp_path / "b.jpg", xmp=whole, second="12")
+    source = opened(tmp_path)
+    assert "1 photo(s) have damaged XMP (first: a.jpg: its XMP is malformed)" in source.warnings[0]
+    first, second = of_kind(source, NavSample)
+    np.testing.assert_array_equal(first.world_from_body, second.world_from_body)
+    np.testing.assert_array_equal(first.sigma_position, second.sigma_position)
+    assert salvage_xmp(packet).items() >= d_named(d.dji_tags()).items()
+
+
+def d_named(tags: dict[str, str]) -> dict[str, str]:
+    return {f"dji:{k}": v for k, v in tags.items()}
+
+
+def test_what_stands_about_the_packet_does_no_harm() -> None:
+    whole = d.xmp_packet(d.dji_tags())
+    assert parse_xmp(b"\0\x01 & <junk>" + whole + b"</junk>\0\0") == parse_xmp(whole) == d_named(d.dji_tags())
+
+
+LISTS = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="" xmlns:Camera="http://pix4d.com/camera/1.0/"
+ xmlns:drone-skydio="https://www.skydio.com/drone-skydio/1.0/">
+<Camera:BandName><rdf:Seq><rdf:li>Green</rdf:li></rdf:Seq></Camera:BandName>
+<Camera:PerspectiveDistortion>
+ <rdf:Seq> <rdf:li>-0.1</rdf:li> <rdf:li>0.14</rdf:li> </rdf:Seq></Camera:PerspectiveDistortion>
+<drone-skydio:CameraOrientationNED rdf:parseType="Resource"><drone-skydio:Yaw>30</drone-skydio:Yaw>
+</drone-skydio:CameraOrientationNED><drone-skydio:Body drone-skydio:Yaw="7"/>
+</rdf:Description></rdf:RDF></x:xmpmeta>"""
+
+
+def test_lists_and_structures_of_xmp() -> None:
+    assert parse_xmp(LISTS) == {
+        "camera:BandName": "Green", "camera:PerspectiveDistortion": "-0.1,0.14", "skydio:CameraOrientationNEDYaw": "30",
+        "skydio:BodyYaw": "7",
+    }  # fmt: skip
+    lists = {"camera:BandName": "Green", "camera:PerspectiveDistortion": "-0.1,0.14"}
+    assert salvage_xmp(LISTS.replace("</x:xmpmeta>", "")).items() >= lists.items()
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("527/100", 5.27), ("-3/2", -1.5), ("1/0", None), ("/2", None), ("a/b", None), ("2", 2.0)]
+)
+def test_a_number_may_be_a_fraction(text: str, number: float | None) -> None:
+    assert finite(text) == number
 
 
 # -- the lens

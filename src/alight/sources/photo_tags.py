@@ -1,10 +1,9 @@
-"""What a drone writes into its photos: EXIF (pillow), and the XMP packet of DJI, Parrot, Autel and Pix4D's `Camera`."""
+"""What a drone writes into its photos: EXIF (pillow) and XMP."""
 
 from __future__ import annotations
 
 import math
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -14,12 +13,10 @@ from typing import Any
 from PIL import ExifTags, Image
 
 from alight.sources.images import open_image, stored_size
+from alight.sources.photo_xmp import parse_xmp, salvage_xmp
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
 MOST_ZOOM = 100.0  # of a digital zoom
-SPACES = {  # parts of XMP namespaces: DJI, Pix4D (also Autel, senseFly, Sentera, MicaSense), Parrot, Autel
-    "dji": "dji:", "camera/1.0": "camera:", "drone-parrot": "parrot:", "drone-autel": "autel:",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -126,9 +123,10 @@ class PhotoTags:
 
 
 def finite(value: Any) -> float | None:
-    """A tag as a number; None when it is absent, malformed or not finite."""
+    """A tag as a number, also one written as a fraction ("527/100"); None when absent, malformed or not finite."""
     try:
-        number = float(value)
+        above, _, below = value.partition("/") if isinstance(value, str) else (value, "", "")
+        number = float(above) / float(below or 1)
     except (TypeError, ValueError, ZeroDivisionError):
         return None
     return number if math.isfinite(number) else None
@@ -142,34 +140,6 @@ def _angle(dms: Any, ref: Any, negative: str) -> float | None:
         return None
     d, m, s = (p or 0.0 for p in parts)
     return (d + m / 60 + s / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
-
-
-def _xmp_key(qualified: str) -> str:
-    space, _, local = qualified.rpartition("}")
-    space = space.lower()
-    prefix = next((prefix for part, prefix in SPACES.items() if part in space), "")
-    return prefix + local
-
-
-def parse_xmp(packet: bytes | str) -> dict[str, str]:
-    """Take values from an XMP packet, written as attributes or as elements.
-
-    Raises:
-        ValueError: the packet is no XML.
-    """
-    text = packet.decode("utf-8", errors="replace") if isinstance(packet, bytes) else packet
-    if "<!" in text.replace("<!--", ""):  # a document type: nothing that a camera writes, and a known way to do harm
-        raise ValueError("its XMP has a document type")
-    try:
-        root = ET.fromstring(text.strip("\0\ufeff \r\n\t"))
-    except ET.ParseError as e:
-        raise ValueError("its XMP is malformed") from e
-    found: dict[str, str] = {}
-    for element in root.iter():
-        found |= {_xmp_key(k): v.strip() for k, v in element.attrib.items()}
-        if len(element) == 0 and element.text and element.text.strip():
-            found.setdefault(_xmp_key(element.tag), element.text.strip())
-    return found
 
 
 def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:
@@ -190,10 +160,10 @@ def read_tags(path: Path) -> tuple[PhotoTags, str]:
     """
     with open_image(path) as image:
         exif, gps = _exif(image)
+        packet = image.info.get("xmp") or b""
         xmp, problem = {}, ""
         try:
-            if packet := image.info.get("xmp"):
-                xmp = parse_xmp(packet)
+            xmp = parse_xmp(packet) if packet else {}
         except ValueError as e:
-            problem = str(e)
+            xmp, problem = salvage_xmp(packet), str(e)
         return PhotoTags(path, stored_size(image), exif, gps, xmp), problem

@@ -130,7 +130,7 @@ class Photos(RecordedSource):
         self._facts[path] = replace(facts, left_out=why, t_ns=None)
 
     def _readable(self, files: Sequence[Path]) -> list[PhotoTags]:
-        photos = []
+        photos, damaged = [], list[str]()
         for path in files:
             try:
                 tags, problem = read_tags(path)
@@ -140,7 +140,12 @@ class Photos(RecordedSource):
             photos.append(tags)
             self._facts[path] = facts_of(tags)
             if problem:
-                self._findings.say(f"{path.name}: {problem}, so its gimbal and calibration are unknown")
+                damaged.append(f"{path.name}: {problem}")
+        if damaged:
+            self._findings.say(
+                f"{len(damaged)} photo(s) have damaged XMP (first: {damaged[0]}): of attitude and calibration, only "
+                "what can be picked out of it is used"
+            )
         if not photos:
             raise InputError(f"{files[0].parent}: none of the {len(files)} pictures can be read; copy them again")
         return photos
