@@ -243,6 +243,49 @@ def test_nothing_but_thermal_pictures_is_used(tmp_path: Path) -> None:
     assert names(opened(tmp_path / "b")) == ["0.JPG", "1.JPG", "2.JPG"]
 
 
+def write_bands(folder: Path, bands: dict[str, int], colour: int = 0) -> None:
+    """Captures of a multispectral camera, and colour pictures of the same model."""
+    for place, (band, n) in enumerate(bands.items(), start=1):
+        focal = f"{4.5 + 0.1 * place}"
+        for k in range(n):
+            tags = {"BandName": band, "RigCameraIndex": str(place), "PerspectiveFocalLength": focal}
+            sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}
+            name = folder / f"IMG_{k:04d}_{place}.jpg"
+            d.write_photo(name, second=f"{k + 10}", xmp=d.xmp_packet(tags, d.PIX4D), photo=sensor, model="Altum")
+    for k in range(colour):
+        d.write_photo(folder / f"IMG_{k:04d}_D.jpg", second=f"{k + 10}", model="Altum")
+
+
+def test_one_band_of_a_multispectral_camera_is_used(tmp_path: Path) -> None:
+    """Each band is a camera with a lens of its own; of as many photos of each it is green."""
+    write_bands(tmp_path, {"Blue": 4, "Green": 4, "Red": 4, "LWIR": 4})
+    source = opened(tmp_path)
+    assert names(source) == [f"IMG_000{k}_2.jpg" for k in range(4)]
+    assert source.rig.cameras[0].camera.fu == pytest.approx(47.0)  # not that of blue
+    assert "8 picture(s) of single bands are left out (first: IMG_0000_1.jpg)" in source.warnings[1]
+    assert "band Green is used" in source.warnings[1]
+    assert source.notes["camera"].endswith(", Green")
+    assert source.counts["pictures of other bands"] == 8
+
+
+def test_the_band_with_most_photos_or_the_colour_pictures(tmp_path: Path) -> None:
+    write_bands(tmp_path / "a", {"NIR": 4, "Green": 3})
+    assert names(opened(tmp_path / "a")) == [f"IMG_000{k}_1.jpg" for k in range(4)]
+    write_bands(tmp_path / "b", {"Green": 3, "NIR": 3}, colour=3)
+    source = opened(tmp_path / "b")
+    assert names(source) == [f"IMG_000{k}_D.jpg" for k in range(3)]
+    assert "the colour pictures are used" in source.warnings[0]
+
+
+def test_colour_pictures_that_name_their_three_bands_are_no_bands(tmp_path: Path) -> None:
+    for k in range(3):
+        xmp = d.xmp_packet({"BandName": "Red,Green,Blue"}, d.PIX4D)
+        d.write_photo(tmp_path / f"{k}.jpg", second=f"{k + 10}", xmp=xmp, photo={41989: 28})
+    source = opened(tmp_path)
+    assert source.length == 3
+    assert not any("band" in w for w in source.warnings)
+
+
 # -- damage
 
 

@@ -1,12 +1,14 @@
-"""Which photos of a folder are pictures of the ground as the eye sees it: thermal pictures stand aside."""
+"""Which photos of a folder show the ground as the eye sees it: thermal pictures and further bands stand aside."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from alight.sources.photo_tags import PhotoTags
 
 THERMAL_SIZES = ((640, 512), (640, 480), (336, 256), (160, 120))  # of microbolometers, longer side first
+BANDS = ("green", "red")  # the first ones among as many photos of each: most like a grey picture, the sharpest lenses
 LEAST_OTHERS = 3  # other photos from which the size alone tells a thermal picture
 
 
@@ -23,6 +25,20 @@ def thermal_photos(photos: Sequence[PhotoTags]) -> list[PhotoTags]:
     if others >= max(LEAST_OTHERS, len(sized) / 2):
         return told + sized
     return told if rest else []
+
+
+def band_to_use(photos: Sequence[PhotoTags]) -> str | None:
+    """The band of a multispectral camera that stands for all; empty: the colour pictures; None: there are no bands.
+
+    Each band has a lens and a place of its own. Colour pictures count where they are about as many as those of a band.
+    """
+    counts = Counter(p.band for p in photos)
+    colour = counts.pop("", 0)
+    if not counts:
+        return None
+    if colour >= max(counts.values()) / 2:
+        return ""
+    return max(counts, key=lambda band: (counts[band], *(band.lower() == b for b in BANDS)))
 
 
 def _told_thermal(photo: PhotoTags) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from PIL import ExifTags, Image
 
@@ -17,6 +17,25 @@ from alight.sources.photo_xmp import parse_xmp, salvage_xmp
 
 Base, Gps = ExifTags.Base, ExifTags.GPS
 MOST_ZOOM = 100.0  # of a digital zoom
+COLOUR = ("rgb", "color", "colour", "visible")  # names of bands that are none
+
+
+class PhotoCamera(NamedTuple):
+    """What makes two photos be of one camera."""
+
+    make: str
+    model: str
+    size: tuple[int, int]  # width, height
+    focal: float | None  # mm, a digital zoom counted in
+    band: str = ""  # of a camera of several bands; empty: colour
+
+    @property
+    def title(self) -> str:
+        """For a reader."""
+        width, height = self.size
+        focal = f", {self.focal:g} mm" if self.focal else ""
+        band = f", {self.band}" if self.band else ""
+        return f"{self.make or 'unknown'} {self.model or 'camera'}, {width}x{height}{focal}{band}"
 
 
 @dataclass(frozen=True)
@@ -43,11 +62,23 @@ class PhotoTags:
         return finite(self.xmp.get(key))
 
     @property
-    def camera(self) -> tuple[str, str, tuple[int, int], float | None]:
-        """What makes two photos be of one camera: maker, model, image size, focal length in mm."""
+    def camera(self) -> PhotoCamera:
+        """Of which camera the photo is."""
         focal = self.number(Base.FocalLength)
         zoomed = None if focal is None else round(focal * self.digital_zoom, 2)
-        return self.text(Base.Make), self.text(Base.Model), self.size, zoomed
+        return PhotoCamera(self.text(Base.Make), self.text(Base.Model), self.size, zoomed, self.band)
+
+    @property
+    def band(self) -> str:
+        """The one band of light that the picture is of; empty: colour, or not said.
+
+        Pix4D's names. Cameras that write all bands of a colour picture (Red, Green, Blue) are no multispectral ones.
+        """
+        name = self.xmp.get("camera:BandName", "")
+        if name:
+            return "" if "," in name or name.lower() in COLOUR else name
+        index = self.xmp.get("camera:RigCameraIndex", "")
+        return f"band {index}" if index else ""
 
     @property
     def digital_zoom(self) -> float:

@@ -24,8 +24,8 @@ from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import GUESSED, guessed_camera, photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
-from alight.sources.photo_selection import thermal_photos
-from alight.sources.photo_tags import PhotoTags, read_tags
+from alight.sources.photo_selection import band_to_use, thermal_photos
+from alight.sources.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
@@ -35,7 +35,6 @@ SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
-CameraKey = tuple[str, str, tuple[int, int], float | None]
 RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
@@ -77,7 +76,7 @@ class Photos(RecordedSource):
         self._findings.expect("photos", len(files))
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         self._facts: dict[Path, PhotoFacts] = {}
-        photos = self._of_cameras(self._without_thermal(self._readable(files)), settings)
+        photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
         if not any(p.position for p in photos):
             raise InputError(
                 f"{root}: no photo has a GPS position; photos need EXIF GPS latitude, longitude and altitude"
@@ -160,6 +159,22 @@ class Photos(RecordedSource):
         aside = {p.path for p in thermal}
         return [p for p in photos if p.path not in aside]
 
+    def _of_one_band(self, photos: list[PhotoTags]) -> list[PhotoTags]:
+        band = band_to_use(photos)
+        if band is None:
+            return photos
+        others = [p for p in photos if p.band != band]
+        used = f"band {band.removeprefix('band ')} is" if band else "the colour pictures are"
+        if others:
+            self._findings.say(
+                f"{len(others)} picture(s) of single bands are left out (first: {others[0].path.name}): of a "
+                f"multispectral camera {used} used"
+            )
+            self._findings.counts["pictures of other bands"] = len(others)
+        for p in others:
+            self._leave_out(p.path, f"{p.band or 'colour'}: {used} used")
+        return [p for p in photos if p.band == band]
+
     def _of_cameras(self, photos: list[PhotoTags], settings: Settings) -> list[PhotoTags]:
         """Leave out cameras with few photos or without a focal length; with a calibration, all but the first one."""
         groups = Counter(p.camera for p in photos).most_common()
@@ -176,7 +191,7 @@ class Photos(RecordedSource):
             else:
                 continue
             self._findings.say(
-                f"{count} photo(s) of another camera are left out: {_title(camera)} (first: {its.path.name}): "
+                f"{count} photo(s) of another camera are left out: {camera.title} (first: {its.path.name}): "
                 f"{out[camera]}"
             )
         if out:
@@ -213,12 +228,12 @@ class Photos(RecordedSource):
         notes = found[0][1]
         if len(found) > 1:
             notes["cameras"] = [
-                f"{_title(c)}: {n['focal_px']:g} px, {n['focal_from']}"
+                f"{c.title}: {n['focal_px']:g} px, {n['focal_from']}"
                 for c, (_, n) in zip(self._cameras, found, strict=True)
             ]
         return rig, notes
 
-    def _lens(self, camera: CameraKey) -> tuple[Camera, dict[str, Any]]:
+    def _lens(self, camera: PhotoCamera) -> tuple[Camera, dict[str, Any]]:
         """The lens of one camera, from the most frequent calibration that its photos carry."""
         its = [p for _, p in self._photos if p.camera == camera]
         dewarp = Counter(p.xmp.get("dji:DewarpData", "") for p in its).most_common()
@@ -232,13 +247,13 @@ class Photos(RecordedSource):
         except InputError:
             lens, notes = guessed_camera(chosen)
             self._findings.say(
-                f"no focal length in the tags of {_title(camera)}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
+                f"no focal length in the tags of {camera.title}: {lens.fu:.0f} pixels are a guess, wrong by up to a "
                 "quarter, and heights above ground scale with it; give the true one with --set "
                 "sources.calibration=camchain.yaml"
             )
             return lens, notes
 
-    def _readout(self, camera: CameraKey) -> float | None:
+    def _readout(self, camera: PhotoCamera) -> float | None:
         """The readout that most photos of a camera tell, in seconds."""
         told = Counter(photo_readout(p) for _, p in self._photos if p.camera == camera)
         return told.most_common(1)[0][0]
@@ -270,7 +285,7 @@ class Photos(RecordedSource):
         kinds = Counter(photo_attitude(p)[1] or "none" for p in photos)
         flags = Counter(RTK_NAMES.get(rtk_flag(p) or 0, "GPS") for p in photos if p.position)
         self.notes |= {
-            "camera": _title(photos[0].camera),
+            "camera": photos[0].camera.title,
             "image_size": list(photos[0].size),
             "gps": dict(flags),
             "attitude_from": dict(kinds),
@@ -302,7 +317,7 @@ class Photos(RecordedSource):
 
 def facts_of(tags: PhotoTags) -> PhotoFacts:
     """What one photo says by itself."""
-    make, model, size, _ = tags.camera
+    make, model, size, *_ = tags.camera
     focal, focal_from = None, ""
     with suppress(InputError):
         lens, notes = photo_camera(tags)
@@ -320,11 +335,6 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
 def has_focal_length(tags: PhotoTags) -> bool:
     """Whether a photo says how long its lens is."""
     return facts_of(tags).focal_px is not None
-
-
-def _title(camera: CameraKey) -> str:
-    make, model, (w, h), focal = camera
-    return f"{make or 'unknown'} {model or 'camera'}, {w}x{h}" + (f", {focal:g} mm" if focal else "")
 
 
 def _names(photos: Sequence[PhotoTags], root: Path) -> list[str]:
