@@ -59,6 +59,7 @@ _LEAST_SIGMA, _LEAST_BY_PATCH = 0.3, 0.1  # px, of features and of patches; belo
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
 _LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
+_HEADING_OFF = 0.2  # rad, of all tags alike, worth a warning
 _COARSE = 300  # observations a photo in all rounds but the last
 
 
@@ -211,6 +212,12 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
         f"{len(f.photos)} photos in one line without attitude: the camera is taken to look straight down"
         for f in found
         if f.guessed
+    ]
+    warnings += [
+        f"the headings in the attitude tags of {len(f.photos)} photos are off by {np.degrees(f.heading):+.0f} degrees "
+        "alike: GPS and the pictures decide"
+        for f in found
+        if abs(f.heading) > _HEADING_OFF
     ]
     photos, turned, wrong, jumped = (np.sort(np.concatenate(c)) for c in zip(*_who(found), strict=True))
     return FirstPoses(centres, rotations, photos, turned, wrong, jumped, warnings, climbs)

@@ -21,6 +21,8 @@ from alight.motion.bundle.matching import Pair
 # rad between gimbal and images: chains of relative rotations drift by a third of it, wrong tags are far above
 _MAX_DISAGREEMENT = 0.35
 _AXIS_SIGMA = 0.15  # rad, of an optical axis from the gimbal in the absolute orientation
+COMMON_HEADING = 0.5  # rad, 1-sigma of what the headings of all tags are off alike: some compasses are off by 0.9
+_MOST_COMMON_HEADING = 1.2  # rad; tags off by more are half a turn off, or of no use
 _DIRECTION_SIGMA = 0.1  # rad, of a direction between two photos: over flat ground it correlates with the rotation
 _NADIR = np.diag(
     [1.0, -1.0, -1.0]
@@ -46,6 +48,7 @@ class Oriented:
     guessed: bool  # the roll about a straight line of flight rests on the camera looking down
     cost: float  # Cauchy, of GPS baselines and attitudes
     baselines: int  # how many there are
+    heading: float  # rad, by which the headings of all tags are off alike, from east to north
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:
@@ -157,7 +160,8 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
 
     `centres` (n, 3) metres with `sigma` (n, 3) and `gimbal` (n, 3, 3) world_from_cam cover all photos, NaN = unknown.
     Data: directions between photos against GPS baselines, and the axes of the gimbal, all with robust weights. Of two
-    starts, one with the heading of the gimbal and one without, the one that fits better is taken.
+    starts, one with the heading of the gimbal and one without, the one that fits better is taken. What the headings
+    of all tags are off alike counts once, not once a photo.
     """
     frame_from_cam = average_rotations(photos, pairs)
     base = _baselines(photos, frame_from_cam, pairs, centres, sigma)
@@ -171,6 +175,8 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
         starts = [_world_from_frame(base, np.tile(_NADIR, (len(photos), 1, 1)), frame_from_cam, (2,), _NADIR_SIGMA)]
     cost, R = min(((_cost(base, tags[tagged], frame_from_cam[tagged], R), R) for R in starts), key=lambda c: c[0])
     world_from_cam = R @ frame_from_cam
+    heading = _common_heading(world_from_cam[tagged], tags[tagged])
+    tags = _about_up(heading) @ tags
     agrees = tagged & _agree(world_from_cam, tags)
     turned = tagged & ~agrees & _agree(world_from_cam, tags @ HALF_TURN)
     world_from_cam[agrees] = tags[agrees]
@@ -178,7 +184,7 @@ def orient(photos: I64, pairs: Sequence[Pair], centres: F64, sigma: F64, gimbal:
     wrong = photos[tagged & ~agrees & ~turned]
     return Oriented(
         photos, world_from_cam, photos[turned], wrong, _jumped(base, R), not tagged.any() and _in_line(base),
-        cost, len(base.noise),
+        cost, len(base.noise), heading,
     )  # fmt: skip
 
 
@@ -197,8 +203,25 @@ def _world_from_frame(base: _Baselines, tags: F64, frame_from_cam: F64, axes: tu
 
 def _cost(base: _Baselines, tags: F64, frame_from_cam: F64, R: F64) -> float:
     """Return the Cauchy cost of a rotation over baselines and all axes: the same for every start."""
-    axes = ((tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
-    return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum())
+    heading = _common_heading(R @ frame_from_cam, tags)
+    axes = ((_about_up(heading) @ tags - R @ frame_from_cam) ** 2).sum(axis=1) / _AXIS_SIGMA**2
+    common = (heading / COMMON_HEADING) ** 2
+    return float(np.log1p(base.misfit(R)).sum() + np.log1p(axes).sum() + common)
+
+
+def _common_heading(world_from_cam: F64, tags: F64) -> float:
+    """Return the angle in rad about the vertical by which most tags (k, 3, 3) are off alike; 0: by none."""
+    if not len(tags):
+        return 0.0
+    off = world_from_cam @ np.swapaxes(tags, 1, 2)
+    angles = np.arctan2(off[:, 1, 0] - off[:, 0, 1], off[:, 0, 0] + off[:, 1, 1])
+    middle = float(np.angle(np.exp(1j * angles).sum()))
+    middle += float(np.median(np.angle(np.exp(1j * (angles - middle)))))
+    return middle if abs(middle) < _MOST_COMMON_HEADING else 0.0
+
+
+def _about_up(angle: float) -> F64:
+    return so3_exp(np.array([0.0, 0.0, angle]))
 
 
 def _agree(a: F64, b: F64) -> NDArray[np.bool_]:

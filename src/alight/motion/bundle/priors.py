@@ -10,7 +10,7 @@ import numpy as np
 from alight.arrays import F64, I64
 from alight.geometry import Camera
 from alight.motion.bundle.lenses import PhotoLenses
-from alight.motion.bundle.orientation import HALF_TURN
+from alight.motion.bundle.orientation import COMMON_HEADING, HALF_TURN
 from alight.motion.bundle.rolling import velocities
 from alight.motion.bundle.solver import Priors
 from alight.records import NavSample, Rig
@@ -55,6 +55,8 @@ def make_priors(
             )
             if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
                 sigma[i] = np.maximum(sample.sigma_position, 0.01)
+    tagged = np.isfinite(rotation).all(axis=(1, 2)).sum()
+    sigma_rotation[:, 2] = np.hypot(sigma_rotation[:, 2], COMMON_HEADING * np.sqrt(tagged))  # one error, not many
     of = np.zeros(n, np.int64) if cameras is None else cameras
     found = [_lens(c.camera, settings) for c in rig.cameras]
     lenses = PhotoLenses(tuple(c for c, _ in found), of, told=tuple(c.readout for c in rig.cameras))
