@@ -23,6 +23,7 @@ from alight.sources.photo_pose import BODY_FROM_CAM
 from alight.sources.photos import Photos
 
 PARROT, AUTEL = "http://www.parrot.com/drone-parrot/1.0/", "http://www.autelrobotics.com/drone-autel/1.0/"
+YUNEEC, SKYDIO = "http://www.yuneec.com/drone-yuneec/1.0/", "https://www.skydio.com/drone-skydio/1.0/"
 LENS = {41989: 28}  # 35 mm equivalent
 
 
@@ -43,13 +44,56 @@ def facts(path: Path, *assignments: str) -> list[PhotoFacts]:
 
 
 @pytest.mark.parametrize(
-    ("make", "namespace", "prefix"), [("Parrot", PARROT, "Camera"), ("Autel Robotics", AUTEL, "Gimbal")]
+    ("make", "namespace", "pattern"),
+    [
+        ("Parrot", PARROT, "Camera{}Degree"),
+        ("Autel Robotics", AUTEL, "Gimbal{}Degree"),
+        ("Yuneec", YUNEEC, "Gimbal{}"),
+        ("Yuneec", "http://ns.adobe.com/xap/1.0/", "Camera{}"),
+    ],
 )
-def test_angles_from_the_horizon_of_parrot_and_autel(tmp_path: Path, make: str, namespace: str, prefix: str) -> None:
-    tags = {f"{prefix}{axis}Degree": v for axis, v in (("Yaw", "30"), ("Pitch", "-80"), ("Roll", "1"))}
+def test_angles_from_the_horizon_of_several_makers(tmp_path: Path, make: str, namespace: str, pattern: str) -> None:
+    tags = {pattern.format(axis): v for axis, v in (("Yaw", "30"), ("Pitch", "-80"), ("Roll", "1"))}
     d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(tags, namespace), main={271: make}, photo=LENS)
     expected = enu_from_flu(math.radians(30), math.radians(-80), math.radians(1))
     np.testing.assert_allclose(attitude(opened(tmp_path)), expected, atol=1e-12)
+
+
+def test_angles_of_a_yuneec_that_declares_no_prefix(tmp_path: Path) -> None:
+    """The CGO3+."""
+    xmp = (
+        b'<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?><rdf:RDF '
+        b'xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><xmp:GPSAltitude>6</xmp:GPSAltitude>\n'
+        b"<xmp:CameraYaw>-85.5</xmp:CameraYaw><xmp:CameraPitch>-13.9</xmp:CameraPitch>\n"
+        b'<xmp:CameraRoll>0.5</xmp:CameraRoll></rdf:RDF><?xpacket end="w"?>'
+    )
+    d.write_photo(tmp_path / "a.jpg", xmp=xmp, photo=LENS)
+    expected = enu_from_flu(math.radians(-85.5), math.radians(-13.9), math.radians(0.5))
+    np.testing.assert_allclose(attitude(opened(tmp_path)), expected, atol=1e-12)
+
+
+def test_a_skydio(tmp_path: Path) -> None:
+    """Structures whose parts have the same names, a lens in pixels, and its centre from that of the first pixel."""
+    parts = {
+        "CameraOrientationFLU": {"Yaw": "1", "Pitch": "2", "Roll": "3"},
+        "CameraOrientationNED": {"Yaw": "30", "Pitch": "-90", "Roll": "1"},
+        "CalibratedFocalLength": {"X": "50", "Y": "50.1"}, "CalibratedOpticalCenter": {"X": "32.5", "Y": "23.5"},
+    }  # fmt: skip
+    inside = "".join(
+        f'<m:{name} rdf:parseType="Resource">{"".join(f"<m:{k}>{v}</m:{k}>" for k, v in values.items())}</m:{name}>'
+        for name, values in parts.items()
+    )
+    flat = {"DewarpData": "0.13, -0.24, 0.104", "GpsHorizontalAccuracy": "0.3", "GpsVerticalAccuracy": "0.4"}
+    xmp = d.xmp_packet(flat, SKYDIO, elements=True).replace(b"<m:Dewarp", inside.encode() + b"<m:Dewarp")
+    d.write_photo(tmp_path / "a.jpg", xmp=xmp, main={271: "Skydio"})
+    source = opened(tmp_path)
+    expected = enu_from_flu(math.radians(30), math.radians(-90), math.radians(1))
+    np.testing.assert_allclose(attitude(source), expected, atol=1e-12)
+    lens = source.rig.cameras[0].camera
+    assert (lens.fu, lens.cu, lens.cv) == pytest.approx((50.05, 32.5, 23.5))
+    assert lens.distortion == (0.13, -0.24, 0.0, 0.0, 0.104)
+    (nav,) = (e for e in source.events() if isinstance(e, NavSample))
+    np.testing.assert_allclose(nav.sigma_position, [0.3, 0.3, 0.4])
 
 
 def test_an_autel_that_writes_its_pitch_from_the_horizon_into_the_names_of_pix4d(tmp_path: Path) -> None:
@@ -69,6 +113,7 @@ def test_an_autel_that_writes_its_pitch_from_the_horizon_into_the_names_of_pix4d
         ({271: "DJI"}, d.dji_tags(RtkFlag="", AltitudeType="GpsFusionAlt"), "sea level or ellipsoid: not said"),
         ({271: "Parrot", 272: "Anafi"}, {}, "sea level (EGM96)"),
         ({271: "Parrot", 272: "AnafiAi"}, {}, "ellipsoid"),
+        ({271: "Parrot", 272: "ANAFI Ai"}, {}, "ellipsoid"),
         ({271: "Apple", 272: "iPhone 15"}, {}, "sea level or ellipsoid: not said"),
     ],
 )

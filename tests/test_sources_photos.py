@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
 
 from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.records import Event, Frame, InputError, NavSample
@@ -122,6 +123,7 @@ def test_no_attitude_at_all(tmp_path: Path) -> None:
     [
         ({"RtkFlag": "50", "RtkStdLon": "0.001"}, [0.01, 0.015, 0.03]),
         ({"RtkFlag": "34"}, [0.5, 0.5, 0.5]),
+        ({"RtkFlag": "49", "RtkStdHgt": "0.8"}, [0.5, 0.5, 0.8]),
         ({"RtkFlag": "16"}, [3, 3, 5]),
         ({"RtkFlag": ""}, [3, 3, 5]),
         ({"RtkStdHgt": ""}, [3, 3, 5]),
@@ -133,6 +135,61 @@ def test_position_sigma(tmp_path: Path, changes: dict[str, str], expected: list[
     source = opened(tmp_path)
     np.testing.assert_allclose(of_kind(source, NavSample)[0].sigma_position, expected)
     assert ("height_note" in source.notes) == (changes.get("RtkFlag", "50") != "50")
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"GPSXYAccuracy": "0.5", "GPSZAccuracy": "120/100"}, [0.5, 0.5, 1.2]),
+        ({"GPSXYAccuracy": "0.001", "GPSZAccuracy": "0.001"}, [0.02, 0.02, 0.03]),
+        ({"GPSXYAccuracy": "0", "GPSZAccuracy": "8"}, [3, 3, 8]),
+        ({"GPSXYAccuracy": "nan"}, [3, 3, 5]),
+    ],
+)
+def test_position_sigma_of_other_makers(tmp_path: Path, changes: dict[str, str], expected: list[float]) -> None:
+    """Pix4D's names, metres; 0 is not known."""
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(changes, d.PIX4D), photo={41989: 28})
+    np.testing.assert_allclose(of_kind(opened(tmp_path), NavSample)[0].sigma_position, expected)
+
+
+def test_a_place_in_decimal_degrees(tmp_path: Path) -> None:
+    """Minutes and seconds of 0/0."""
+    undefined = IFDRational(0, 0)
+    degrees = {2: (45.25, undefined, undefined), 4: (7.5, 30.0, undefined)}
+    d.write_photo(tmp_path / "a.jpg", gps=degrees)
+    assert opened(tmp_path).photos[0].place == pytest.approx((45.25, 8.0))
+
+
+def test_a_place_on_half_a_globe(photos: Path) -> None:
+    d.write_photo(photos / "DJI_0009.JPG", second="59", gps={3: None})
+    source = opened(photos)
+    assert source.photos[-1].place == pytest.approx((45.0, 7.6))
+    assert source.warnings == [
+        "1 photo(s) do not say whether their place is north or south, east or west: north and east are taken"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("relative", "heights", "said"),
+    [
+        ((40, 42, 41), (40, 42, 41), "the height above take-off is used"),
+        ((40, None, 41), (50, 50, 50), "the flight is taken as level"),
+    ],
+)
+def test_a_set_without_altitudes(
+    tmp_path: Path, relative: tuple[int | None, ...], heights: tuple[int, ...], said: str
+) -> None:
+    for k, up in enumerate(relative):
+        tags = d.dji_tags(AbsoluteAltitude="", RelativeAltitude="" if up is None else f"+{up}.0")
+        place = (45.0 + 3e-5 * k, 7.6, 0.0)
+        d.write_photo(
+            tmp_path / f"{k}.jpg", second=f"1{k}", xmp=d.xmp_packet(tags), place=place, gps={5: None, 6: None}
+        )
+    source = opened(tmp_path)
+    ups = [n.position_world[2] for n in of_kind(source, NavSample)]
+    np.testing.assert_allclose(np.array(ups) - ups[0], np.array(heights) - heights[0], atol=0.01)
+    assert source.warnings == [f"no photo says its altitude: {said}, heights above the sea are not known"]
+    assert [p.altitude_kind for p in source.photos] == ["not said"] * 3
 
 
 @pytest.mark.parametrize("place", [(-33.5, -70.25, 800.0), (45.0, 7.6, 350.0)])

@@ -177,9 +177,13 @@ def write_photo(
     model: str = "FC1",
     main: dict[int, Any] | None = None,
     photo: dict[int, Any] | None = None,
+    gps: dict[int, Any] | None = None,
     image: Image.Image | None = None,
 ) -> Path:
-    """One JPEG with EXIF (extra `main` and `photo` tags by number) and XMP; of noise, or an `image`."""
+    """One JPEG with EXIF (extra `main`, `photo` and `gps` tags by number) and XMP; of noise, or an `image`.
+
+    A `gps` tag of None is left out.
+    """
     exif = Image.Exif()
     for tag, value in ({271: "DJI", 272: model, 274: 1} | (main or {})).items():
         exif[tag] = value
@@ -189,8 +193,9 @@ def write_photo(
     exif.get_ifd(0x8769).update(details)
     if place is not None:
         latitude, longitude, altitude = place
-        gps = {1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude))}
-        exif.get_ifd(0x8825).update(gps | {5: b"\x00", 6: altitude})
+        where = {1: "NS"[latitude < 0], 2: _dms(abs(latitude)), 3: "EW"[longitude < 0], 4: _dms(abs(longitude))}
+        where |= {5: b"\x00", 6: altitude} | (gps or {})
+        exif.get_ifd(0x8825).update({k: v for k, v in where.items() if v is not None})
     path.parent.mkdir(parents=True, exist_ok=True)
     quality = {} if image is None else {"quality": 95}
     (image or picture(seed, size)).save(

@@ -25,13 +25,17 @@ GUESSED = "a guess: no focal length in the tags"
 GUESS = 0.85  # focal length over the longer side, where no tag tells it; most cameras have 0.65 to 1.05
 
 
+_SKYDIO_FOCAL = "FocalLengthX", "FocalLengthY"
+_SKYDIO_CENTRE = "OpticalCenterX", "OpticalCenterY"
+
+
 def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     """The camera of a photo and where its numbers came from.
 
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    for known in (_from_dewarp, _from_factory, _from_calibrated, _from_sensor, _from_film, _from_model):
+    for known in (_from_dewarp, _from_skydio, _from_factory, _from_calibrated, _from_sensor, _from_film, _from_model):
         try:
             found = known(tags)
         except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
@@ -131,6 +135,22 @@ def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     if scale != 1:
         notes["scale"] = round(scale, 6)
     return _camera(tags, focal * scale, (cx * scale, cy * scale), lens), notes
+
+
+def _from_skydio(tags: PhotoTags) -> tuple[Camera, Notes] | None:
+    """Pixels, the centre counted from the centre of the first pixel, and k1, k2, k3."""
+    fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in (*_SKYDIO_FOCAL, *_SKYDIO_CENTRE))
+    if fx is None or fy is None or min(fx, fy) <= 0:
+        return None
+    scale, offset = _scale(tags), (0.0, 0.0)
+    if cx is not None and cy is not None:
+        width = calibrated_width(tags)
+        offset = cx + 0.5 - width / 2, cy + 0.5 - width * tags.size[1] / tags.size[0] / 2
+    focal, note = _one_focal(fx, fy, _nominal(tags))
+    k = _numbers(tags.xmp.get("skydio:DewarpData", ""))
+    lens = (k[0], k[1], 0.0, 0.0, k[2]) if len(k) == 3 else ()
+    notes: Notes = {"focal_from": "factory calibration (Skydio)"} | ({"focal_note": note} if note else {})
+    return _camera(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
 
 
 def _from_calibrated(tags: PhotoTags) -> tuple[Camera, Notes] | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,14 @@ from alight.sources.photo_tags import PhotoTags
 BODY_FROM_CAM = Pose(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 CRAFT_FROM_NADIR = enu_from_flu(0, 0, 0).T @ enu_from_flu(0, -math.pi / 2, 0)  # a camera fixed to look down
 
-RTK_FIXED, RTK_FLOAT = 50, 34
+RTK_FIXED, RTK_FLOAT, SINGLE = 50, range(32, 50), 16  # DJI's kinds of fix
+SIGMA_FLOOR = {"RTK fixed": 0.01, "RTK float": 0.5}  # m, of what a receiver says of itself
+SKYDIO_ACCURACY = "skydio:GpsHorizontalAccuracy", "skydio:GpsVerticalAccuracy"
+ACCURACY_FLOOR = np.array([0.02, 0.02, 0.03])  # m, of what other makers say
+GIMBALS = (
+    "dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree", "skydio:CameraOrientationNED{}",
+    "yuneec:Gimbal{}", "Camera{}",  # the last one of Yuneec's CGO3+
+)  # fmt: skip
 FARTHEST_BACK = math.radians(-45.0)  # pitch of a camera beyond straight down
 GIMBAL_SIGMA = np.array([0.02, 0.02, 0.1])  # rad, roll pitch (about horizontal axes), yaw (about the vertical)
 FLIGHT_SIGMA = np.array([0.05, 0.05, 0.1])
@@ -29,13 +37,13 @@ def photo_attitude(tags: PhotoTags) -> tuple[F64 | None, str]:
     None where the EXIF orientation turns the picture: nobody says whether the angles are of the turned one or of the
     pixels as they are stored.
 
-    DJI and Parrot's own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
+    Makers' own names: angles about NED, the camera looking to the horizon at zero. Pix4D's `Camera:Yaw,
     Pitch, Roll` (Autel, Parrot Sequoia, senseFly, Sentera and others): zero is a camera that looks down with the
     image's top to the north. Some Autel drones write a pitch from the horizon into these: no camera looks so far back.
     """
     if tags.turned:
         return None, f"not used: EXIF orientation {tags.turned}"
-    for pattern in ("dji:Gimbal{}Degree", "parrot:Camera{}Degree", "autel:Gimbal{}Degree"):
+    for pattern in GIMBALS:
         if (gimbal := _angles(tags, pattern)) is not None:
             return enu_from_flu(*gimbal), "gimbal"
     pix4d = _angles(tags, "camera:{}")
@@ -60,19 +68,42 @@ def _angles(tags: PhotoTags, pattern: str) -> tuple[float, float, float] | None:
 
 
 def position_sigma(tags: PhotoTags) -> F64:
-    """1-sigma of east, north, up in metres: what an RTK receiver says, else that of a consumer receiver."""
+    """1-sigma of east, north, up in metres: what the receiver says, else that of a consumer receiver."""
     said = [tags.xmp_number(f"dji:RtkStd{axis}") for axis in ("Lon", "Lat", "Hgt")]
-    flag = rtk_flag(tags)
-    if flag is None or any(s is None or s <= 0 for s in said):
-        return GPS_SIGMA.copy()
-    floor = {RTK_FIXED: 0.01, RTK_FLOAT: 0.5}.get(flag)
-    return GPS_SIGMA.copy() if floor is None else np.maximum(np.array(said, dtype=np.float64), floor)
+    floor = SIGMA_FLOOR.get(rtk_fix(tags))
+    if floor is not None and all(s is not None and s > 0 for s in said):
+        return np.maximum(np.array(said, dtype=np.float64), floor)
+    sigma = GPS_SIGMA.copy()
+    for across, up in (("camera:GPSXYAccuracy", "camera:GPSZAccuracy"), SKYDIO_ACCURACY):
+        for name, axes in ((across, slice(0, 2)), (up, slice(2, 3))):
+            value = tags.xmp_number(name)
+            if value is not None and value > 0:  # 0: not known
+                sigma[axes] = np.maximum(value, ACCURACY_FLOOR[axes])
+    return sigma
 
 
-def rtk_flag(tags: PhotoTags) -> int | None:
-    """DJI's kind of fix: 50 fixed, 34 float, 16 single; None where the photo does not say."""
+def rtk_fix(tags: PhotoTags) -> str:
+    """The kind of fix by DJI's flag; empty where the photo does not say."""
     flag = tags.xmp_number("dji:RtkFlag")
-    return None if flag is None else int(flag)
+    if flag is None:
+        return ""
+    if flag in RTK_FLOAT:
+        return "RTK float"
+    return {RTK_FIXED: "RTK fixed", SINGLE: "single point"}.get(int(flag), "")
+
+
+def with_supposed_altitudes(photos: Sequence[PhotoTags]) -> tuple[list[PhotoTags], str]:
+    """Altitudes for a set in which no photo says one, and what they are; empty: nothing had to be supposed.
+
+    The altitude above take-off, where all photos have it, else one altitude for all.
+    """
+    placed = [p for p in photos if p.place is not None]
+    if not placed or any(p.position is not None for p in placed):
+        return list(photos), ""
+    relative = [p.relative_altitude for p in placed]
+    if all(r is not None for r in relative):
+        return [replace(p, supposed_altitude=p.relative_altitude) for p in photos], "the height above take-off is used"
+    return [replace(p, supposed_altitude=0.0) for p in photos], "the flight is taken as level"
 
 
 def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
@@ -84,7 +115,7 @@ def local_frame(photos: Sequence[PhotoTags]) -> LocalFrame:
     places = np.array([p for t in photos if (p := t.position) is not None])
     latitude, longitude = np.round(np.median(places[:, :2], axis=0), 7)
     first = next(t for t in photos if t.position is not None)
-    relative = first.xmp_number("dji:RelativeAltitude")
+    relative = first.relative_altitude
     height = places[:, 2].min() - 50 if relative is None else places[0, 2] - relative
     return LocalFrame(float(latitude), float(longitude), round(float(height), 2))
 

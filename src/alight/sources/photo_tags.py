@@ -47,6 +47,7 @@ class PhotoTags:
     exif: Mapping[int, Any]  # main and photo directory, by tag number
     gps: Mapping[int, Any]
     xmp: Mapping[str, str]  # "dji:GimbalYawDegree", "camera:Yaw", ...
+    supposed_altitude: float | None = None  # metres, where the photo says none itself
 
     def text(self, tag: int) -> str:
         """An EXIF text, padding removed; empty when absent."""
@@ -91,12 +92,16 @@ class PhotoTags:
         """What the altitude is counted from, as far as the photo says.
 
         EXIF 3 has values of its own for the ellipsoid; DJI names a fused or an RTK altitude; Parrot documents its
-        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai.
+        own: EGM96 of the Anafi, the ellipsoid of the Anafi Ai. Pix4D's and Skydio's `VertCS` says it.
         """
+        if self._told_altitude() is None:
+            return "not said"
         reference = self.gps.get(Gps.GPSAltitudeRef)
         code = reference[0] if isinstance(reference, bytes) and reference else reference
-        model = self.text(Base.Model).lower()
-        if code in (2, 3) or self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt" or "anafiai" in model:
+        model = self.text(Base.Model).lower().replace(" ", "")
+        datum = (self.xmp.get("camera:VertCS") or self.xmp.get("skydio:VertCS") or "").lower()
+        rtk = self.xmp.get("dji:AltitudeType", "").lower() == "rtkalt"
+        if code in (2, 3) or rtk or "anafiai" in model or datum == "ellipsoidal":
             return "ellipsoid"
         if self.xmp_number("dji:RtkFlag") == 50:
             return "ellipsoid (RTK fixed)"
@@ -126,7 +131,8 @@ class PhotoTags:
     @property
     def position(self) -> tuple[float, float, float] | None:
         """Latitude, longitude (degrees), altitude (metres as the maker counts them); None without a fix."""
-        place, altitude = self.place, self._altitude()
+        place, altitude = self.place, self._told_altitude()
+        altitude = self.supposed_altitude if altitude is None else altitude
         return None if place is None or altitude is None else (*place, altitude)
 
     @property
@@ -144,7 +150,21 @@ class PhotoTags:
         on_earth = abs(latitude) <= 90 and abs(longitude) <= 180
         return (latitude, longitude) if on_earth and (latitude, longitude) != (0, 0) else None
 
-    def _altitude(self) -> float | None:
+    @property
+    def relative_altitude(self) -> float | None:
+        """Metres above the place of take-off, as far as the photo says."""
+        said = (
+            self.xmp_number(k) for k in ("dji:RelativeAltitude", "skydio:RelativeAltitude", "yuneec:AboveHomeAltitude")
+        )
+        return next((v for v in said if v is not None), None)
+
+    @property
+    def half_said(self) -> bool:
+        """Whether EXIF has a place without the half of the globe: north and east are taken then."""
+        references = self.gps.get(Gps.GPSLatitudeRef), self.gps.get(Gps.GPSLongitudeRef)
+        return self.gps.get(Gps.GPSLatitude) is not None and not all(str(r or "").strip("\0 ") for r in references)
+
+    def _told_altitude(self) -> float | None:
         exif, absolute = finite(self.gps.get(Gps.GPSAltitude)), self.xmp_number("dji:AbsoluteAltitude")
         if exif is not None and self.gps.get(Gps.GPSAltitudeRef) in (b"\x01", 1, b"\x03", 3):
             exif = -exif
@@ -164,13 +184,13 @@ def finite(value: Any) -> float | None:
 
 
 def _angle(dms: Any, ref: Any, negative: str) -> float | None:
+    """Degrees; minutes and seconds may be undefined (0/0), as of a maker that writes decimal degrees."""
     if not isinstance(dms, tuple) or len(dms) != 3:
         return None
-    parts = [finite(v) for v in dms]
-    if any(p is None for p in parts):
+    d, m, s = (finite(v) for v in dms)
+    if d is None:
         return None
-    d, m, s = (p or 0.0 for p in parts)
-    return (d + m / 60 + s / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
+    return (d + (m or 0.0) / 60 + (s or 0.0) / 3600) * (-1 if str(ref).strip("\0 ").upper() == negative else 1)
 
 
 def _exif(image: Image.Image) -> tuple[dict[int, Any], dict[int, Any]]:

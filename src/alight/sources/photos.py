@@ -23,7 +23,15 @@ from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
 from alight.sources.photo_camera import GUESSED, guessed_camera, photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
-from alight.sources.photo_pose import BODY_FROM_CAM, local_frame, nav_sample, photo_attitude, position_sigma, rtk_flag
+from alight.sources.photo_pose import (
+    BODY_FROM_CAM,
+    local_frame,
+    nav_sample,
+    photo_attitude,
+    position_sigma,
+    rtk_fix,
+    with_supposed_altitudes,
+)
 from alight.sources.photo_selection import band_to_use, thermal_photos
 from alight.sources.photo_tags import PhotoCamera, PhotoTags, read_tags
 from alight.sources.source import Findings, RecordedSource, Trajectory
@@ -35,7 +43,6 @@ SECOND = 1_000_000_000
 HELD = 0.5  # of the memory for images, by pictures that were read
 LEAST_OF_A_CAMERA = 3  # photos from which a further camera is used
 BETWEEN_FLIGHTS = 300  # s without a photo, from which another flight begins
-RTK_NAMES = {50: "RTK fixed", 34: "RTK float", 16: "single point"}
 
 
 def find_photos(folder: Path, depth: int = DEEPEST) -> list[Path]:
@@ -77,10 +84,12 @@ class Photos(RecordedSource):
         self.name = root.parent.name if root.name.lower() in GENERIC else root.name
         self._facts: dict[Path, PhotoFacts] = {}
         photos = self._of_cameras(self._of_one_band(self._without_thermal(self._readable(files))), settings)
+        photos, supposed = with_supposed_altitudes(photos)
+        if supposed:
+            self._findings.say(f"no photo says its altitude: {supposed}, heights above the sea are not known")
+            self._facts |= {p.path: facts_of(p) for p in photos}
         if not any(p.position for p in photos):
-            raise InputError(
-                f"{root}: no photo has a GPS position; photos need EXIF GPS latitude, longitude and altitude"
-            )
+            raise InputError(f"{root}: no photo has a GPS position; photos need EXIF GPS latitude and longitude")
         ordered = self._in_order(photos)[settings.sources.skip :: settings.sources.every]
         if not any(p.position for _, p in ordered):
             raise InputError(f"{root}: no photo with GPS is left; lower sources.skip ({settings.sources.skip})")
@@ -283,7 +292,7 @@ class Photos(RecordedSource):
     def _note(self) -> None:
         photos = [p for _, p in self._photos]
         kinds = Counter(photo_attitude(p)[1] or "none" for p in photos)
-        flags = Counter(RTK_NAMES.get(rtk_flag(p) or 0, "GPS") for p in photos if p.position)
+        flags = Counter(rtk_fix(p) or "GPS" for p in photos if p.position)
         self.notes |= {
             "camera": photos[0].camera.title,
             "image_size": list(photos[0].size),
@@ -301,6 +310,11 @@ class Photos(RecordedSource):
             self._findings.say(
                 f"{missing} of {len(photos)} photos have no GPS position{but}: their place comes from the pictures "
                 "alone"
+            )
+        if half := sum(p.half_said for p in photos):
+            self._findings.say(
+                f"{half} photo(s) do not say whether their place is north or south, east or west: north and east are "
+                "taken"
             )
         if kinds["flight"]:
             self._findings.say(
@@ -323,7 +337,7 @@ def facts_of(tags: PhotoTags) -> PhotoFacts:
         lens, notes = photo_camera(tags)
         focal, focal_from = round(lens.fu, 1), str(notes["focal_from"])
     place, t_ns = tags.position, tags.time_ns
-    fix = RTK_NAMES.get(rtk_flag(tags) or 0, "GPS")
+    fix = rtk_fix(tags) or "GPS"
     return PhotoFacts(
         tags.path.name, size, f"{make or 'unknown'} {model or 'camera'}", focal, focal_from,
         None if place is None else place[:2], "" if place is None else fix, None if place is None else place[2],
