@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import yaml
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from alight.arrays import F64
 from alight.geometry import LocalFrame, enu_from_flu, so3_log
 from alight.records import Event, Frame, InputError, NavSample
 from alight.settings import Settings, load_settings
@@ -601,6 +603,92 @@ def test_factory_calibration_in_the_tags_of_pix4d(
     assert (lens.fu, lens.cu, lens.cv) == pytest.approx(expected)
     assert lens.distortion == pytest.approx(distortion)
     assert source in source_opened.notes["focal_from"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sensor", "expected"),
+    [
+        ({"PerspectiveFocalLengthUnits": "mm"}, True, (48.0, 32.5, 22.5)),
+        ({"PerspectiveFocalLength": "480/10", "PerspectiveFocalLengthUnits": "pixel"}, True, (48.0, 32.5, 22.5)),
+        ({"PerspectiveFocalLength": "120"}, False, (120.0, 31.5, 23.5)),
+        ({"PerspectiveFocalLength": "48"}, False, (54.4, 31.5, 23.5)),  # millimetres, of an unknown sensor: a guess
+    ],
+)
+def test_the_unit_of_the_factory_focal_length(
+    tmp_path: Path, changes: dict[str, str], sensor: bool, expected: tuple[float, ...]
+) -> None:
+    photo: dict[int, Any] = {41486: 10.0, 41487: 10.0, 41488: 4} if sensor else {}
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(FACTORY | changes, d.PIX4D), photo=photo)
+    lens = opened(tmp_path).rig.cameras[0].camera
+    assert (lens.fu, lens.cu, lens.cv) == pytest.approx(expected)
+
+
+def fisheye(scale: float, polynomial: Sequence[float], angle: F64) -> F64:
+    """Pix4D's fisheye model: pixels from the centre of a ray at an angle from the axis."""
+    t = 2 * angle / np.pi
+    return scale * sum(p * t**i for i, p in enumerate(polynomial))  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize("polynomial", [(0, 1, 0, 0), (0, 1, 0, -0.17), (0, 1, -0.02, -0.15)])
+def test_a_fisheye_becomes_an_equidistant_camera(tmp_path: Path, polynomial: tuple[float, ...]) -> None:
+    """A Sequoia's band, at a twentieth of its size; rays are projected as the maker's model says."""
+    tags = {
+        "ModelType": "fisheye", "FisheyeAffineMatrix": "83.4,0.0,0.0,83.4", "PrincipalPoint": "3.3,2.3",
+        "FisheyePolynomial": ",".join(str(p) for p in polynomial),
+    }  # fmt: skip
+    sensor: dict[int, Any] = {37386: 5.0, 41486: 10.0, 41487: 10.0, 41488: 4}
+    d.write_photo(tmp_path / "a.jpg", xmp=d.xmp_packet(tags, d.PIX4D), photo=sensor)
+    source = opened(tmp_path)
+    lens = source.rig.cameras[0].camera
+    assert (lens.model, lens.cu, lens.cv) == ("equidistant", pytest.approx(32.5), pytest.approx(22.5))
+    assert lens.fu == pytest.approx(2 * 83.4 / np.pi, rel=0.02 if polynomial[2] else 1e-6)
+    angle = np.linspace(0.02, 0.75, 30)  # the corner is at 0.8
+    rays = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=-1)
+    np.testing.assert_allclose(lens.project(rays)[:, 0] - lens.cu, fisheye(83.4, polynomial, angle), atol=4e-3)
+    assert source.notes["focal_from"].endswith("fisheye)")
+
+
+def test_a_fisheye_that_is_none_is_not_taken(tmp_path: Path) -> None:
+    tags = {"ModelType": "fisheye", "FisheyeAffineMatrix": "83,9,0,83", "FisheyePolynomial": "0,1,0,0"}
+    for name, changes in (
+        ("a", {}),
+        ("b", {"FisheyeAffineMatrix": "-83,0,0,-83"}),
+        ("c", {"FisheyePolynomial": "0,-1,0"}),
+    ):
+        d.write_photo(tmp_path / name / "a.jpg", xmp=d.xmp_packet(tags | changes, d.PIX4D), photo={41989: 28})
+        assert opened(tmp_path / name).notes["focal_from"].startswith("FocalLengthIn35mmFilm")
+
+
+def test_a_rational_calibration(tmp_path: Path) -> None:
+    """DewarpDataK6 of the Matrice 4: the radial term is divided by a second polynomial."""
+    k = [0.30, 0.05, 0.002, 0.42, 0.08, 0.004]
+    text = f"2024-11-02;60,60,2,-1,{k[0]},{k[1]},0.0005,-0.0002,{k[2]},{k[3]},{k[4]},{k[5]}"
+    lens, notes = lens_of(tmp_path, {"DewarpData": "", "DewarpDataK6": text})
+    assert (lens.fu, lens.cu, lens.cv, notes["focal_from"]) == (60, 33.5, 22.5, "factory calibration (DewarpDataK6)")
+    r = np.linspace(0.02, 0.65, 30)  # the corner is at 0.67
+    distorted = r * (1 + k[0] * r**2 + k[1] * r**4 + k[2] * r**6) / (1 + k[3] * r**2 + k[4] * r**4 + k[5] * r**6)
+    k1, k2, p1, p2, k3 = lens.distortion
+    np.testing.assert_allclose(r * (1 + k1 * r**2 + k2 * r**4 + k3 * r**6), distorted, atol=1e-5)
+    assert (p1, p2) == (0.0005, -0.0002)
+
+
+@pytest.mark.parametrize(
+    ("make", "model", "size", "width"),
+    [
+        ("DJI", "FC1", (64, 36), 64 / 0.8),  # 16:9 of a 4:3 sensor keeps its width
+        ("DJI", "FC330", (66, 44), 66 / 0.8),  # 3:2 of a sensor that is known to be 4:3
+        ("DJI", "FC1", (66, 44), math.hypot(66, 44)),
+        ("DJI", "FC6310", (64, 36), 64 * math.hypot(3, 2) / 3),  # of a 3:2 sensor
+        ("Apple", "iPhone 15", (64, 36), math.hypot(64, 36)),
+    ],
+)
+def test_a_picture_that_is_cut_out_of_its_sensor(
+    tmp_path: Path, make: str, model: str, size: tuple[int, int], width: float
+) -> None:
+    """The focal length for 35 mm film compares the diagonals of film and whole sensor."""
+    d.write_photo(tmp_path / "a.jpg", xmp=b"", main={271: make}, model=model, size=size, photo={41989: 24})
+    lens = opened(tmp_path).rig.cameras[0].camera
+    assert lens.fu == pytest.approx(24 * width / math.hypot(36, 24))
 
 
 @pytest.mark.parametrize(

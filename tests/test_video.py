@@ -13,7 +13,7 @@ from alight.geometry import enu_from_flu
 from alight.records import Frame, InputError, NavSample
 from alight.sources import Source, open_source
 from alight.sources.photo_pose import BODY_FROM_CAM
-from alight.sources.video import read_srt
+from alight.sources.video import focal_px, read_srt
 
 RATE, SPEED, FRAMES = 10.0, 4.0, 60  # Hz, m/s
 FILM = CAMERA.fu * 0.8 / CAMERA.width * 43.2666  # mm of 35 mm film
@@ -43,6 +43,14 @@ def test_subtitles_of_two_generations_are_read() -> None:
     assert f"{new.taken:%Y-%m-%d %H:%M:%S.%f}" == "2024-05-01 10:20:30.250000"
     assert (old.seconds, old.place) == (62.5, (37.5, 126.75, 55.0))
     assert read_srt("no subtitles") == []
+
+
+@pytest.mark.parametrize(
+    ("said", "film"), [("24.00", 24), ("240", 24), ("162", 162), ("162.0", 162), ("480", 48), ("0", None)]
+)
+def test_a_focal_length_in_tenths_is_told_from_a_tele_lens(said: str, film: float | None) -> None:
+    (row,) = read_srt(NEW.replace("24.00", said))
+    assert focal_px(row, 1920) == (None if film is None else pytest.approx(film * 1920 / 0.8 / np.hypot(36, 24)))
 
 
 def write_video(folder: Path) -> Path:

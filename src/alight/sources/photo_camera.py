@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from PIL import ExifTags
 
 from alight.geometry import Camera
 from alight.records import InputError
 from alight.sources.lens_bounds import why_no_lens
-from alight.sources.photo_tags import PhotoTags, finite
-from alight.sources.sensor_sizes import sensor_pixels_a_millimetre
+from alight.sources.lens_fits import radial_lens
+from alight.sources.photo_pix4d import fisheye_camera, perspective_camera
+from alight.sources.photo_scale import (
+    Notes,
+    calibrated_width,
+    camera_of,
+    comma_numbers,
+    photo_scale,
+    pixels_a_millimetre,
+)
+from alight.sources.photo_tags import PhotoTags
+from alight.sources.sensor_sizes import film_focal_px, sensor_pixels_a_millimetre, sensor_shape, sensor_width
 
 Base = ExifTags.Base
-Notes = dict[str, Any]
 
-MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0}  # EXIF FocalPlaneResolutionUnit
-FILM_DIAGONAL = math.hypot(36, 24)  # mm
 LONGEST_READOUT = 0.5  # s
 SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor has
 TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a slip, not a lens
@@ -35,7 +41,7 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     Raises:
         InputError: the photo carries no focal length in any form.
     """
-    for known in (_from_dewarp, _from_skydio, _from_factory, _from_calibrated, _from_sensor, _from_film, _from_model):
+    for known in KNOWN:
         try:
             found = known(tags)
         except (ValueError, OverflowError, ZeroDivisionError):  # numbers that are no camera's: the next source
@@ -50,7 +56,7 @@ def photo_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
 
 def guessed_camera(tags: PhotoTags) -> tuple[Camera, Notes]:
     """A camera of usual field of view, where the photo carries no focal length in any form."""
-    camera = _camera(tags, GUESS * max(tags.size))
+    camera = camera_of(tags, GUESS * max(tags.size))
     return camera, {
         "focal_from": GUESSED,
         "focal_px": round(camera.fu, 2),
@@ -67,36 +73,31 @@ def photo_readout(tags: PhotoTags) -> float | None:
     return seconds if 0 <= seconds <= LONGEST_READOUT else None
 
 
-def calibrated_width(tags: PhotoTags) -> float:
-    """Width in pixels of the image that the factory calibration is for: photos may have been resized since."""
-    width = tags.number(Base.ExifImageWidth) or tags.size[0]
-    centre = tags.xmp_number("dji:CalibratedOpticalCenterX")
-    if centre and abs(2 * centre / width - 1) > 0.1:  # a tool that resized and rewrote the EXIF size
-        return 2 * centre
-    return width
-
-
-def _camera(tags: PhotoTags, f: float, offset: tuple[float, float] = (0, 0), lens: tuple[float, ...] = ()) -> Camera:
-    """Makers count the image's centre from the corner, at (w/2, h/2); our (0, 0) is the centre of the first pixel."""
-    w, h = tags.size
-    model = "radial-tangential" if any(lens) else "none"
-    return Camera(w, h, f, f, w / 2 + offset[0] - 0.5, h / 2 + offset[1] - 0.5, model, lens if any(lens) else ())
+def dewarp_text(tags: PhotoTags) -> str:
+    """DJI's factory calibration as it is written; empty without one."""
+    return tags.xmp.get("dji:DewarpData", "") or tags.xmp.get("dji:DewarpDataK6", "")
 
 
 def _dewarp_numbers(tags: PhotoTags) -> list[float] | None:
-    """`date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre."""
-    numbers = _numbers(tags.xmp.get("dji:DewarpData", "").rpartition(";")[2])
+    """`date;fx,fy,cx,cy,k1,k2,p1,p2,k3`, centre counted from the image's centre.
+
+    `DewarpDataK6` of the Matrice 4 goes on with `k4,k5,k6`, by which the radial term is divided.
+    """
+    numbers = comma_numbers(dewarp_text(tags).rpartition(";")[2])
+    if len(numbers) == 12 and min(numbers[:2]) > 0:
+        fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers[:9]
+        radius = math.hypot(*tags.size) / 2 * calibrated_width(tags) / tags.size[0] / fx
+        k1, k2, k3 = radial_lens([k1, k2, k3], numbers[9:], radius)
+        return [fx, fy, cx, cy, k1, k2, p1, p2, k3]
     return numbers if len(numbers) == 9 and min(numbers[:2]) > 0 else None
 
 
 def _nominal(tags: PhotoTags) -> float | None:
     """The focal length of the lens's design, in pixels of the factory calibration."""
-    width, height = tags.size
-    scale = calibrated_width(tags) / width
-    film = tags.number(Base.FocalLengthIn35mmFilm)
     if nominal := tags.xmp_number("dji:CalibratedFocalLength"):
         return nominal
-    return math.hypot(width, height) * scale * film / FILM_DIAGONAL if film else None
+    film = _film_focal(tags)
+    return None if film is None else film * calibrated_width(tags) / tags.size[0]
 
 
 def _one_focal(fx: float, fy: float, nominal: float | None) -> tuple[float, str]:
@@ -121,8 +122,9 @@ def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     if numbers is None:
         return None
     fx, fy, cx, cy, k1, k2, p1, p2, k3 = numbers
-    scale = _scale(tags)
-    notes: Notes = {"focal_from": "factory calibration (DewarpData)"}
+    scale = photo_scale(tags)
+    name = "DewarpData" if tags.xmp.get("dji:DewarpData") else "DewarpDataK6"
+    notes: Notes = {"focal_from": f"factory calibration ({name})"}
     focal, note = _one_focal(fx, fy, _nominal(tags))
     if note:
         notes["focal_note"] = note
@@ -134,7 +136,7 @@ def _from_dewarp(tags: PhotoTags) -> tuple[Camera, Notes] | None:
         notes["lens_note"], lens = "the drone has already removed the distortion (DewarpFlag 1)", ()
     if scale != 1:
         notes["scale"] = round(scale, 6)
-    return _camera(tags, focal * scale, (cx * scale, cy * scale), lens), notes
+    return camera_of(tags, focal * scale, (cx * scale, cy * scale), lens), notes
 
 
 def _from_skydio(tags: PhotoTags) -> tuple[Camera, Notes] | None:
@@ -142,69 +144,44 @@ def _from_skydio(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     fx, fy, cx, cy = (tags.xmp_number(f"skydio:Calibrated{k}") for k in (*_SKYDIO_FOCAL, *_SKYDIO_CENTRE))
     if fx is None or fy is None or min(fx, fy) <= 0:
         return None
-    scale, offset = _scale(tags), (0.0, 0.0)
+    scale, offset = photo_scale(tags), (0.0, 0.0)
     if cx is not None and cy is not None:
         width = calibrated_width(tags)
         offset = cx + 0.5 - width / 2, cy + 0.5 - width * tags.size[1] / tags.size[0] / 2
     focal, note = _one_focal(fx, fy, _nominal(tags))
-    k = _numbers(tags.xmp.get("skydio:DewarpData", ""))
+    k = comma_numbers(tags.xmp.get("skydio:DewarpData", ""))
     lens = (k[0], k[1], 0.0, 0.0, k[2]) if len(k) == 3 else ()
     notes: Notes = {"focal_from": "factory calibration (Skydio)"} | ({"focal_note": note} if note else {})
-    return _camera(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
+    return camera_of(tags, focal * scale, (offset[0] * scale, offset[1] * scale), lens), notes
 
 
 def _from_calibrated(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     focal = tags.xmp_number("dji:CalibratedFocalLength")
     if not focal or focal <= 0:
         return None
-    return _camera(tags, focal * _scale(tags)), {"focal_from": "CalibratedFocalLength"}
-
-
-def _from_factory(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    """Pix4D's `Camera` tags, as Parrot, senseFly and others write them: millimetres, and k1, k2, k3, p1, p2."""
-    focal, pixels = tags.xmp_number("camera:PerspectiveFocalLength"), _pixels_a_millimetre(tags)
-    if not focal or pixels is None or tags.xmp.get("camera:ModelType", "perspective") != "perspective":
-        return None
-    centre, lens = (_numbers(tags.xmp.get(f"camera:{k}", "")) for k in ("PrincipalPoint", "PerspectiveDistortion"))
-    offset = (0.0, 0.0)
-    if len(centre) == 2:
-        offset = centre[0] * pixels - 0.5 * tags.size[0], centre[1] * pixels - 0.5 * tags.size[1]
-    distortion = (lens[0], lens[1], lens[3], lens[4], lens[2]) if len(lens) == 5 else ()
-    return _camera(tags, focal * pixels, offset, distortion), {"focal_from": "factory calibration (Camera tags)"}
+    return camera_of(tags, focal * photo_scale(tags)), {"focal_from": "CalibratedFocalLength"}
 
 
 def _from_sensor(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    focal, pixels = tags.number(Base.FocalLength), _pixels_a_millimetre(tags)
+    focal, pixels = tags.number(Base.FocalLength), pixels_a_millimetre(tags)
     if not focal or pixels is None:
         return None
-    return _camera(tags, focal * pixels), {"focal_from": "FocalLength and FocalPlaneXResolution"}
-
-
-def _pixels_a_millimetre(tags: PhotoTags) -> float | None:
-    """Pixels of the photo a millimetre of the sensor, a digital zoom counted in."""
-    resolution = tags.number(Base.FocalPlaneXResolution)
-    unit = MM_PER_UNIT.get(int(tags.number(Base.FocalPlaneResolutionUnit) or 2))
-    return None if not resolution or unit is None else resolution / unit * _scale(tags)
-
-
-def _scale(tags: PhotoTags) -> float:
-    """Pixels of the photo a pixel of the factory calibration: it was resized since, or zoomed digitally."""
-    return tags.size[0] / calibrated_width(tags) * tags.digital_zoom
-
-
-def _numbers(text: str) -> list[float]:
-    """Numbers with commas between them; none where one is malformed."""
-    values = [finite(v) for v in text.split(",")]
-    numbers = [v for v in values if v is not None]
-    return numbers if len(numbers) == len(values) else []
+    return camera_of(tags, focal * pixels), {"focal_from": "FocalLength and FocalPlaneXResolution"}
 
 
 def _from_film(tags: PhotoTags) -> tuple[Camera, Notes] | None:
-    focal = tags.number(Base.FocalLengthIn35mmFilm)
-    if not focal or focal <= 0:
+    pixels = _film_focal(tags)
+    if pixels is None:
         return None
-    pixels = math.hypot(*tags.size) * focal / FILM_DIAGONAL
-    return _camera(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}
+    return camera_of(tags, pixels), {"focal_from": "FocalLengthIn35mmFilm (rounded to a millimetre by the maker)"}
+
+
+def _film_focal(tags: PhotoTags) -> float | None:
+    film = tags.number(Base.FocalLengthIn35mmFilm)
+    if not film or film <= 0:
+        return None
+    shape = sensor_shape(tags.text(Base.Make), tags.text(Base.Model), tags.size)
+    return film_focal_px(film, sensor_width(tags.size, shape), shape)
 
 
 def _from_model(tags: PhotoTags) -> tuple[Camera, Notes] | None:
@@ -212,5 +189,12 @@ def _from_model(tags: PhotoTags) -> tuple[Camera, Notes] | None:
     pixels = sensor_pixels_a_millimetre(make, model, tags.size)
     if not focal or pixels is None:
         return None
-    camera = _camera(tags, focal * pixels * tags.digital_zoom)
+    camera = camera_of(tags, focal * pixels * tags.digital_zoom)
     return camera, {"focal_from": f"FocalLength and the sensor's size of a {model}"}
+
+
+# best first
+KNOWN = (
+    _from_dewarp, _from_skydio, perspective_camera, fisheye_camera, _from_calibrated, _from_sensor, _from_film,
+    _from_model,
+)  # fmt: skip

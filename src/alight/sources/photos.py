@@ -21,7 +21,7 @@ from alight.records import Event, Frame, InputError, PhotoFacts, Rig, RigCamera
 from alight.settings import ImuNoise, Settings
 from alight.sources.images import UNREADABLE
 from alight.sources.kalibr import read_camchain
-from alight.sources.photo_camera import GUESSED, guessed_camera, photo_camera, photo_readout
+from alight.sources.photo_camera import GUESSED, dewarp_text, guessed_camera, photo_camera, photo_readout
 from alight.sources.photo_pixels import PhotoPixels, PictureMemory
 from alight.sources.photo_pose import (
     BODY_FROM_CAM,
@@ -245,8 +245,8 @@ class Photos(RecordedSource):
     def _lens(self, camera: PhotoCamera) -> tuple[Camera, dict[str, Any]]:
         """The lens of one camera, from the most frequent calibration that its photos carry."""
         its = [p for _, p in self._photos if p.camera == camera]
-        dewarp = Counter(p.xmp.get("dji:DewarpData", "") for p in its).most_common()
-        chosen = next(p for p in its if p.xmp.get("dji:DewarpData", "") == dewarp[0][0])
+        dewarp = Counter(dewarp_text(p) for p in its).most_common()
+        chosen = next(p for p in its if dewarp_text(p) == dewarp[0][0])
         if len(dewarp) > 1:
             self._findings.say(
                 f"the photos carry {len(dewarp)} different factory calibrations: the most frequent one is used"

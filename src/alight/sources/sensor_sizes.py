@@ -1,7 +1,11 @@
-"""Sensor sizes of cameras that map, for photos that tell a focal length in millimetres and nothing else."""
+"""Sensor sizes of cameras that map, and focal lengths by them."""
 
 from __future__ import annotations
 
+import math
+
+FILM_DIAGONAL = math.hypot(36, 24)  # mm
+WIDE = 1.6  # width over height from which a picture is cut out of a sensor of another shape
 FOUR_THIRDS, THREE_HALVES = 4 / 3, 3 / 2
 # Part of the maker's name, start of the model's name, width of the sensor in mm, and width over height; from the
 # makers' data sheets. Of one maker the first start that fits counts.
@@ -55,12 +59,39 @@ SENSORS = (
 
 
 def sensor_pixels_a_millimetre(make: str, model: str, size: tuple[int, int]) -> float | None:
-    """Pixels of a photo a millimetre of its sensor; None: the camera is not in the table.
+    """Pixels of a photo a millimetre of its sensor; None: the camera is not in the table."""
+    found = _sensor(make, model)
+    return None if found is None else sensor_width(size, found[1]) / found[0]
 
-    A photo of another shape than the sensor is cut from the middle: it keeps the whole width or the whole height.
+
+def sensor_shape(make: str, model: str, size: tuple[int, int]) -> float:
+    """Width over height of the sensor: by the table, 4:3 of DJI's wide pictures, else that of the photo."""
+    found = _sensor(make, model)
+    own = max(size) / min(size)
+    if found is not None:
+        return found[1]
+    return FOUR_THIRDS if make.lower() == "dji" and own > WIDE else own
+
+
+def sensor_width(size: tuple[int, int], shape: float) -> float:
+    """Width of the sensor in pixels of a photo, which is cut out of its middle: it keeps the width or the height."""
+    return max(max(size), min(size) * shape)
+
+
+def film_focal_px(film: float, width: float, shape: float) -> float:
+    """The focal length in pixels by that for 35 mm film: makers compare the diagonals of film and whole sensor.
+
+    Args:
+        film: mm.
+        width: of the sensor, pixels.
+        shape: its width over its height.
     """
-    longer, shorter = max(size), min(size)
+    return math.hypot(width, width / shape) * film / FILM_DIAGONAL
+
+
+def _sensor(make: str, model: str) -> tuple[float, float] | None:
+    """Width in mm, and width over height."""
     for maker, start, width, shape in SENSORS:
         if maker in make.lower() and model.lower().startswith(start):
-            return max(longer / width, shorter * shape / width)
+            return width, shape
     return None

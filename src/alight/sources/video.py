@@ -23,6 +23,7 @@ from alight.arrays import U8
 from alight.records import InputError
 from alight.settings import Settings
 from alight.sources.photos import Photos
+from alight.sources.sensor_sizes import FOUR_THIRDS, film_focal_px
 
 SUFFIXES = (".mp4", ".mov", ".m4v")
 OVERLAP = 0.8  # of one frame with the next, along the flight
@@ -30,8 +31,7 @@ LEAST_STEP = 0.5  # metres
 USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not say
 USUAL_FIELD = 0.56  # of a frame's height over its distance, where the focal length is not known
 QUALITY = 95  # of the JPEGs
-FOUR_THIRDS = 0.8  # width over diagonal of the sensors whose focal length is given for 35 mm film
-FILM_DIAGONAL = math.hypot(36, 24)
+TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
 _TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
 _STAMP = re.compile(r"(\d{4})[-.](\d\d)[-.](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
 _PAIR = re.compile(r"\b([a-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?)", re.IGNORECASE)
@@ -152,19 +152,20 @@ def _apart(a: Subtitle, b: Subtitle) -> float:
     return math.hypot(east, north, b.place[2] - a.place[2])
 
 
-def _focal_px(row: Subtitle, width: float) -> float | None:
+def focal_px(row: Subtitle, width: float) -> float | None:
     """The focal length by that for 35 mm film (DJI's 4:3 sensors, whose whole width is filmed)."""
     film = row.said.get("focal_len")
     if not film or film <= 0:
         return None
-    film = film / 10 if film > 150 else film  # some write tenths of a millimetre
-    return width / FOUR_THIRDS * film / FILM_DIAGONAL
+    if film > TENTHS and film == int(film):
+        film /= 10
+    return film_focal_px(film, width, FOUR_THIRDS)
 
 
 def _step(row: Subtitle, film: Any) -> float:
     """Metres from one frame to the next."""
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    focal = _focal_px(row, width)
+    focal = focal_px(row, width)
     field = USUAL_FIELD if focal is None else height / focal
     above = row.said.get("rel_alt", USUAL_HEIGHT)
     return max((1 - OVERLAP) * field * max(above, 1.0), LEAST_STEP)
@@ -192,7 +193,7 @@ def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
     )  # fmt: skip
     tags = {
         "GpsLatitude": latitude, "GpsLongitude": longitude, "AbsoluteAltitude": altitude,
-        "RelativeAltitude": row.said.get("rel_alt"), "CalibratedFocalLength": _focal_px(row, pixels.shape[1]),
+        "RelativeAltitude": row.said.get("rel_alt"), "CalibratedFocalLength": focal_px(row, pixels.shape[1]),
         "GimbalYawDegree": row.said.get("gb_yaw"), "GimbalPitchDegree": row.said.get("gb_pitch"),
         "GimbalRollDegree": row.said.get("gb_roll"),
     }  # fmt: skip
