@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,8 @@ from alight.geometry import enu_from_flu
 from alight.records import Frame, InputError, NavSample
 from alight.sources import Source, open_source
 from alight.sources.photo_pose import BODY_FROM_CAM
-from alight.sources.video import focal_px, read_srt
+from alight.sources.subtitles import read_srt
+from alight.sources.video import focal_px
 
 RATE, SPEED, FRAMES = 10.0, 4.0, 60  # Hz, m/s
 FILM = CAMERA.fu * 0.8 / CAMERA.width * 43.2666  # mm of 35 mm film
@@ -51,6 +53,40 @@ def test_subtitles_of_two_generations_are_read() -> None:
 def test_a_focal_length_in_tenths_is_told_from_a_tele_lens(said: str, film: float | None) -> None:
     (row,) = read_srt(NEW.replace("24.00", said))
     assert focal_px(row, 1920) == (None if film is None else pytest.approx(film * 1920 / 0.8 / np.hypot(36, 24)))
+
+
+@pytest.mark.parametrize(
+    ("line", "place", "coarse"),
+    [
+        ("HOME(149.0251,-20.2532) 2017.08.05 14:11:51\nGPS(149.0251,-20.2533,16) BAROMETER:1.9",
+         (-20.2533, 149.0251, 1.9), True),
+        ("2021.09.18 21:23:30\nGPS(-44.3266,170.5650,0.0M) BAROMETER:363.3M", (-44.3266, 170.565, 363.3), True),
+        ("GPS(36.6146, -6.1120, 0.0M) BAROMETER: 79.8M", (36.6146, -6.112, 79.8), True),
+        ("GPS(39.906217,116.391305,69.800) BAROMETER(91.2)", (39.906217, 116.391305, 91.2), False),
+        ("F/5.6, SS 400, ISO 100, EV 0, GPS (-122.369912, 37.816633, 15), D 3.5m, H 10.2m, H.S 1m/s",
+         (37.816633, -122.369912, 10.2), False),
+        ("GPS(149.0251,-20.2533,16)", None, True),
+        ("GPS(200.0,95.0,70) BAROMETER:1.9", None, False),
+    ],
+)  # fmt: skip
+def test_subtitles_with_the_place_in_brackets(
+    line: str, place: tuple[float, float, float] | None, coarse: bool
+) -> None:
+    """Longitude first, unless the altitude has a unit or the latitude would be none; the height is the barometer's."""
+    (row,) = read_srt(f"1\n00:00:01,000 --> 00:00:02,000\n{line}\n")
+    assert (row.place, row.coarse) == (place, coarse)
+
+
+def test_a_place_of_few_decimals_is_trusted_little(tmp_path: Path) -> None:
+    path = write_video(tmp_path)
+    rows = path.with_suffix(".SRT").read_text()
+    coarse = re.sub(r"\[latitude: ([-\d.]+)\] \[longitude: ([-\d.]+)\] \[rel_alt: ([-\d.]+) abs_alt: [-\d.]+\]",
+                    lambda m: f"GPS({float(m[1]):.4f},{float(m[2]):.4f},0.0M) BAROMETER:{m[3]}M", rows)  # fmt: skip
+    path.with_suffix(".SRT").write_text(coarse)
+    nav, _ = events(open_source(path))
+    np.testing.assert_allclose(nav[0].sigma_position, [11.0, 11.0, 5.0])
+    assert nav[0].position_world is not None
+    assert nav[0].position_world[2] == pytest.approx(UP, abs=0.01)
 
 
 def write_video(folder: Path) -> Path:

@@ -1,15 +1,13 @@
-"""A video with telemetry (`.srt` as DJI writes it) as photos: frames by distance, with tags that `Photos` reads."""
+"""A video with telemetry (`.srt`) as photos: frames by distance, with tags that `Photos` reads."""
 
 from __future__ import annotations
 
 import math
 import os
-import re
 import shutil
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from alight.records import InputError
 from alight.settings import Settings
 from alight.sources.photos import Photos
 from alight.sources.sensor_sizes import FOUR_THIRDS, film_focal_px
+from alight.sources.subtitles import Subtitle, read_srt
 
 SUFFIXES = (".mp4", ".mov", ".m4v")
 OVERLAP = 0.8  # of one frame with the next, along the flight
@@ -31,53 +30,8 @@ LEAST_STEP = 0.5  # metres
 USUAL_HEIGHT = 30.0  # metres above the ground, where the telemetry does not say
 USUAL_FIELD = 0.56  # of a frame's height over its distance, where the focal length is not known
 QUALITY = 95  # of the JPEGs
+COARSE_SIGMA = 11.0  # m, of a place with four decimals of a degree
 TENTHS = 200  # mm; whole numbers above are tenths of a millimetre
-_TIME = re.compile(r"(\d+):(\d\d):(\d\d)[,.](\d{1,3})\s*-->")
-_STAMP = re.compile(r"(\d{4})[-.](\d\d)[-.](\d\d)[ T](\d\d):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?")
-_PAIR = re.compile(r"\b([a-z_]+)\s*:\s*([-+]?\d+(?:\.\d+)?)", re.IGNORECASE)
-_NAMES = {"longtitude": "longitude"}  # DJI's own spelling
-
-
-@dataclass(frozen=True)
-class Subtitle:
-    """What one subtitle says."""
-
-    seconds: float  # from the start of the video
-    taken: datetime | None
-    said: dict[str, float]  # latitude, longitude, abs_alt, rel_alt, focal_len, gb_yaw, ...
-
-    @property
-    def place(self) -> tuple[float, float, float] | None:
-        """Latitude, longitude, altitude; None without a fix."""
-        latitude, longitude = self.said.get("latitude"), self.said.get("longitude")
-        altitude = next((self.said[k] for k in ("abs_alt", "altitude", "rel_alt") if k in self.said), None)
-        if latitude is None or longitude is None or altitude is None or (latitude, longitude) == (0, 0):
-            return None
-        return latitude, longitude, altitude
-
-
-def read_srt(text: str) -> list[Subtitle]:
-    """The telemetry of subtitles in which each line of numbers is `name: value`, as `[latitude: 45.1]`."""
-    out = []
-    for block in re.split(r"\n\s*\n", text.replace("\r", "")):
-        if (at := _TIME.search(block)) is None:
-            continue
-        h, m, s, ms = (int(v) for v in at.groups())
-        said = {_NAMES.get(k.lower(), k.lower()): float(v) for k, v in _PAIR.findall(block[at.end() :])}
-        out.append(Subtitle(3600 * h + 60 * m + s + ms / 10 ** len(at.group(4)), _stamp(block), said))
-    return out
-
-
-def _stamp(block: str) -> datetime | None:
-    if (found := _STAMP.search(block)) is None:
-        return None
-    *whole, fraction = found.groups()
-    year, month, day, hour, minute, second = (int(v) for v in whole)
-    try:
-        at = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
-    except ValueError:
-        return None
-    return at + timedelta(milliseconds=int((fraction or "0").ljust(3, "0")))
 
 
 def open_video(path: Path, settings: Settings) -> Photos:
@@ -95,7 +49,8 @@ def open_video(path: Path, settings: Settings) -> Photos:
     rows = [t for t in read_srt(subtitles.read_text(encoding="utf-8", errors="replace")) if t.place is not None]
     if not rows:
         raise InputError(
-            f"{subtitles}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...]"
+            f"{subtitles}: no place in it; needs subtitles with [latitude: ...] [longitude: ...] [abs_alt: ...], or "
+            "with GPS(...) and BAROMETER:..."
         )
     folder = Path(tempfile.mkdtemp(prefix="alight-video-"))
     root = folder / path.stem
@@ -198,8 +153,11 @@ def _write_photo(path: Path, pixels: U8, row: Subtitle, seconds: float) -> None:
         "GimbalRollDegree": row.said.get("gb_roll"),
     }  # fmt: skip
     attributes = " ".join(f"d:{k}={quoteattr(f'{v:.9g}')}" for k, v in tags.items() if v is not None)
+    if row.coarse:
+        attributes += f' c:GPSXYAccuracy="{COARSE_SIGMA}"'
     xmp = (
         '<x:xmpmeta xmlns:x="adobe:ns:meta/"><r:RDF xmlns:r="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
-        f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" {attributes}/></r:RDF></x:xmpmeta>'
+        f'<r:Description r:about="" xmlns:d="http://www.dji.com/drone-dji/1.0/" xmlns:c="http://pix4d.com/camera/1.0/" '
+        f"{attributes}/></r:RDF></x:xmpmeta>"
     )
     Image.fromarray(pixels).save(path, "JPEG", quality=QUALITY, exif=exif, xmp=xmp.encode())
