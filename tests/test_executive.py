@@ -402,6 +402,8 @@ def test_it_comes_down_above_the_place() -> None:
     landing = [(o.down, np.hypot(*(p[:2] - [10.0, 5.0])), p[2]) for s, o, p in f.orders if s is S.COMMIT]
     assert all(beside < 0.7 or height < 1.5 for down, beside, height in landing if down)
     assert all(beside > 0.4 and height > 1.5 for down, beside, height in landing if not down)
+    assert {o.speed <= 0.4 for s, o, _ in f.orders if s is S.COMMIT and o.down} == {True}
+    assert {o.speed > 1.0 for s, o, _ in f.orders if s is S.COMMIT and not o.down} == {True}
     kept = [k for k, (down, _, height) in enumerate(landing) if not down and height < 3.0]
     assert kept  # once, from the first gust; the second comes too low
     assert kept == list(range(kept[0], kept[-1] + 1))

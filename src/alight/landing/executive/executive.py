@@ -341,14 +341,15 @@ class Executive:
         return Order("fly", to, speed, sink)
 
     def _come_down(self, now: Situation) -> Order:
-        """Over the place first, then down; over it again from beside, as long as the landing may be broken off."""
+        """Over the place first, then slowly down; over it again from beside, while the landing may be broken off."""
         assert self.target is not None
         place = np.array([self.target.east, self.target.north, self.target.up])
         if now.position is not None:
             beside = math.dist(place[:2], now.position[:2])
             within = self._keys.off_site if self._descends else self._keys.over_site
             self._descends = beside <= within or self._left < self._keys.abort_height
-        return Order("land", place, self._route.cruise_speed, self._keys.landing_speed, self._descends)
+        speed = self._keys.aside_speed if self._descends else self._route.cruise_speed
+        return Order("land", place, speed, self._keys.landing_speed, self._descends)
 
     def _clear(self, now: Situation, to: F64) -> F64:
         """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""
