@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import struct
 import warnings
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +13,8 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import IMAGELENGTH, IMAGEWIDTH, TiffImageFile
 
+CLASSIC_TIFF, SHORT = 42, 3  # numbers of a TIFF's header and of the type of a tag
 UNREADABLE = (OSError, UnidentifiedImageError, SyntaxError, ValueError, Image.DecompressionBombError)
-
-# how the turn of each EXIF orientation is undone
-_UNTURN = {
-    2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
-    5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_90, 7: Image.Transpose.TRANSVERSE,
-    8: Image.Transpose.ROTATE_270,
-}  # fmt: skip
 
 
 def open_image(path: Path) -> Image.Image:
@@ -53,12 +49,26 @@ def stored_size(image: Image.Image) -> tuple[int, int]:
     return image.size
 
 
-def _as_stored(image: Image.Image) -> Image.Image:
-    if not isinstance(image, TiffImageFile):
-        return image
-    unturn = _UNTURN.get(image.tag_v2.get(ExifTags.Base.Orientation, 1))  # the tag is gone once the pixels are read
-    image.load()
-    return image if unturn is None else image.transpose(unturn)
+def _is_turned(image: Image.Image) -> bool:
+    return isinstance(image, TiffImageFile) and image.tag_v2.get(ExifTags.Base.Orientation, 1) in range(2, 9)
+
+
+def _not_turned(tiff: bytes) -> bytes:
+    """The same file with an EXIF orientation of 1: pillow scrambles some that it turns.
+
+    Raises:
+        ValueError: it is a BigTIFF.
+    """
+    order = "<" if tiff.startswith(b"II") else ">"
+    magic, directory = struct.unpack_from(f"{order}HI", tiff, 2)
+    if magic != CLASSIC_TIFF:
+        raise ValueError("it is a BigTIFF with an EXIF orientation other than 1; set it to 1")
+    (entries,) = struct.unpack_from(f"{order}H", tiff, directory)
+    upright = bytearray(tiff)
+    for at in range(directory + 2, directory + 2 + 12 * entries, 12):
+        if struct.unpack_from(f"{order}H", tiff, at)[0] == ExifTags.Base.Orientation:
+            struct.pack_into(f"{order}HHIHH", upright, at, ExifTags.Base.Orientation, SHORT, 1, 1, 0)
+    return bytes(upright)
 
 
 def _pixels(image: Image.Image) -> NDArray[np.uint8]:
@@ -97,7 +107,10 @@ def read_image(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
             stored = stored_size(image)
             if stored != size:
                 raise ValueError(f"it is {stored[0]}x{stored[1]}, the camera {size[0]}x{size[1]}")
-            pixels, jpeg = _pixels(_as_stored(image)), image.format in ("JPEG", "MPO")
+            if _is_turned(image):
+                with Image.open(BytesIO(_not_turned(path.read_bytes()))) as upright:
+                    return _pixels(upright)
+            pixels, jpeg = _pixels(image), image.format in ("JPEG", "MPO")
         if jpeg and not has_end(path.read_bytes()):
             raise ValueError("it is truncated: its end is missing")
         return pixels

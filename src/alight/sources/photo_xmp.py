@@ -13,7 +13,7 @@ RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 ITEM = f"{RDF}li"
 FRAME = (RDF, "{adobe:ns:meta/}", "{http://www.w3.org/XML/1998/namespace}")  # what holds values and names none
 MOST_TEXT = 1_000_000  # characters of a damaged packet that are searched
-_META = re.compile(r"<(\w+):xmpmeta\b.*?</\1:xmpmeta\s*>", re.DOTALL)
+_META = re.compile(r"<(\w{1,40}):xmpmeta\b")
 _NAME = r"([\w-]{1,40}):(\w{1,80})"
 _DECLARED = re.compile(r"""xmlns:([\w-]{1,40})\s*=\s*["']([^"'<>]*)["']""")
 _ATTRIBUTE = re.compile(rf"""\s{_NAME}\s*=\s*["']([^"'<>]*)["']""")
@@ -71,8 +71,9 @@ def salvage_xmp(packet: bytes | str) -> dict[str, str]:
 
 def _text(packet: bytes | str) -> str:
     text = packet.decode("utf-8", errors="replace") if isinstance(packet, bytes) else packet
-    found = _META.search(text)
-    return found.group() if found else text
+    start = _META.search(text)
+    end = text.rfind(f"</{start.group(1)}:xmpmeta>") if start else -1
+    return text[start.start() : text.index(">", end) + 1] if start and end > start.start() else text
 
 
 def _within(owner: str, tag: str) -> str:

@@ -51,6 +51,8 @@ SENSORS = (
     ("dji", "zenmusep1", 35.9, THREE_HALVES),
     ("hasselblad", "l1d-20c", 13.2, THREE_HALVES),
     ("hasselblad", "l2d-20c", 17.3, FOUR_THIRDS),
+    ("parrot", "anafiai", 6.4, FOUR_THIRDS),
+    ("parrot", "anafi ai", 6.4, FOUR_THIRDS),
     ("parrot", "anafi", 5.87, FOUR_THIRDS),
     ("sensefly", "s.o.d.a", 12.75, THREE_HALVES),
     ("yuneec", "cgo3", 6.17, FOUR_THIRDS),
