@@ -23,6 +23,7 @@ from alight.records import Frame
 
 SIDE = 2 * kernels.HALF + 3
 CAMERA = Camera(320, 240, 400.0, 400.0, 159.5, 119.5)
+FINER = Camera(640, 480, 800.0, 800.0, 319.5, 239.5)
 
 
 def texture(seed: int) -> Callable[[F64, F64], F64]:
@@ -89,25 +90,27 @@ def test_what_is_not_there_is_not_found() -> None:
     assert np.isnan(matched(one, one, edge + 30.0 * np.array([1.0, -1.0]), edge, np.eye(2))[0]).all()
 
 
-def survey(seed: int) -> tuple[BundleState, BundleObservations, Priors, list[Frame]]:
-    """Four leaning photos of level ground from 20 m, observed without an error."""
+def survey(
+    seed: int, cameras: tuple[Camera, ...] = (CAMERA,)
+) -> tuple[BundleState, BundleObservations, Priors, list[Frame]]:
+    """Four leaning photos of level ground from 20 m, observed without an error; the cameras take them in turn."""
     grey, rng = texture(seed), np.random.default_rng(seed)
-    camera = CAMERA
     centres = np.array([[0.0, 0.0, 20.0], [3.0, 0.5, 20.5], [0.5, 3.0, 19.5], [3.0, 3.5, 20.0]])
     down = np.diag([1.0, -1.0, -1.0])
     rotations = np.array([so3_exp(rng.normal(0, 0.06, 3)) @ down for _ in centres])
-    c, r = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    rays = camera.rays(np.stack([c, r], axis=-1).reshape(-1, 2).astype(float))
     frames = []
     for k, (C, R) in enumerate(zip(centres, rotations, strict=True)):
-        world = rays @ R.T
+        camera, images = cameras[k % len(cameras)], [None] * len(cameras)
+        c, r = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        world = camera.rays(np.stack([c, r], axis=-1).reshape(-1, 2).astype(float)) @ R.T
         ground = C + world * (-C[2] / world[:, 2])[:, None]
         shade = grey(20 * ground[:, 0], 20 * ground[:, 1]).reshape(c.shape).clip(0, 255)
-        frames.append(Frame(k, (np.rint(shade).astype(np.uint8),)))
+        images[k % len(cameras)] = np.rint(shade).astype(np.uint8)
+        frames.append(Frame(k, tuple(images)))
     points = np.column_stack([rng.uniform(-1, 4, (80, 1)), rng.uniform(-1, 4, (80, 1)), np.zeros((80, 1))])
     photo, point = np.tile(np.arange(4), 80), np.repeat(np.arange(80), 4)
-    lenses = PhotoLenses.one(camera, 4)
-    lens = np.zeros(5 + len(camera.distortion))
+    lenses = PhotoLenses(cameras, np.arange(4) % len(cameras))
+    lens = np.zeros(5 * len(cameras))
     state = BundleState(centres, rotations, points, lens, np.zeros(3), np.zeros((4, 2, 3)))
     obs = BundleObservations(photo, point, np.zeros((320, 2)), np.zeros(320, bool))
     obs = replace(obs, pixels=project_points(state, obs, lenses, np.zeros((4, 3)))[0])
@@ -118,14 +121,17 @@ def survey(seed: int) -> tuple[BundleState, BundleObservations, Priors, list[Fra
     return state, obs, priors, frames
 
 
-@pytest.mark.parametrize("longest", [3200, 240])
-def test_observations_of_features_become_sharper(longest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("cameras", "longest"), [((CAMERA,), 3200), ((CAMERA,), 240), ((CAMERA, FINER), 400)])
+def test_observations_of_features_become_sharper(
+    cameras: tuple[Camera, ...], longest: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A quarter of a pixel of noise; the first observation of a point stays, and the others go with it.
 
-    In the photos' own pixels, and in pictures of three quarters of the size.
+    In the photos' own pixels, in pictures of three quarters of the size, and beside a finer camera whose pictures
+    alone are reduced.
     """
     monkeypatch.setattr(patch_matching, "MOST_PX", longest)
-    state, exact, priors, frames = survey(5)
+    state, exact, priors, frames = survey(5, cameras)
     noise = np.random.default_rng(2).normal(0, 0.25, exact.pixels.shape)
     noisy = replace(exact, pixels=exact.pixels + noise)
     sharp = patch_matching.refine_observations(state, noisy, priors, frames, InTurn())
@@ -134,7 +140,8 @@ def test_observations_of_features_become_sharper(longest: int, monkeypatch: pyte
     others = sharp.by_patch & (np.arange(320) != first)
     assert others.sum() > 0.75 * 240
     assert sharp.by_patch[exact.starts].mean() > 0.8
-    left = (sharp.pixels - exact.pixels - noise[first])[others]  # the photos are nearly alike in scale and heading
+    focal = priors.lenses.focal(exact.photo)[:, :1]  # but for it the photos are nearly alike in scale and heading
+    left = (sharp.pixels - exact.pixels - focal / focal[first] * noise[first])[others]
     assert np.median(np.abs(left)) < 0.03
     assert_allclose(sharp.pixels[~sharp.by_patch], noisy.pixels[~sharp.by_patch])
 

@@ -105,9 +105,9 @@ def _find(patches: F16, image: Pixels, pixels: F64, warp: F64) -> F64:
 
 
 def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, velocity: F64) -> F64:
-    """(N, 2, 2) by how many pixels each photo sees the ground moved that the point's first photo sees moved by one.
+    """(N, 2, 2) by how many pixels each picture sees the ground moved that the point's first one sees moved by one.
 
-    The ground about a point counts as level.
+    Pixels are those of the pictures that patches are matched in. The ground about a point counts as level.
     """
     first = np.repeat(obs.starts, np.diff(np.append(obs.starts, len(obs.point))))
     away = np.linalg.norm(state.points[obs.point] - state.centres[obs.photo], axis=1)
@@ -121,6 +121,8 @@ def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, vel
     by_ground = np.moveaxis(sides[:, 1] - sides[:, 0], 0, 2)  # (N, 2 pixels, 2 axes)
     with np.errstate(divide="ignore", invalid="ignore"):
         warp = by_ground @ _inverses(by_ground[first])
+    reduced = np.array([min(1.0, MOST_PX / max(c.width, c.height)) for c in lenses.cameras])[lenses.of[obs.photo]]
+    warp *= (reduced / reduced[first])[:, None, None]
     size = np.abs(warp).max(axis=(1, 2))
     warp[~(size < _MOST_WARP)] = np.nan  # nothing is found there
     return np.asarray(warp)
