@@ -272,18 +272,15 @@ def test_landing_targets_by_hand() -> None:
     """Level, nose east, target 10 m below and 1 m north: 1 m to the left of the nose."""
     R = world_from_body_of_angles(0.0, 0.0, math.pi / 2)
     assert R is not None
-    m = ArduPilotFirmware().landing_target(7 * MS, np.array([0.0, 1.0, -10.0]), R, None)
+    m = ArduPilotFirmware().landing_target(7 * MS, np.array([0.0, 1.0, -10.0]), R)
     assert (m.frame, m.position_valid, m.time_usec) == (12, 1, 7000)
     assert_allclose([m.x, m.y, m.z], [0.0, -1.0, 10.0], atol=1e-9)
     assert m.angle_x == pytest.approx(math.atan(-0.1))  # right of the centre is positive
     assert m.angle_y == pytest.approx(0.0, abs=1e-9)
     assert m.distance == pytest.approx(math.sqrt(101))
-    ahead = ArduPilotFirmware().landing_target(0, np.array([1.0, 0.0, -10.0]), R, None)
+    ahead = ArduPilotFirmware().landing_target(0, np.array([1.0, 0.0, -10.0]), R)
     assert ahead.angle_y == pytest.approx(-math.atan(0.1))  # above the centre is negative
-    px4 = Px4Firmware().landing_target(0, np.array([0.0, 1.0, -10.0]), R, np.array([100.0, 200.0, -30.0]))
-    assert (px4.frame, px4.position_valid) == (1, 1)
-    assert_allclose([px4.x, px4.y, px4.z], [101.0, 200.0, -20.0])
-    assert Px4Firmware().landing_target(0, np.zeros(3), R, None) is None
+    assert Px4Firmware().landing_target(0, np.array([0.0, 1.0, -10.0]), R) is None
 
 
 def known_clock() -> VehicleClock:

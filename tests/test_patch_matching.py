@@ -13,7 +13,6 @@ pytest.importorskip("pycolmap")
 
 from alight.arrays import F64
 from alight.geometry import Camera, so3_exp
-from alight.jobs import InTurn
 from alight.motion.bundle import patch_matching
 from alight.motion.bundle import patch_matching_kernels as kernels
 from alight.motion.bundle.lenses import PhotoLenses
@@ -134,7 +133,7 @@ def test_observations_of_features_become_sharper(
     state, exact, priors, frames = survey(5, cameras)
     noise = np.random.default_rng(2).normal(0, 0.25, exact.pixels.shape)
     noisy = replace(exact, pixels=exact.pixels + noise)
-    sharp = patch_matching.refine_observations(state, noisy, priors, frames, InTurn())
+    sharp = patch_matching.refine_observations(state, noisy, priors, frames)
     first = np.repeat(exact.starts, 4)
     assert_allclose(sharp.pixels[exact.starts], noisy.pixels[exact.starts])
     others = sharp.by_patch & (np.arange(320) != first)
@@ -149,6 +148,12 @@ def test_observations_of_features_become_sharper(
 def test_a_photo_of_other_ground_keeps_its_features() -> None:
     state, obs, priors, frames = survey(5)
     strange = [*frames[:3], replace(frames[3], images=survey(6)[3][3].images)]
-    sharp = patch_matching.refine_observations(state, obs, priors, strange, InTurn())
+    sharp = patch_matching.refine_observations(state, obs, priors, strange)
     assert sharp.by_patch[obs.photo == 1].mean() > 0.8
     assert sharp.by_patch[obs.photo == 3].mean() < 0.1
+
+
+def test_without_an_observation_nothing_is_done() -> None:
+    state, obs, priors, frames = survey(5)
+    none = obs.keep(np.zeros(320, bool))[0]
+    assert not len(patch_matching.refine_observations(state, none, priors, frames).photo)

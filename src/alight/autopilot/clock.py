@@ -9,7 +9,7 @@ import numpy as np
 
 from alight.arrays import F64
 
-_WINDOW = 60  # exchanges
+_WINDOW = 300  # exchanges: a minute
 _ASKED = 50  # questions that may still be answered
 _DRIFT = 50e-6  # 1-sigma of the rate of a crystal
 _FLOOR = 0.2e-3  # s, 1-sigma of an exchange without any waiting

@@ -17,7 +17,7 @@ from alight.records import FlightMode, Place, Telemetry
 ARDUPILOT, PX4 = 3, 12  # MAV_AUTOPILOT
 HOVERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, and 4, the helicopter
 _CUSTOM_MODE = 1.0  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_LOCAL_NED, _BODY_FRD = 1, 12  # MAV_FRAME
+_BODY_FRD = 12  # MAV_FRAME
 _NAN = float("nan")
 # Copter's modes in order of their numbers
 _COPTER = """
@@ -27,7 +27,6 @@ THROW AVOID_ADSB GUIDED_NOGPS SMART_RTL FLOWHOLD FOLLOW ZIGZAG SYSTEMID AUTOROTA
 _RATES: Mapping[str, float] = {  # Hz, of few kinds: ArduPilot keeps ten different intervals a link, the next is rounded
     "ATTITUDE_QUATERNION": 20.0,
     "GLOBAL_POSITION_INT": 10.0,
-    "LOCAL_POSITION_NED": 5.0,
     "GPS_RAW_INT": 5.0,
     "RC_CHANNELS": 5.0,
     "EXTENDED_SYS_STATE": 5.0,
@@ -59,17 +58,16 @@ class Firmware(Protocol):
     def mission(self, items: tuple[MissionItem, ...], home: Place | None) -> tuple[MissionItem, ...]:
         """Return the items in the form in which this autopilot takes them."""
 
-    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Make a LANDING_TARGET.
 
         Args:
             t_ns: instant at which this held, our clock.
             target_world: (3,) metres from the vehicle to the target, world axes.
             world_from_body: (3, 3) attitude of that instant.
-            own_ned: (3,) metres, the vehicle in the estimator's local frame; None: not known.
 
         Returns:
-            The message; None: the target cannot be expressed yet.
+            The message; None: this autopilot uses none.
         """
 
 
@@ -119,7 +117,7 @@ class ArduPilotFirmware:
         """Item 0 is the home."""
         return (home_item(home or Place(0.0, 0.0, 0.0, 0.0)), *items)
 
-    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
         """Angles and position in the body as it is, not levelled: it looks up its own attitude."""
         x, y, z = (float(v) for v in border.frd(world_from_body.T @ target_world))
         distance = float(np.linalg.norm(target_world))
@@ -191,16 +189,9 @@ class Px4Firmware:
         """
         return tuple(i for i in items if i.command != CONDITION_YAW and not _is_descent_speed(i))
 
-    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64, own_ned: F64 | None) -> Any | None:
-        """Position in the estimator's local frame. LAND uses none; precision landing does, where a pilot chooses it."""
-        if own_ned is None:
-            return None
-        x, y, z = (float(v) for v in own_ned + border.ned(target_world))
-        return message(
-            "LANDING_TARGET", time_usec=t_ns // 1000, target_num=0, frame=_LOCAL_NED, angle_x=0.0, angle_y=0.0,
-            distance=float(np.linalg.norm(target_world)), size_x=0.0, size_y=0.0, x=x, y=y, z=z,
-            q=[1.0, 0.0, 0.0, 0.0], type=2, position_valid=1,
-        )  # fmt: skip
+    def landing_target(self, t_ns: int, target_world: F64, world_from_body: F64) -> Any | None:
+        """None: LAND is AUTO.LAND, which uses no target."""
+        return None
 
 
 def _is_descent_speed(item: MissionItem) -> bool:

@@ -17,7 +17,7 @@ from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.autopilot.pymavlink_dialect import message
 from alight.autopilot.setpoints import Setpoint, Target, hold_at, target_of
 from alight.autopilot.speeds import SpeedKeeper
-from alight.autopilot.status_text import TextJoiner
+from alight.autopilot.status_text import SpokenText, TextJoiner
 from alight.autopilot.streams import StreamKeeper
 from alight.autopilot.vehicle_state import VehicleState, boot_time_ns
 from alight.geometry import LocalFrame
@@ -210,10 +210,9 @@ class RemoteVehicle:
             world_from_body: (3, 3) attitude of that instant.
 
         Returns:
-            False: not sent; somebody else flies, or PX4's local position is not known.
+            False: not sent; somebody else flies, or it is a PX4, whose landing uses none.
         """
-        own_ned = self._state.local_ned_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
-        sent = self.firmware.landing_target(t_ns, target_world, world_from_body, own_ned)
+        sent = self.firmware.landing_target(t_ns, target_world, world_from_body)
         if sent is None or not self._control.in_control:
             return False
         self._send(sent)
@@ -236,6 +235,7 @@ class RemoteVehicle:
         self._now_ns = now_ns
         self._pace.tick(now_ns)
         self._watch_link()
+        self._said(self._texts.overdue(now_ns))
         if not self.alive:
             return
         self._ask_time()
@@ -356,7 +356,10 @@ class RemoteVehicle:
             self._keep_pace(m.tc1)
 
     def _text(self, m: Any) -> None:
-        for said in self._texts.take(m):
+        self._said(self._texts.take(m, self._now_ns))
+
+    def _said(self, texts: list[SpokenText]) -> None:
+        for said in texts:
             self._note(NoticeKind.TEXT, said.text, ok=said.ok)
 
     def _reached(self, m: Any) -> None:

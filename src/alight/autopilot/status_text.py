@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 _PIECE = 50  # characters; a shorter piece is the last one
+_PATIENCE_NS = 1_000_000_000  # for the next piece
 
 
 class SpokenText(NamedTuple):
@@ -18,21 +19,22 @@ class TextJoiner:
     """Joins the pieces of one text, which bear one number. What is lost on the way is left out."""
 
     def __init__(self) -> None:
-        self._number = 0  # of the text that is being joined; 0: none
+        self._number = self._next = self._since_ns = 0  # of the text that is being joined, of its next piece
         self._pieces: list[SpokenText] = []
 
-    def take(self, message: Any) -> list[SpokenText]:
+    def take(self, message: Any, now_ns: int) -> list[SpokenText]:
         """Take a STATUSTEXT; return the texts that are over with it: one, two, or none as more is to come."""
-        over = []
-        if self._pieces and message.id != self._number:
-            over.append(self._joined())
-        self._number = message.id
+        over = self._joined() if message.id != self._number else []
+        if self._pieces and message.chunk_seq < self._next:
+            return over  # it came twice
+        self._number, self._next, self._since_ns = message.id, message.chunk_seq + 1, now_ns
         self._pieces.append(SpokenText(str(message.text), message.severity > 3))
-        if not message.id or len(message.text) < _PIECE:
-            over.append(self._joined())
-        return over
+        return over + (self._joined() if not message.id or len(message.text) < _PIECE else [])
 
-    def _joined(self) -> SpokenText:
-        whole = SpokenText("".join(p.text for p in self._pieces), all(p.ok for p in self._pieces))
-        self._pieces.clear()
-        return whole
+    def overdue(self, now_ns: int) -> list[SpokenText]:
+        """The text whose next piece does not come, as far as it came."""
+        return self._joined() if now_ns - self._since_ns > _PATIENCE_NS else []
+
+    def _joined(self) -> list[SpokenText]:
+        pieces, self._pieces = self._pieces, []
+        return [SpokenText("".join(p.text for p in pieces), all(p.ok for p in pieces))] if pieces else []

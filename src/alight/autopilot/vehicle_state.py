@@ -51,7 +51,6 @@ class VehicleState:
         self._now = Telemetry(firmware.name)
         self._heard: dict[str, int] = {}
         self._places: deque[tuple[int, Place, F64]] = deque(maxlen=_REMEMBERED)  # autopilot's clock, place, NED m/s
-        self._local: tuple[int, F64, F64] | None = None  # autopilot's clock, NED metres and m/s in its local frame
         self.sticks: tuple[int, ...] | None = None
 
     def telemetry(self, now_ns: int) -> Telemetry:
@@ -76,7 +75,7 @@ class VehicleState:
         """Forget everything but the mode; the vehicle counts as disarmed."""
         self._now = replace(Telemetry(self.firmware.name), armed=False, mode=self._now.mode)
         self._places.clear()
-        self._local = self.sticks = None
+        self.sticks = None
 
     def hear(self, name: str, m: Any, now_ns: int) -> None:
         """Take a message of the vehicle that came at `now_ns` of our clock."""
@@ -110,13 +109,6 @@ class VehicleState:
             place.above_home - down,
         )
 
-    def local_ned_at(self, boot_ns: int) -> F64 | None:
-        """(3,) metres in the estimator's local frame at an instant of its clock; None: no report near it."""
-        if self._local is None or abs(boot_ns - self._local[0]) > _EXTRAPOLATED_NS:
-            return None
-        t, here, velocity = self._local
-        return np.asarray(here + velocity * ((boot_ns - t) * 1e-9))
-
     def _heartbeat(self, m: Any) -> None:
         mode, name = self.firmware.mode(m.custom_mode)
         self._now = replace(self._now, armed=bool(m.base_mode & _ARMED), mode=mode, mode_name=name)
@@ -130,11 +122,6 @@ class VehicleState:
         velocity_ned = np.array([m.vx, m.vy, m.vz]) * 1e-2
         self._now = replace(self._now, place=place, velocity_world=border.enu(*velocity_ned))
         self._places.append((m.time_boot_ms * 1_000_000, place, velocity_ned))
-
-    def _local_position_ned(self, m: Any) -> None:
-        here, velocity = np.array([m.x, m.y, m.z]), np.array([m.vx, m.vy, m.vz])
-        known = np.isfinite(here).all() and np.isfinite(velocity).all()
-        self._local = (m.time_boot_ms * 1_000_000, here, velocity) if known else None
 
     def _attitude_quaternion(self, m: Any) -> None:
         self._turn(border.world_from_body_of_quaternion([m.q1, m.q2, m.q3, m.q4]), m)

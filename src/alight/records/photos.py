@@ -31,7 +31,7 @@ class PhotoOutcome:
     """What the pictures made of one photo's tags."""
 
     t_ns: int
-    attitude: str = ""  # believed, turned back or ignored; empty where there was none
+    attitude: str = ""  # believed, turned back, overruled or ignored; empty where there was none
     position: str = ""
     left_out: str = ""  # why it could not be registered
 

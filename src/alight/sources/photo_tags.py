@@ -76,10 +76,7 @@ class PhotoTags:
         Pix4D's names. Cameras that write all bands of a colour picture (Red, Green, Blue) are no multispectral ones.
         """
         name = self.xmp.get("camera:BandName", "")
-        if name:
-            return "" if "," in name or name.lower() in COLOUR else name
-        index = self.xmp.get("camera:RigCameraIndex", "")
-        return f"band {index}" if index else ""
+        return "" if "," in name or name.lower() in COLOUR else name
 
     @property
     def digital_zoom(self) -> float:

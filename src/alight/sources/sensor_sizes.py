@@ -33,6 +33,7 @@ SENSORS = (
     ("canon", "canon eos 5d", 36.0, THREE_HALVES),
     ("canon", "canon eos m", 22.3, THREE_HALVES),
     *(("gopro", f"hero{k}", 6.17, FOUR_THIRDS) for k in "345678"),
+    ("ricoh", "gr digital", 7.44, FOUR_THIRDS),
     ("ricoh", "gr", 23.5, THREE_HALVES),
     ("dji", "fc220", 6.17, FOUR_THIRDS),
     ("dji", "fc2103", 6.3, FOUR_THIRDS),

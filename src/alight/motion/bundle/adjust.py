@@ -30,7 +30,14 @@ from alight.motion.bundle.matching import (
 from alight.motion.bundle.orientation import Oriented, components, orient
 from alight.motion.bundle.patch_matching import refine_observations
 from alight.motion.bundle.points import confirmed
-from alight.motion.bundle.priors import corrected_priors, levelled, make_priors, observable_lens
+from alight.motion.bundle.priors import (
+    corrected_priors,
+    gps_heading_sigma,
+    levelled,
+    make_priors,
+    observable_lens,
+    one_compass,
+)
 from alight.motion.bundle.resection import resect, without_photos
 from alight.motion.bundle.rounds import ROUNDS, coarse_rounds, one_round, retriangulate
 from alight.motion.bundle.solver import (
@@ -59,7 +66,7 @@ _LEAST_SIGMA, _LEAST_BY_PATCH = 0.3, 0.1  # px, of features and of patches; belo
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
 _LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
 _LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
-_HEADING_OFF = 0.2  # rad, of all tags alike, worth a warning
+_HEADING_OFF, _HEADING_SIGMAS = 0.2, 3.0  # rad, and sigmas of the heading by GPS: of all tags alike, worth a warning
 _COARSE = 300  # observations a photo in all rounds but the last
 
 
@@ -110,7 +117,7 @@ def adjust(
     seconds = np.array([f.t_ns * 1e-9 for f in frames])
 
     def sharper(state: BundleState, obs: BundleObservations, with_lens: Priors) -> BundleObservations:
-        return refine_observations(state, obs, with_lens, frames, jobs)
+        return refine_observations(state, obs, with_lens, frames)
 
     solved = solve_bundle(
         tracks(features, pairs), pairs, priors, settings, lambda f: tell(0.7 + 0.3 * f), seconds, sharper
@@ -138,7 +145,8 @@ def solve_bundle(
         return None
     photos, tagged = first.photos, priors
     priors = levelled(priors) if first.climbs else priors
-    priors = observable_lens(corrected_priors(priors, first.turned, first.contradicted), photos)
+    priors = one_compass(corrected_priors(priors, first.turned, first.contradicted), first.groups)
+    priors = observable_lens(priors, photos)
     obs, _ = obs.keep(np.isin(obs.photo, photos))
     state = BundleState(
         first.centres, first.rotations, np.empty((0, 3)), np.zeros_like(priors.sigma_lens), np.zeros(3),
@@ -155,8 +163,8 @@ def solve_bundle(
         state, _ = one_round(state, few, priors, *ROUNDS[-2])
     state, used = one_round(state, most, priors, *ROUNDS[-1])
     tell(0.75)
-    obs = sharper(*retriangulate(state, obs, priors, 4.0, 2.0), priors)
-    state, used = retriangulate(state, select(obs, settings.observations), priors, 4.0, 2.0)
+    finer = sharper(*retriangulate(state, most, priors, 4.0, 2.0), priors)
+    state, used = retriangulate(state, finer, priors, 4.0, 2.0)
     tell(0.85)
     sigma = pixel_sigmas(residuals(state, used, priors), used.by_patch)
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
@@ -164,7 +172,7 @@ def solve_bundle(
     joint = last.covariance(state)
     if first.climbs:
         joint = _of_no_height(joint, tagged.centres[:, 2])
-    state, every = retriangulate(state, obs, priors, 4.0, 2.0)
+    state, every = retriangulate(state, finer, priors, 4.0, 2.0)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
     fixed = fixed_attitudes(joint, len(priors.centres))
     registered = np.intersect1d(photos, np.flatnonzero((seen >= LEAST_SEEN) & fixed))
@@ -213,14 +221,17 @@ def first_poses(pairs: Sequence[Pair], priors: Priors) -> FirstPoses | None:
         for f in found
         if f.guessed
     ]
+    misled = [
+        f for f in found if abs(f.heading) > max(_HEADING_OFF, _HEADING_SIGMAS * gps_heading_sigma(f.photos, priors))
+    ]
     warnings += [
         f"the headings in the attitude tags of {len(f.photos)} photos are off by {np.degrees(f.heading):+.0f} degrees "
         "alike: GPS and the pictures decide"
-        for f in found
-        if abs(f.heading) > _HEADING_OFF
+        for f in misled
     ]
+    overruled = np.concatenate([*(f.photos for f in misled), np.empty(0, np.int64)])
     photos, turned, wrong, jumped = (np.sort(np.concatenate(c)) for c in zip(*_who(found), strict=True))
-    return FirstPoses(centres, rotations, photos, turned, wrong, jumped, warnings, climbs)
+    return FirstPoses(centres, rotations, tuple(groups), photos, turned, wrong, overruled, jumped, warnings, climbs)
 
 
 def _who(found: Sequence[Oriented]) -> list[tuple[I64, ...]]:

@@ -48,7 +48,7 @@ class Oriented:
     guessed: bool  # the roll about a straight line of flight rests on the camera looking down
     cost: float  # Cauchy, of GPS baselines and attitudes
     baselines: int  # how many there are
-    heading: float  # rad, by which the headings of all tags are off alike, from east to north
+    heading: float  # rad, by which the headings of all tags are off alike, clockwise from above
 
 
 def components(count: int, pairs: Sequence[Pair]) -> list[I64]:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from alight.arrays import F16, F32, F64, I64, Mask
-from alight.jobs import Jobs, Task
+from alight.jobs import InTurn, Task
 from alight.motion.bundle import patch_matching_kernels as kernels
 from alight.motion.bundle.lenses import PhotoLenses
 from alight.motion.bundle.matching import BundleObservations, grey_levels, shrunk, taken_by
@@ -30,7 +30,7 @@ _MOST_WARP = 3.0  # times the pixels of the patch, that lie between two of its p
 
 
 def refine_observations(
-    state: BundleState, obs: BundleObservations, priors: Priors, frames: Sequence[Frame], jobs: Jobs
+    state: BundleState, obs: BundleObservations, priors: Priors, frames: Sequence[Frame]
 ) -> BundleObservations:
     """The same observations, those whose patches are found with the pixels where they are (eqs. 13, 14).
 
@@ -39,23 +39,24 @@ def refine_observations(
         obs: sorted by point.
         priors: of all photos.
         frames: the photos.
-        jobs: does one photo after the other, here.
     """
+    if not len(obs.photo):
+        return obs
     lenses = priors.lenses.moved(state.lens)
     warp = _warps(state, obs, lenses, priors.velocity)
     first = np.zeros(len(obs.photo), dtype=bool)
     first[obs.starts] = True
     patches = np.full((obs.points, _SIDE, _SIDE), np.nan, np.float16)
     owned, others = (_by_photo(obs, rows) for rows in (first, ~first))
-    cuts = (Task(f"patches {i}", _cut, (_picture(frames[i]), obs.pixels[k]), here=True) for i, k in owned)
-    for (_, k), some in zip(owned, jobs.run(cuts, at_once=True), strict=True):
+    cuts = (Task(f"patches {i}", _cut, (_picture(frames[i]), obs.pixels[k])) for i, k in owned)
+    for (_, k), some in zip(owned, InTurn().run(cuts, at_once=True), strict=True):
         patches[obs.point[k]] = some
     pixels, found = obs.pixels.copy(), np.zeros(len(obs.photo), dtype=bool)
     finds = (
-        Task(f"matches {i}", _find, (patches[obs.point[k]], _picture(frames[i]), obs.pixels[k], warp[k]), here=True)
+        Task(f"matches {i}", _find, (patches[obs.point[k]], _picture(frames[i]), obs.pixels[k], warp[k]))
         for i, k in others
     )
-    for (_, k), moved in zip(others, jobs.run(finds, at_once=True), strict=True):
+    for (_, k), moved in zip(others, InTurn().run(finds, at_once=True), strict=True):
         good = np.isfinite(moved).all(axis=1)
         pixels[k[good]] += moved[good]
         found[k[good]] = True

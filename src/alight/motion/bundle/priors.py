@@ -22,6 +22,7 @@ _SIGMA_LENS = {
     "equidistant": (0.0, 0.0, 10.0, 10.0) + (0.02,) * 4,
 }
 _SIGMA_FOCAL = 0.02  # relative, where it is free
+_COMPASS = 0.05  # rad; headings with a smaller sigma are no compass's
 SIGMA_RATE = 0.2  # rad/s, 1-sigma of the turning of a camera without a gimbal
 _SIGMA_READOUT = 0.05  # s; cheap cameras take 20 to 160 ms
 _LENS_PHOTOS = 12  # with fewer photos the radial distortion is held
@@ -55,8 +56,6 @@ def make_priors(
             )
             if sample.sigma_position is not None and np.isfinite(sample.sigma_position).all():
                 sigma[i] = np.maximum(sample.sigma_position, 0.01)
-    tagged = np.isfinite(rotation).all(axis=(1, 2)).sum()
-    sigma_rotation[:, 2] = np.hypot(sigma_rotation[:, 2], COMMON_HEADING * np.sqrt(tagged))  # one error, not many
     of = np.zeros(n, np.int64) if cameras is None else cameras
     found = [_lens(c.camera, settings) for c in rig.cameras]
     lenses = PhotoLenses(tuple(c for c, _ in found), of, told=tuple(c.readout for c in rig.cameras))
@@ -92,6 +91,28 @@ def corrected_priors(priors: Priors, turned: I64, contradicted: I64) -> Priors:
     attitude[turned] = attitude[turned] @ (B @ HALF_TURN @ B.T)
     attitude[contradicted] = np.nan
     return replace(priors, world_from_body=attitude)
+
+
+def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
+    """Let the headings of each group of connected photos count as one: a compass is off for all of them alike.
+
+    Headings that are known better than a compass tells them stay as they are.
+    """
+    sigma = priors.sigma_rotation.copy()
+    tagged = np.isfinite(priors.world_from_body).all(axis=(1, 2)) & (sigma[:, 2] >= _COMPASS)
+    for group in groups:
+        some = group[tagged[group]]
+        sigma[some, 2] = np.hypot(sigma[some, 2], COMMON_HEADING * np.sqrt(len(some)))
+    return replace(priors, sigma_rotation=sigma)
+
+
+def gps_heading_sigma(photos: I64, priors: Priors) -> float:
+    """1-sigma in rad of the heading that the positions of photos tell; infinite where they lie in one place."""
+    centres, sigma = priors.centres[photos, :2], priors.sigma_centres[photos, :2]
+    known = np.isfinite(centres).all(axis=1)
+    about = centres[known] - centres[known].mean(axis=0) if known.any() else centres[known]
+    arm = float(np.linalg.norm(about))
+    return float(np.sqrt((sigma[known] ** 2).mean())) / arm if arm > 0 else float("inf")
 
 
 def observable_lens(priors: Priors, photos: I64) -> Priors:

@@ -25,9 +25,11 @@ class FirstPoses:
 
     centres: F64  # (n, 3) metres
     rotations: F64  # (n, 3, 3) world_from_cam
+    groups: tuple[I64, ...]  # photos that matches connect
     photos: I64  # photos with a pose
     turned: I64  # photos whose attitude tag is half a turn off
     contradicted: I64  # photos whose attitude tag is wrong
+    overruled: I64  # photos whose heading is off as that of all others is
     jumped: I64  # photos whose GPS position is wrong
     warnings: list[str]
     climbs: bool  # the altitude tags lost against a level flight
@@ -121,13 +123,14 @@ def outcomes_of(
     solved: Solved,
 ) -> tuple[PhotoOutcome, ...]:
     """Return what became of the tags of each photo."""
-    out = []
+    out, overruled = [], set(solved.first.overruled.tolist())
     for k, (frame, f, motion) in enumerate(zip(frames, features, motions, strict=True)):
         if motion is None:
             out.append(PhotoOutcome(frame.t_ns, left_out=_why_out(f)))
             continue
         tagged, located = (bool(np.isfinite(v[k]).all()) for v in (priors.world_from_body, priors.centres))
         attitude = "believed" if tagged else ""
+        attitude = "believed but for its heading" if k in overruled else attitude
         attitude = "turned back" if k in solved.first.turned else attitude
         attitude = "contradicts the pictures, ignored" if k in solved.first.contradicted else attitude
         position = "believed" if located else ""

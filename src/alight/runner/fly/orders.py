@@ -238,8 +238,7 @@ class OrderSender:
         goal = tie.place_of(place)
         there = self._local.to_enu(goal.latitude, goal.longitude, goal.altitude_msl)
         way = there - self._local.to_enu(own.latitude, own.longitude, own.altitude_msl)
-        self.hand.land_on(now_ns, way, attitude)
-        return goal
+        return goal if self.hand.land_on(now_ns, way, attitude) else None
 
     def _tie(self, motion: Motion) -> EstimateTie | None:
         return self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)

@@ -146,7 +146,7 @@ def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
         if take_off and heard.ready:
             return good("ready", "on the ground, and may be armed")
         if take_off:
-            read = "read what it says. PX4 wants a ground station, too, unless NAV_DLL_ACT is 0"
+            read = "read what it says; its ground station shows it, and PX4 may want one (NAV_DLL_ACT)"
             return bad("ready", "the autopilot may not be armed", read)
         if dry:
             return warning("in the air", "it stands on the ground", "orders are shown for a vehicle in the air")
