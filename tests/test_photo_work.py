@@ -212,7 +212,7 @@ def test_a_cluster_gives_the_same_rasters_and_a_killed_worker_loses_nothing(
 ) -> None:
     distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
     out = tmp_path / "out"
-    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(3, threads_per_worker=1, dashboard_address=None) as cluster:
         killed: list[int] = []
 
         def kill() -> None:
