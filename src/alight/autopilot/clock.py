@@ -129,7 +129,7 @@ class VehicleClock:
 
 
 def _agree(a: _Exchange, b: _Exchange) -> bool:
-    """Whether two exchanges have the same offset, as far as their round trips tell."""
+    """True of the same offset, to half of both round trips."""
     return abs(a.offset_ns - b.offset_ns) * 1e-9 <= _JUMP + (a.round_trip + b.round_trip) / 2
 
 

@@ -89,7 +89,7 @@ class RemoteVehicle:
 
     @property
     def in_control(self) -> bool:
-        """Whether we fly: from our first order to a takeover."""
+        """True from our first order to a takeover: we fly."""
         return self._control.in_control
 
     @property

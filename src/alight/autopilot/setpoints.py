@@ -20,7 +20,7 @@ _METRES_PER_DEGREE = 111_132.0  # of latitude
 
 @dataclass(frozen=True, eq=False)
 class Setpoint:
-    """Where the vehicle is to be or how it is to move, in our world; None: left to the autopilot."""
+    """A place or a motion that the vehicle is to take up, in our world; None: left to the autopilot."""
 
     position_world: F64 | None = None  # (3,) metres
     velocity_world: F64 | None = None  # (3,) m/s; with a position: the speed there

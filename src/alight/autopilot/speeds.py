@@ -46,7 +46,7 @@ class SpeedKeeper:
                 self._tickets.add(self._commands.submit("speed", DO_CHANGE_SPEED, parameters, t_ns))
 
     def is_quiet(self, ticket: int, ok: bool) -> bool:
-        """Whether nobody needs to hear of this answer: one of ours, unless it is the first refusal."""
+        """Take an answer; True: it is one of ours, and not the first refusal, so that nobody needs to hear of it."""
         if ticket not in self._tickets:
             return False
         self._tickets.discard(ticket)

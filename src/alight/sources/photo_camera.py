@@ -29,8 +29,6 @@ SQUARE = 0.003  # largest relative difference of fx and fy that a real sensor ha
 TANGENTIAL = 1e-4  # two tangential terms above this that agree in every digit: a slip, not a lens
 GUESSED = "a guess: no focal length in the tags"
 GUESS = 0.85  # focal length over the longer side, where no tag tells it; most cameras have 0.65 to 1.05
-
-
 _SKYDIO_FOCAL = "FocalLengthX", "FocalLengthY"
 _SKYDIO_CENTRE = "OpticalCenterX", "OpticalCenterY"
 

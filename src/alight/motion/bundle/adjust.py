@@ -64,6 +64,7 @@ log = logging.getLogger(__name__)
 
 _LEAST_SIGMA, _LEAST_BY_PATCH = 0.3, 0.1  # px, of features and of patches; below it their errors are correlated
 _FINAL_LOSS = 2.0  # Cauchy scale of the last adjustment, in sigmas
+_TIGHT = 4.0, 2.0  # px: cut, and Cauchy scale of the triangulation, about the last adjustment
 _LEVEL_GAIN = 0.1  # of cost, a baseline, by which a level flight has to fit better than the altitude tags
 _LEVEL_SIGMAS = 2.0  # of the altitude tags, by which half of them have to be off one height
 _HEADING_OFF, _HEADING_SIGMAS = 0.2, 3.0  # rad, and sigmas of the heading by GPS: of all tags alike, worth a warning
@@ -161,18 +162,18 @@ def solve_bundle(
         few, most, obs = (without_photos(o, lost)[0] for o in (few, most, obs))
         photos = np.setdiff1d(photos, lost)
         state, _ = one_round(state, few, priors, *ROUNDS[-2])
-    state, used = one_round(state, most, priors, *ROUNDS[-1])
+    state, _ = one_round(state, most, priors, *ROUNDS[-1])
     tell(0.75)
-    finer = sharper(*retriangulate(state, most, priors, 4.0, 2.0), priors)
-    state, used = retriangulate(state, finer, priors, 4.0, 2.0)
+    finer = sharper(*retriangulate(state, most, priors, *_TIGHT), priors)
+    state, used = retriangulate(state, finer, priors, *_TIGHT)
     tell(0.85)
-    sigma = pixel_sigmas(residuals(state, used, priors), used.by_patch)
+    sigma = _pixel_sigmas(residuals(state, used, priors), used.by_patch)
     last = Adjustment(used, priors, sigma, _FINAL_LOSS)
     state = last.solve(state, 30)
     joint = last.covariance(state)
     if first.climbs:
         joint = _of_no_height(joint, tagged.centres[:, 2])
-    state, every = retriangulate(state, finer, priors, 4.0, 2.0)
+    state, every = retriangulate(state, finer, priors, *_TIGHT)
     seen = np.bincount(every.photo, minlength=len(priors.centres))
     fixed = fixed_attitudes(joint, len(priors.centres))
     registered = np.intersect1d(photos, np.flatnonzero((seen >= LEAST_SEEN) & fixed))
@@ -181,7 +182,7 @@ def solve_bundle(
     return Solved(state, registered, every, joint, first, placed, free, priors)
 
 
-def pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
+def _pixel_sigmas(residual: F64, by_patch: Mask) -> F64:
     """(N,) px, the 1-sigma of observations with residuals (N, 2): one of features, one of patches."""
     out = np.empty(len(residual))
     for which, least in ((~by_patch, _LEAST_SIGMA), (by_patch, _LEAST_BY_PATCH)):

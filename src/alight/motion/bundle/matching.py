@@ -320,6 +320,5 @@ def tracks(features: Sequence[PhotoFeatures | None], pairs: Sequence[Pair]) -> B
     twice = (np.diff(point, prepend=-1) == 0) & (np.diff(sorted_photo, prepend=-1) == 0)
     clean = ~np.isin(point, point[twice])
     by_patch = np.zeros(len(order), dtype=bool)
-    return BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order], by_patch).keep(
-        clean
-    )[0]
+    found = BundleObservations(sorted_photo.astype(np.int64), point.astype(np.int64), pixels[order], by_patch)
+    return found.keep(clean)[0]

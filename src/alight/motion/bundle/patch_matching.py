@@ -110,7 +110,7 @@ def _warps(state: BundleState, obs: BundleObservations, lenses: PhotoLenses, vel
 
     Pixels are those of the pictures that patches are matched in. The ground about a point counts as level.
     """
-    first = np.repeat(obs.starts, np.diff(np.append(obs.starts, len(obs.point))))
+    first = obs.starts[obs.point]
     away = np.linalg.norm(state.points[obs.point] - state.centres[obs.photo], axis=1)
     reach = _REACH * np.median(away / lenses.focal(obs.photo)[:, 0])
     sides = np.empty((2, 2, len(obs.photo), 2))  # axis, side

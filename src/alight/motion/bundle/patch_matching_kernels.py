@@ -99,6 +99,58 @@ def _template(patch: F32, weight: F64, terms: F64, N: F64) -> float:
     return variance
 
 
+@pixelwise
+def _overlap(
+    picture: F32, x: float, y: float, warp: F64, weight: F64, terms: F64, wx: F64, wy: F64, right: F64
+) -> tuple[float, float]:
+    """Write the products (3,) of a patch's terms with the picture about a place, with weights (P,).
+
+    Returns the weighted sums of its grey levels and of their squares; NaN where it reaches over the edge.
+    """
+    side = 2 * HALF + 1
+    right[:] = 0.0
+    mean, square = 0.0, 0.0
+    for r in range(side):
+        for c in range(side):
+            p, u, v = r * side + c, c - HALF, r - HALF
+            there_x = x + warp[0, 0] * u + warp[0, 1] * v
+            there_y = y + warp[1, 0] * u + warp[1, 1] * v
+            grey = _sample(picture, there_x, there_y, wx, wy)
+            mean += weight[p] * grey
+            square += weight[p] * grey * grey
+            for i in range(3):
+                right[i] += weight[p] * terms[i, p] * grey
+    return mean, square
+
+
+@pixelwise
+def _slide(
+    picture: F32, at: F64, warp: F64, weight: F64, whole: float, terms: F64, variance: float, C: F64, wx: F64, wy: F64,
+    right: F64, h: F64, moved: F64,
+) -> float:  # fmt: skip
+    """Write how far (2,) from a place a patch is found (eqs. 13, 14); return its correlation there, 0: nowhere."""
+    moved[:] = 0.0
+    for _ in range(_ROUNDS):
+        mean, square = _overlap(picture, at[0] + moved[0], at[1] + moved[1], warp, weight, terms, wx, wy, right)
+        there = square / whole - (mean / whole) ** 2
+        if not there > _LEAST_VARIANCE:  # nor is NaN
+            break
+        for i in range(3):
+            h[i] = C[i, 0] * right[0] + C[i, 1] * right[1] + C[i, 2] * right[2]
+        if not h[0] > 0.0:
+            break
+        dx, dy = h[1] / h[0], h[2] / h[0]
+        step_x, step_y = warp[0, 0] * dx + warp[0, 1] * dy, warp[1, 0] * dx + warp[1, 1] * dy
+        moved[0] -= step_x
+        moved[1] -= step_y
+        if moved[0] * moved[0] + moved[1] * moved[1] > MOST * MOST:
+            break
+        if step_x * step_x + step_y * step_y < _STEP * _STEP:
+            likeness: float = right[0] / whole / math.sqrt(there * variance)
+            return likeness
+    return 0.0
+
+
 @kernel
 def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, likeness: F64) -> None:
     """Find patches (K, S, S) in another picture (H, W) to a fraction of a pixel (eqs. 13, 14).
@@ -120,43 +172,12 @@ def match_patches(patches: F32, picture: F32, at: F64, warp: F64, moved: F64, li
     terms, N, C = np.empty((3, side * side)), np.empty((3, 3)), np.empty((3, 3))
     right, h, wx, wy = np.empty(3), np.empty(3), np.empty(4), np.empty(4)
     for k in range(len(at)):
-        moved[k] = np.nan
         likeness[k] = 0.0
-        if not _template(patches[k], weight, terms, N) > _LEAST_VARIANCE or not _inverse(N, C):
-            continue
-        x, y, found = 0.0, 0.0, False
-        for _ in range(_ROUNDS):
-            right[:] = 0.0
-            mean, square = 0.0, 0.0
-            for r in range(side):
-                for c in range(side):
-                    p, u, v = r * side + c, c - HALF, r - HALF
-                    there_x = at[k, 0] + x + warp[k, 0, 0] * u + warp[k, 0, 1] * v
-                    there_y = at[k, 1] + y + warp[k, 1, 0] * u + warp[k, 1, 1] * v
-                    grey = _sample(picture, there_x, there_y, wx, wy)
-                    mean += weight[p] * grey
-                    square += weight[p] * grey * grey
-                    for i in range(3):
-                        right[i] += weight[p] * terms[i, p] * grey
-            variance = square / whole - (mean / whole) ** 2
-            if not variance > _LEAST_VARIANCE:  # nor is NaN
-                break
-            likeness[k] = right[0] / whole / math.sqrt(variance * N[0, 0] / whole)
-            for i in range(3):
-                h[i] = C[i, 0] * right[0] + C[i, 1] * right[1] + C[i, 2] * right[2]
-            if not h[0] > 0.0:
-                break
-            dx, dy = h[1] / h[0], h[2] / h[0]
-            step_x = warp[k, 0, 0] * dx + warp[k, 0, 1] * dy
-            step_y = warp[k, 1, 0] * dx + warp[k, 1, 1] * dy
-            x -= step_x
-            y -= step_y
-            if x * x + y * y > MOST * MOST:
-                break
-            if step_x * step_x + step_y * step_y < _STEP * _STEP:
-                found = True
-                break
-        if found:
-            moved[k, 0], moved[k, 1] = x, y
-        else:
+        variance = _template(patches[k], weight, terms, N)
+        if variance > _LEAST_VARIANCE and _inverse(N, C):
+            likeness[k] = _slide(
+                picture, at[k], warp[k], weight, whole, terms, variance, C, wx, wy, right, h, moved[k]
+            )  # fmt: skip
+        if not likeness[k] > 0.0:
+            moved[k] = np.nan
             likeness[k] = 0.0

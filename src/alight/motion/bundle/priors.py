@@ -107,11 +107,10 @@ def one_compass(priors: Priors, groups: Sequence[I64]) -> Priors:
 
 
 def gps_heading_sigma(photos: I64, priors: Priors) -> float:
-    """1-sigma in rad of the heading that the positions of photos tell; infinite where they lie in one place."""
+    """1-sigma in rad of the heading that the positions of photos tell, two or more; infinite where they lie in one."""
     centres, sigma = priors.centres[photos, :2], priors.sigma_centres[photos, :2]
     known = np.isfinite(centres).all(axis=1)
-    about = centres[known] - centres[known].mean(axis=0) if known.any() else centres[known]
-    arm = float(np.linalg.norm(about))
+    arm = float(np.linalg.norm(centres[known] - centres[known].mean(axis=0)))
     return float(np.sqrt((sigma[known] ** 2).mean())) / arm if arm > 0 else float("inf")
 
 

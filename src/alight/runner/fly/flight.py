@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from alight import compiled
@@ -19,6 +18,7 @@ from alight.outputs import prepare_folder
 from alight.records import Event, FlightMode, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runner.fly import preflight
+from alight.runner.fly.arrivals import Arrivals
 from alight.runner.fly.orders import OrderTaker, SpokenVehicle
 from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.runner.fly.take_off import TakeOff
@@ -36,7 +36,6 @@ STEP = 0.05  # s between two ticks
 PATIENCE = 90.0  # s that the checks may take until nothing is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are taken as they are
 TELL_EVERY, TELEMETRY_EVERY = 0.2, 0.2  # s
-WINDOW = 3.0  # s over which the rate of the cameras is counted
 USUAL_RATE = 5.0  # exposures a second, to reckon with before the first has come
 HOLDS = 3.0  # s that the autopilot gets to hold when the user wants no more
 UNASKED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
@@ -182,24 +181,6 @@ def autopilot_checks(plan: FlightRequest, feed: TelemetryFeed, refused: str = ""
     return [*found, *preflight.judge_vehicle(vehicle, missing, plan.settings, take_off, plan.dry_run, home)]
 
 
-@dataclass
-class _Arrivals:
-    """Number, times and delay of the exposures that have come."""
-
-    times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
-    frames: int = 0
-    delay: float = math.nan
-
-    def saw(self, frame: Frame, now_ns: int) -> None:
-        self.frames += 1
-        self.delay = (now_ns - frame.t_ns) * 1e-9
-        self.times.append(now_ns * 1e-9)
-
-    def facts(self, now_ns: int, frozen: int) -> preflight.CameraFacts:
-        recent = sum(now_ns * 1e-9 - t < WINDOW for t in tuple(self.times))
-        return preflight.CameraFacts(self.frames, recent / WINDOW, self.delay, frozen)
-
-
 class _Cabin:
     """The lanes, the pilot and the vehicle of one flight."""
 
@@ -220,7 +201,7 @@ class _Cabin:
         self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
         listener = Listener(self._pilot.moved, self._pilot.judged)
         self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
-        self._arrivals, self._failed = _Arrivals(), list[BaseException]()
+        self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
         self._stopped = False

@@ -1,0 +1,32 @@
+"""Exposures as they arrive, counted for the checks before a flight."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+from alight.records import Frame
+from alight.runner.fly.preflight import CameraFacts
+
+WINDOW = 3.0  # s over which the rate of the cameras is counted
+
+
+@dataclass
+class Arrivals:
+    """Number, times and delay of the exposures that have come."""
+
+    times: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))  # s
+    frames: int = 0
+    delay: float = math.nan
+
+    def saw(self, frame: Frame, now_ns: int) -> None:
+        """Take an exposure that came at `now_ns` of our clock."""
+        self.frames += 1
+        self.delay = (now_ns - frame.t_ns) * 1e-9
+        self.times.append(now_ns * 1e-9)
+
+    def facts(self, now_ns: int, frozen: int) -> CameraFacts:
+        """What the checks ask of the cameras; `frozen`: how many of the last pictures are the same."""
+        recent = sum(now_ns * 1e-9 - t < WINDOW for t in tuple(self.times))
+        return CameraFacts(self.frames, recent / WINDOW, self.delay, frozen)
