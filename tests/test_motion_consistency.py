@@ -285,6 +285,28 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
     assert 0.8 * 250.0 < seen[1][0, 0] / seen[0][0, 0] < 1.2 * 250.0
 
 
+def test_observations_that_contradict_the_poses_as_a_whole_move_none_of_them() -> None:
+    """Half a turn between two exposures, as where the lines of a car park are taken for each other: all are wrong
+    alike, so that none stands out from the median."""
+    rng = np.random.default_rng(8)
+    true, x = row_of_poses(rng, 4), ground(rng, 40)
+    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    for k in range(4):
+        state.R, state.core[3:6] = true.R[k], true.p[k]
+        state.add_clone(k)
+    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
+    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 4e-2], 3), 4))
+    good = seen_from(true, x, rng, 1e-3)
+    turned = good.normalised.copy()
+    turned[:, 2:] *= -1.0
+    for observations, moves in ((good, True), (replace(good, normalised=turned), False)):
+        window = KeyframeWindow.of(state, observations, CAMS, ALIKE)
+        found = window.refined()
+        assert (np.abs(found.p - true.p).max() > 0.0) == moves
+        assert (found.covariance[-1, -1] < window.P[-1, -1]) == moves
+    np.testing.assert_array_equal(found.covariance, window.P)
+
+
 @pytest.mark.parametrize("wrong", [None, Quantity.POSITION, Quantity.VELOCITY])
 def test_each_quantity_of_a_row_has_a_gate_of_its_own(wrong: Quantity | None) -> None:
     """A position 100 m off, or a velocity 30 m/s off, is rejected alone: health and state follow the others."""

@@ -341,6 +341,16 @@ def test_points_of_the_ground_and_the_range_to_search() -> None:
     assert np.percentile(stands[:, 2], 98) == pytest.approx(BOX, abs=0.4)
 
 
+def test_plain_ground_has_faint_points() -> None:
+    """A twentieth of the contrast, two grey levels: as gravel or sand from high up."""
+    faint = [replace(v, image=np.round(100 + 0.05 * (v.image.astype(float) - 100)).astype(np.uint8))
+             for v in level_views()]  # fmt: skip
+    found = find_points(faint, PointsTuning())
+    assert len(found) > 300
+    assert np.percentile(np.abs(found[:, 2]), 90) < 0.5
+    assert len(find_points(faint, PointsTuning(faint_share=1.0))) == 0
+
+
 def test_the_range_of_a_place_is_that_of_its_own_points() -> None:
     rng = np.random.default_rng(0)
     here = np.c_[rng.uniform(-5, 5, (200, 2)), rng.normal(0, 0.05, 200)]

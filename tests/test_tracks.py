@@ -10,6 +10,7 @@ from alight.geometry import Camera, Pose, so3_exp
 from alight.records import Frame, Prediction, Rig, RigCamera
 from alight.settings import TracksSettings as Settings
 from alight.tracks import Tracker, corner_response, detect_corners, epipolar_distance, inverse_depth
+from alight.tracks.global_alignment import likely_turns
 from alight.tracks.lens import Lens
 from alight.tracks.patches import GroundPlane, patch_warps
 
@@ -276,3 +277,14 @@ def test_two_views_triangulate_and_keep_to_the_epipolar_line() -> None:
     shifted, _ = inverse_depth(first, other + np.array([1e-6, 0.0]), other_from_first)
     np.testing.assert_allclose(np.median(np.abs(shifted - w) * arm), 1e-6, rtol=0.05)
     assert epipolar_distance(first, other + np.array([0.0, 1e-3]), other_from_first).min() > 5e-4
+
+
+@pytest.mark.parametrize(
+    ("sigma", "predicted", "count"), [(None, 0.0, 24), (0.01, 0.3, 1), (0.1, 0.0, 3), (3.0, 0.0, 24)]
+)
+def test_turns_that_the_prediction_excludes_are_not_tried(sigma: float | None, predicted: float, count: int) -> None:
+    """Four sigmas of 0.1 rad reach the turns of 15 degrees to both sides; the nearest is the predicted one."""
+    covariance = None if sigma is None else np.diag([1.0, 1.0, sigma**2, 1.0, 1.0, 1.0])
+    turns = likely_turns(Pose(so3_exp([0.0, 0.0, predicted]), np.zeros(3)), covariance, 4.0)
+    assert len(turns) == count
+    assert turns[0] == pytest.approx(predicted)

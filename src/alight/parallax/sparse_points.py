@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from alight.arrays import F64
+from alight.arrays import F32, F64, U8
 from alight.parallax.views import grey_of
 from alight.records import View
 from alight.settings.tuning.parallax import PointsTuning
@@ -26,12 +26,22 @@ class _Features:
         grey = grey_of(view.image).astype(np.uint8)
         scale = min(1.0, tuning.longest_px / max(grey.shape))
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA) if scale < 1 else grey
-        sift = cv2.SIFT_create(tuning.features)  # type: ignore[attr-defined]
-        found, self.descriptors = sift.detectAndCompute(small, None)
+        found, self.descriptors = _detected(small, tuning)
         pixels = (np.array([k.pt for k in found], dtype=np.float64).reshape(-1, 2) + 0.5) / scale - 0.5
         rays = view.camera.rays(pixels) @ view.world_from_cam.rotation.T
         self.rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
         self.centre = view.centre
+
+
+def _detected(grey: U8, tuning: PointsTuning) -> tuple[Sequence[cv2.KeyPoint], F32]:
+    """Features of an image, and their descriptors (N, 128); of plain ground, as sand or gravel from far, faint ones."""
+    contrast, least = tuning.contrast, tuning.contrast * tuning.faint_share
+    while True:
+        sift = cv2.SIFT_create(tuning.features, contrastThreshold=contrast)  # type: ignore[attr-defined]
+        found, descriptors = sift.detectAndCompute(grey, None)
+        if len(found) >= tuning.enough_features or contrast <= least:
+            return found, descriptors
+        contrast = max(0.5 * contrast, least)
 
 
 def _matches(a: _Features, b: _Features, ratio: float) -> NDArray[np.int64]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from alight.arrays import F32, U8, Mask
+from alight.arrays import F32, F64, U8, Mask
+from alight.geometry import Pose
 from alight.settings import TracksSettings
 
 _MIN_FEATURES = 12  # for an affine warp of the whole image
@@ -61,6 +62,23 @@ def common_shift(then: U8, now: U8, pixels: F32, predicted: F32, reach_px: int, 
     score = cv2.matchTemplate(high[1], inner, cv2.TM_CCORR_NORMED, mask=valid[r:-r, r:-r].astype(np.float32))
     y, x = np.unravel_index(int(np.argmax(score)), score.shape)
     return np.array([(x - r) * k, (y - r) * k], np.float32)
+
+
+def likely_turns(now_from_then: Pose | None, covariance: F64 | None, sigmas: float) -> tuple[float, ...]:
+    """Turns about the optical axis, rad, that a predicted motion of camera 0 leaves open; all where none is known.
+
+    The lines of a car park look the same after half a turn: what the gyros exclude is not tried.
+
+    Args:
+        now_from_then: the prediction.
+        covariance: (6, 6) of the prediction, its turn first.
+        sigmas: of the turn about the axis, up to which it may be wrong.
+    """
+    if now_from_then is None or covariance is None:
+        return TURNS
+    R, reach = now_from_then.rotation, sigmas * float(np.sqrt(covariance[2, 2]))
+    turn = float(np.arctan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
+    return tuple(turn + x for x in TURNS if min(x, 2 * np.pi - x) <= reach)
 
 
 def relocate(then: U8, now: U8, pixels: F32, turns: tuple[float, ...]) -> F32:

@@ -19,8 +19,8 @@ from alight.settings import TracksSettings
 from alight.tracks.corners import BORDER, corner_response, detect_corners, oldest_per_cell
 from alight.tracks.epipolar import epipolar_distance, inverse_depth
 from alight.tracks.global_alignment import (
-    TURNS,
     common_shift,
+    likely_turns,
     match_brightness,
     relocate,
     warp_affine,
@@ -135,7 +135,9 @@ class Tracker:
             anchored[:] = False
             pixels, good = self._match_in_time(m, image, replace(predicted, covariance=None))
         if good.mean() < self._settings.few_share:  # the prediction may be wrong as a whole: try without it
-            anywhere = PredictedPixels(relocate(m.image, image, m.pixels, TURNS), m.depth)
+            covariance = prediction.covariance if prediction is not None else None
+            turns = likely_turns(now_from_then, covariance, self._settings.search_sigmas)
+            anywhere = PredictedPixels(relocate(m.image, image, m.pixels, turns), m.depth)
             other = self._match_in_time(m, image, anywhere)
             pixels, good = other if other[1].sum() > good.sum() else (pixels, good)
         good &= oldest_per_cell(m.ids, pixels, good, self._cell, self._settings.most_in_cell)

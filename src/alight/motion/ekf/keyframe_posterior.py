@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,8 @@ from alight.motion.robust import robust_pose_weights
 from alight.motion.triangulation import triangulate_window
 from alight.records import KeyframePosterior, Motion
 from alight.settings import FilterSettings
+
+log = logging.getLogger(__name__)
 
 _ITERATIONS = 2
 
@@ -80,7 +83,9 @@ class KeyframeWindow:
         """Gauss-Newton over the clones: prior is their joint covariance, data are the unused observations.
 
         The covariance of the poses relative to the last one is inflated by the median residual and by `pixel_repeat`:
-        errors of trees, grass in the wind and water are correlated, from feature to feature and in time.
+        errors of trees, grass in the wind and water are correlated, from feature to feature and in time. Observations
+        that contradict the prior as a whole are left out: a weight relative to the median tells nothing where all are
+        wrong, as when the lines of a car park are taken for each other.
         """
         P, poses, median = self.P, self.poses, 0.0
         error, gain = np.zeros(len(P)), np.asarray(np.eye(len(P)))
@@ -92,7 +97,11 @@ class KeyframeWindow:
             weight, median = robust_pose_weights(constraint, P, used, error)
             A, b = constraint.information(weight)
             gain = np.asarray(np.linalg.inv(np.eye(len(P)) + A @ P))
-            error = P @ gain @ (b + A @ error)
+            whitened = gain @ (b + A @ error)  # P^-1 error
+            error = P @ whitened
+            if not whitened @ error <= self.settings.unlikely * len(P):  # so that NaN is refused
+                log.info("observations of %d features contradict the poses, which stay as they were", used.sum())
+                return RefinedPoses(self.poses.R, self.poses.p, P, self.offset_cross)
             poses = self.poses.moved(error)
         inflation = relative_inflation(poses.p, max(1.0, self.settings.pixel_repeat * median))
         cross = gain.T @ self.offset_cross

@@ -13,7 +13,7 @@ from alight.geometry import Grid
 from alight.parallax import RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
-from alight.pipeline.mapping.size import BYTES_A_STEP, refuse_too_large
+from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
 from alight.pipeline.mapping.view_geometry import bounds, level_for, looking_down
 from alight.pipeline.remembered import NOWHERE, Remembered
 from alight.records import ElevationMap, Flag, Heights, KeyframePosterior, View, is_trusted
@@ -142,6 +142,9 @@ class RecursiveMap(GroundMap):
         """The map of what the views look at, and of the ground about a place, (2,) metres; None where nothing was seen.
 
         On the newest keyframe's cells, or on coarser ones where these are finer than the lander needs.
+
+        Raises:
+            SettingsError: where it would be too large for any memory, as when the ground is lost.
         """
         if self.elevation is None or self.ground_here is None or not views:
             return None
@@ -149,11 +152,11 @@ class RecursiveMap(GroundMap):
         if about is not None:
             reach = self.settings.mapping.judged_about
             low, high = np.minimum(low, about - reach), np.maximum(high, about + reach)
-        (west, south), (east, north) = low, high
         level = self.level
         while self.elevation.cell_at(level + 1) <= self.settings.lander.judging_cell:
             level += 1
-        found = self.elevation.read(self.elevation.window((west, east), (south, north), level))
+        refuse_too_large(tuple(low), tuple(high), self.elevation.cell_at(level), BYTES_A_CELL)
+        found = self.elevation.read(self.elevation.window((low[0], high[0]), (low[1], high[1]), level))
         return replace(found, gauge=self.gauge) if found.trusted.any() else None
 
 

@@ -23,6 +23,11 @@ class FilterTuning(FrozenModel):
     smoother_repeat: Positive = Field(
         20.0, description="The same for the joint covariance of a smoothed flight (docs/lab/map-covariance.md)"
     )
+    unlikely: Positive = Field(
+        6.0,
+        description="Squared error of the keyframe poses over its covariance, per degree of freedom, from which their "
+        "refinement is refused",
+    )
     texture_reference: Positive = Field(
         1.3e-3, description="Shi-Tomasi response of short grass; the sigma of a track grows as 1 / sqrt(texture)"
     )
