@@ -20,7 +20,7 @@ from alight.geometry import Grid
 from alight.landing.executive import TABLE, Executive, as_markdown
 from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.search import square_spiral
-from alight.landing.route import lowest_clear, standing
+from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
 from alight.settings import load_settings
@@ -737,22 +737,24 @@ def test_good_ground_that_is_not_listed_is_not_dropped_on_the_way() -> None:
     assert E.REFUSED not in f.events
 
 
-def test_after_two_refusals_the_search_goes_on_to_its_end() -> None:
+def test_after_four_refusals_the_search_goes_on_to_its_end() -> None:
     """Then the best place is next, wherever it is; climbing back to the search after each one took most of the time."""
-    ground = Ground({(2.0, 5.0): lambda h: 0.91, (-5.0, 3.0): lambda h: 0.91, (-4.0, -7.0): lambda h: 0.91,
-                     (18.0, 18.0): lambda h: 0.97 if h < 9.0 else 0.94}, sees=12.0)  # fmt: skip
-    f = Flight(ground, Executive(settings()))
+    doubtful = [(2.0, 5.0), (-5.0, 3.0), (-4.0, -7.0), (5.0, -3.0), (1.0, -9.0)]
+    places = {where: lambda h: 0.91 for where in doubtful} | {(18.0, 18.0): lambda h: 0.97 if h < 9.0 else 0.94}
+    f = Flight(Ground(places, sees=12.0), Executive(settings()))
     assert f.fly() is S.LANDED
-    assert f.events.count(E.REFUSED) == 2
+    assert f.events.count(E.REFUSED) == 4
     np.testing.assert_allclose(f.position[:2], [18.0, 18.0], atol=0.3)
 
 
 def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:
     m = Ground({}, tall=12.0).map()
-    over = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([30.0, 0.0, 5.0]), m.grid, standing(m), 3.0)
-    beside = lowest_clear(np.array([0.0, 0.0, 5.0]), np.array([10.0, 0.0, 5.0]), m.grid, standing(m), 3.0)
-    assert over == (pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4), 0.0)
-    assert beside == (pytest.approx(3.04, abs=1e-4), 0.0)
+    start, ways = np.array([0.0, 0.0, 5.0]), Obstructions.of(m, 3.0)
+    over, beside = (way_below(start, np.array([e, 0.0, 5.0]), m.grid, ways, 3.0) for e in (30.0, 10.0))
+    assert over == (pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
+    assert beside == (pytest.approx(3.04, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
+    away = way_below(start, np.array([300.0, 0.0, 5.0]), m.grid, ways, 3.0)
+    assert away.unmapped > 0.5  # most of it is not on the map
 
 
 def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not() -> None:
@@ -762,9 +764,13 @@ def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not(
     crown, speck = (slice(20, 20 + 2 * half), slice(20, 20 + 2 * half)), (5, 5)
     for where in (crown, speck):
         height[where], flags[where] = 9.0, Flag.UNSURE
-    top = standing(replace(m, height=height, flags=flags, sigma=np.full_like(height, 0.02)))
-    assert top[20 + half, 20 + half] == 9.0
-    assert top[speck] < 1.0
+    doubted = replace(m, height=height, flags=flags, sigma=np.full_like(height, 0.02))
+    found = Obstructions.of(doubted, 3.0)
+    assert found.top[20 + half, 20 + half] == 9.0
+    assert found.top[speck] < 1.0
+    assert found.doubtful[crown].all()
+    assert found.doubtful.sum() == 4 * half * half
+    assert not Obstructions.of(replace(doubted, flags=np.zeros_like(flags)), 3.0).doubtful.any()
 
 
 @pytest.mark.parametrize("mapped", [True, False])

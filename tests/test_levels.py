@@ -382,6 +382,19 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
     assert not lane.out_of_range
 
 
+@pytest.mark.parametrize("trees", [15.0, 6.0, 0.0])
+def test_trees_are_sought_on_new_ground_beside_mapped_fields(trees: float) -> None:
+    """The trusted heights of a field span two metres; a tree that comes into the picture is higher, up to half way."""
+    lane = steps(lane_of(level()[:8], load_settings("", [*SMALL, f"tuning.mapping.trees={trees}"])), level())
+    m = under(lane, level()[-1])
+    ground = float(np.median(m.height[m.trusted]))
+    fields = lane._range(m.grid, UP, m)[1]
+    if trees:
+        assert fields == pytest.approx(ground + min(trees, 0.5 * (UP - ground)), abs=0.1)
+    else:
+        assert fields < ground + 5.0
+
+
 def test_the_ground_is_not_found_over_a_baseline_that_is_too_short() -> None:
     lane = RecursiveMap(load_settings("", SMALL).stages())
     assert not lane.find_ground(level()[:3], 0.2)

@@ -21,7 +21,7 @@ GROUNDS: dict[str, dict[str, object]] = {
     "hay": {"relief": RELIEF, "layers": [{"thing": "tall_grass", "share": 1.0, "height": 1.0, "tuft": 0.45}]},
     "glare": {"cover": "bare", "look": "snow", "relief": RELIEF},
 }
-SAID = {"lake": "covered|surely|unknown", "hay": "covered|rough|surely", "glare": "unknown|surely|texture"}
+SAID = {"lake": "covered|surely|unknown", "hay": "covered|rough|surely", "glare": "unknown|seen well enough|texture"}
 
 
 @cache

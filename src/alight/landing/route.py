@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from alight.arrays import F64, Mask
@@ -16,6 +18,7 @@ from alight.records import ElevationMap, Flag, Route, Site, Waypoint
 from alight.settings import RouteSettings
 
 BLOCK = 0.5  # metres: doubtful heights are believed by blocks of this size
+ABOUT = 2.0  # metres: side of the blocks whose lowest heights, with those of their neighbours, are the ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,24 +37,36 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
     ex, ey = site.east - start[0], site.north - start[1]
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
     near = np.hypot(x - share * ex, y - share * ey) <= width + elevation.grid.cell / 2
-    top = standing(elevation)
+    top = Obstructions.of(elevation, math.inf).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
     return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
 
 
-def standing(elevation: ElevationMap) -> F64:
-    """Height of what may stand in the way, (R, C) metres, world up; NaN where no camera measured any.
+@dataclass(frozen=True, eq=False)
+class Obstructions:
+    """What may stand in the way."""
 
-    Trusted heights with two sigma. Most of a tree's crown is in doubt, so doubtful heights count as well: the median of
-    those within a block, because single ones are wrong.
-    """
-    usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-    height = np.where(usable, elevation.height, np.float32(np.nan))
-    size = max(1, round(BLOCK / elevation.grid.cell))
-    about = upsample(block_quantile(height, size, 0.5), size, height.shape).astype(np.float64)
-    surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
-    return np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan))
+    top: F64  # (R, C) metres, world up; NaN where no camera measured any
+    doubtful: Mask  # (R, C) higher than the ground about it by more than a `rise`, and not a trusted height
+
+    @classmethod
+    def of(cls, elevation: ElevationMap, rise: float) -> Obstructions:
+        """Trusted heights with two sigma, and by blocks what is in doubt.
+
+        Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of those
+        within a block, because single ones are wrong, and what rises by more than `rise` metres is marked.
+        """
+        usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
+        height = np.where(usable, elevation.height, np.float32(np.nan))
+        size, shape = max(1, round(BLOCK / elevation.grid.cell)), height.shape
+        about = upsample(block_quantile(height, size, 0.5), size, shape).astype(np.float64)
+        wide = max(1, round(ABOUT / elevation.grid.cell))
+        low = block_quantile(height, wide, 0.1)
+        low = cv2.erode(np.where(np.isfinite(low), low, np.float32(np.inf)), np.ones((3, 3), np.uint8))
+        doubtful = ~elevation.trusted & (about - upsample(low, wide, shape) > rise)
+        surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
+        return cls(np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan)), doubtful)
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
@@ -83,28 +98,36 @@ def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wi
     return level, level
 
 
-def lowest_clear(start: F64, to: F64, grid: Grid, top: F64, clearance: float) -> tuple[float, float]:
-    """How high a level way has to be flown, and how much of the ground below it is not mapped.
+class WayBelow(NamedTuple):
+    """What lies below a level way."""
+
+    clear: float  # metres up: the height at which it is clear of everything mapped, minus infinity where nothing is
+    unmapped: float  # share of the ground within the clearance
+    doubtful: float  # m^2 of it where something stands whose height is in doubt
+
+
+def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float) -> WayBelow:
+    """How high a level way has to be flown, and how much of the ground below it tells nothing of that.
 
     Args:
-        start, to: (3,) metres; the way leads from above the one to above the other.
+        start, to: (3,) metres; the way leads from above the one to above the other, and may leave the map.
         grid: of the map.
-        top: (R, C) metres, as `standing` gives it.
+        obstructions: what may stand on it.
         clearance: metres, above and beside the way.
-
-    Returns:
-        The height at which it is clear of everything mapped, metres up, minus infinity where nothing is; and the share
-        of the cells within the clearance that are not mapped.
     """
     east, north = grid.xy()
     x, y = np.meshgrid(east - start[0], north - start[1])
     ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
     near = np.hypot(x - share * ex, y - share * ey) <= clearance + grid.cell / 2
-    here = top[near]
+    here, cell = obstructions.top[near], grid.cell * grid.cell
     known = np.isfinite(here)
-    unknown = 1.0 - float(known.mean()) if here.size else 1.0
-    return float(here[known].max(initial=-np.inf)) + clearance, unknown
+    wide = clearance + grid.cell / 2
+    area = max(2 * wide * math.hypot(ex, ey) + math.pi * wide * wide, here.size * cell)
+    unmapped = 1.0 - float(known.sum()) * cell / area
+    return WayBelow(
+        float(here[known].max(initial=-np.inf)) + clearance, unmapped, float(obstructions.doubtful[near].sum()) * cell
+    )
 
 
 def _bearing(a: F64, b: F64, otherwise: float) -> float:

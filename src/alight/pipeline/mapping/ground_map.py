@@ -112,7 +112,15 @@ class GroundMap:
         if len(heights) < self.settings.mapping.least_known:
             return low, high
         below, above = height_range(np.column_stack([heights, heights, heights]), camera)
+        above = max(above, self._treetops(camera, float(np.median(heights))))
         return (min(low, below), max(high, above)) if part else (below, above)
+
+    def _treetops(self, camera: float, ground: float) -> float:
+        """Height up to which trees are sought on new ground: a map of fields knows of none, and crowns are no heights.
+
+        What is nearer to the camera than half its height above the ground is not sought.
+        """
+        return ground + min(self.settings.mapping.trees, 0.5 * (camera - ground))
 
     def _without_doubtful(self, heights: Heights, above: float, around: Surroundings | None = None) -> Heights:
         """Refuse lone heights, and those of too large a sigma for the camera's height `above` the ground."""

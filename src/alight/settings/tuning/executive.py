@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from alight.settings.base import Fraction, FrozenModel, Positive
+from alight.settings.base import Fraction, FrozenModel, NonNegative, Positive
 
 
 class ExecutiveTuning(FrozenModel):
@@ -16,7 +16,7 @@ class ExecutiveTuning(FrozenModel):
     lower: Fraction = Field(0.5, description="Height of the next look over that of the last")
     at_once: Fraction = Field(0.8, description="P(safe) of a candidate for which the search is broken off")
     tries_at_once: int = Field(
-        2, ge=0, description="Places refused from near by after which the search is broken off for sites only"
+        4, ge=0, description="Places refused from near by after which the search is broken off for sites only"
     )
     clearly: Fraction = Field(
         0.2, description="P(safe) by which another place must be better for one in doubt to be left for it"
@@ -59,4 +59,8 @@ class ExecutiveTuning(FrozenModel):
         10.0, description="Ways longer than this over unmapped ground are flown at the height of the search, m"
     )
     unmapped: Fraction = Field(0.05, description="Share of the ground below a way that may be unmapped")
+    rise: Positive = Field(
+        3.0, description="Height above the ground about it from which what is in doubt may be a tree, m"
+    )
+    risen: NonNegative = Field(1.0, description="Area of this below a way that may be flown low, m^2")
     arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")

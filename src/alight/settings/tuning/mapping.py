@@ -22,6 +22,7 @@ class MappingTuning(FrozenModel):
     )
     most_points: int = Field(20_000, ge=1, description="Most triangulated points kept")
     least_known: int = Field(400, ge=1, description="Known heights from which the map gives the range that is searched")
+    trees: NonNegative = Field(15.0, description="Height of the trees that may stand on ground not mapped yet, m")
     beyond: Fraction = Field(
         0.3, description="Share of cells at an end of the searched range that asks for another range"
     )
