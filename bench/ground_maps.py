@@ -5,8 +5,9 @@ Flying and matching are most of the work, and neither hangs on the judgement: a 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +16,8 @@ from ladder import rung
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+import alight
+import alight_sim
 from alight.arrays import F32, F64, U8
 from alight.elevation import FIELDS
 from alight.evaluation.flight import NEAR, FlightTruth, read_flight_truth
@@ -29,6 +32,7 @@ from alight_sim import SimulatedFlight
 Bool = NDArray[np.bool_]
 How = Literal["batch", "ring", "batch-true", "ring-true"]
 HOWS: tuple[How, ...] = ("batch", "ring")
+MAKERS = ("elevation", "geometry", "motion", "parallax", "pipeline", "raster", "settings", "sources", "tracks")
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,8 +148,21 @@ def _make(name: str, hows: tuple[How, ...], paths: dict[How, Path]) -> None:
         write_map(paths[how], seen.frame.elevation(as_judged(seen, Settings().lander)), moved)
 
 
+@cache
+def _made_by() -> str:
+    """Digest of the code that makes a map, the simulator included."""
+    product = Path(alight.__file__).parent
+    files = [f for part in MAKERS for f in sorted((product / part).rglob("*.py"))]
+    files += sorted(Path(alight_sim.__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()[:12]
+
+
 def judgeable(name: str, how: How, scratch: Path, hows: tuple[How, ...] = HOWS) -> Judgeable | None:
-    """The map of a rung of the ladder or of a folder with truth; None where no height could be measured."""
+    """The map of a rung of the ladder or of a folder with truth; None where no height could be measured.
+
+    Maps of other code are not used: each state of what makes them has a folder of its own in `scratch`.
+    """
+    scratch = scratch / _made_by()
     scratch.mkdir(parents=True, exist_ok=True)
     stem = name.strip("/").replace("/", "_").replace("..", "")
     paths = {h: scratch / f"{stem}-{h}.npz" for h in {*hows, how}}
