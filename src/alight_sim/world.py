@@ -34,6 +34,21 @@ MARGIN = 30.0  # metres beyond the extent that `low` and `high` hold for
 
 
 @dataclass(frozen=True, eq=False)
+class _TileSkin:
+    """What the shading looks up on a tile, of blocks of 2^level cells."""
+
+    skin: F32  # (S, S, SKIN)
+    label: U8  # (S, S) Terrain codes
+    look: U8  # (S, S) codes of Look
+    tinted: bool
+
+    @property
+    def nbytes(self) -> int:
+        """Memory."""
+        return self.skin.nbytes + self.label.nbytes + self.look.nbytes
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """Ground to fly over. Within `extent` truth is kept; the ground goes on beyond, made where it is asked for.
 
@@ -180,38 +195,32 @@ class World:
         i0, j0, i1, j1 = box[0] * SIDE, box[1] * SIDE, (box[2] + 1) * SIDE - 1, (box[3] + 1) * SIDE - 1
         height = self._window(i0, j0, i1, j1, ("height",))["height"]
         shape, side = (height.shape[0] >> level, height.shape[1] >> level), SIDE >> level
-        skin, layers, tinted = np.ones((*shape, SKIN), np.float32), dict[str, Any](), False
+        layers: dict[str, Any] = {}
+        tinted = False
         for tj in range(box[1], box[3] + 1):
             for ti in range(box[0], box[2] + 1):
                 rows = slice((box[3] - tj) * side, (box[3] - tj + 1) * side)
                 cols = slice((ti - box[0]) * side, (ti - box[0] + 1) * side)
-                self._lay_light(ti, tj, sun, level, skin[rows, cols])
-                label, look, tint = self._skin(ti, tj, level)
-                _copy(layers, "label", label, (rows, cols), slice(None), shape)
-                _copy(layers, "look", look, (rows, cols), slice(None), shape)
-                if tint is not None:
-                    skin[rows, cols, 5:], tinted = tint, True
+                key = ("skin", ti, tj, sun, level)
+                tile = self._tiles.get(key, partial(self._make_skin, ti, tj, sun, level), lambda t: t.nbytes)
+                for name in ("skin", "label", "look"):
+                    _copy(layers, name, getattr(tile, name), (rows, cols), slice(None), shape)
+                tinted |= tile.tinted
         looks = layers["look"] if layers["look"].any() else None
         grid = self._grid(i0, j1, *height.shape)
-        return GroundPatch(grid, height, layers["label"], skin, looks, tinted, level)
+        return GroundPatch(grid, height, layers["label"], layers["skin"], looks, tinted, level)
 
-    def _skin(self, i: int, j: int, level: int) -> tuple[U8, U8, F32 | None]:
-        """Class, look and tint of a tile's blocks of 2^level cells."""
-        tile = self._tile(i, j)
-        if level == 0:
-            return tile.label, tile.look, tile.tint
+    def _make_skin(self, i: int, j: int, sun: Sun, level: int) -> _TileSkin:
+        """Light, class, look and tint of a tile's blocks of 2^level cells; the same whatever lies beside it."""
+        tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
-        tint = None if tile.tint is None else mean_of(tile.tint, level)
-        return (codes % 16).astype(np.uint8), (codes // 16).astype(np.uint8), tint
-
-    def _lay_light(self, i: int, j: int, sun: Sun, level: int, out: F32) -> None:
-        """Fill the light of (SIDE >> level)^2 of a tile; its own apron makes it the same whatever lies beside it."""
-        sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
-        shadow = self._tiles.get(
-            ("shadow", i, j, sun, level), lambda: mean_shadow(self._make_shadow(i, j, sun), level), lambda a: a.nbytes
-        )
-        out[..., :2], out[..., 2], out[..., 3] = sky[..., :2], shadow, sky[..., 2]
-        out[..., 4] = mean_of(self._tile(i, j).depth, level)
+        sky = mean_of(self._make_sky(i, j), level)
+        skin = np.ones((side, side, SKIN), np.float32)
+        skin[..., :2], skin[..., 3] = sky[..., :2], sky[..., 2]
+        skin[..., 2], skin[..., 4] = mean_shadow(self._make_shadow(i, j, sun), level), mean_of(tile.depth, level)
+        if tile.tint is not None:
+            skin[..., 5:] = mean_of(tile.tint, level)
+        return _TileSkin(skin, (codes % 16).astype(np.uint8), (codes // 16).astype(np.uint8), tile.tint is not None)
 
     def _make_sky(self, i: int, j: int) -> F32:
         halves = [round(0.5 * width / self.cell) for width, _ in HOLLOWS]
