@@ -198,6 +198,19 @@ def test_what_is_done_is_not_flown_again(tmp_path: Path) -> None:
     assert continued(tmp_path / "out").landings == 5
 
 
+def test_an_interrupted_campaign_reports_what_there_is(tmp_path: Path) -> None:
+    def stops(ended: runner.Ended) -> None:
+        if ended.done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly_campaign(small([scene(tmp_path)]), tmp_path / "out", tell=stops, fly=lands)
+    assert len(lines(tmp_path / "out")) == 2
+    head = json.loads((tmp_path / "out" / "campaign.json").read_text())
+    assert head["numbers"]["landings"] == 2
+    assert (tmp_path / "out" / "campaign.html").exists()
+
+
 def test_a_torn_last_line_is_mended_and_its_landing_flown_again(tmp_path: Path) -> None:
     campaign, out = small([scene(tmp_path)], 3), tmp_path / "out"
     fly_campaign(campaign, out, fly=lands)

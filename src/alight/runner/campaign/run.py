@@ -97,7 +97,7 @@ def fly_campaign(
     tell: Callable[[Ended], None] = lambda ended: None,
     fly: FlyLanding = fly_landing,
 ) -> CampaignNumbers:
-    """Fly the landings that the folder does not hold yet, and write the report.
+    """Fly the landings that the folder does not hold yet, and write the report; interrupted, of what there is.
 
     Args:
         campaign: what is flown.
@@ -121,10 +121,14 @@ def fly_campaign(
     job = partial(fly_conditions, settings=campaign.settings, fly=fly)
     begun, before = time.monotonic(), campaign.landings - len(open_)
     drawn = [conditions_of(campaign.scenes, campaign.seed, k) for k in open_]
-    for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
-        folder.append(record, picture)
-        each = (time.monotonic() - begun) / n
-        tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
+    try:
+        for n, (record, picture) in enumerate(fly_all(drawn, job, jobs, scheduler), 1):
+            folder.append(record, picture)
+            each = (time.monotonic() - begun) / n
+            tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
+    except KeyboardInterrupt:
+        _report(folder, campaign.head, beside)
+        raise
     return _report(folder, campaign.head, beside)
 
 
