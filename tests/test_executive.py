@@ -749,11 +749,11 @@ def test_after_four_refusals_the_search_goes_on_to_its_end() -> None:
 
 def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:
     m = Ground({}, tall=12.0).map()
-    start, ways = np.array([0.0, 0.0, 5.0]), Obstructions.of(m, 3.0)
-    over, beside = (way_below(start, np.array([e, 0.0, 5.0]), m.grid, ways, 3.0) for e in (30.0, 10.0))
+    start, ways = np.array([0.0, 0.0, 5.0]), Obstructions.of(m)
+    over, beside = (way_below(start, np.array([e, 0.0, 5.0]), m.grid, ways, 3.0, 3.0) for e in (30.0, 10.0))
     assert over == (pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
     assert beside == (pytest.approx(3.04, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
-    away = way_below(start, np.array([300.0, 0.0, 5.0]), m.grid, ways, 3.0)
+    away = way_below(start, np.array([300.0, 0.0, 5.0]), m.grid, ways, 3.0, 3.0)
     assert away.unmapped > 0.5  # most of it is not on the map
 
 
@@ -765,12 +765,12 @@ def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not(
     for where in (crown, speck):
         height[where], flags[where] = 9.0, Flag.UNSURE
     doubted = replace(m, height=height, flags=flags, sigma=np.full_like(height, 0.02))
-    found = Obstructions.of(doubted, 3.0)
+    found = Obstructions.of(doubted)
     assert found.top[20 + half, 20 + half] == 9.0
     assert found.top[speck] < 1.0
-    assert found.doubtful[crown].all()
-    assert found.doubtful.sum() == 4 * half * half
-    assert not Obstructions.of(replace(doubted, flags=np.zeros_like(flags)), 3.0).doubtful.any()
+    assert (found.rise[crown] > 3.0).all()
+    assert (found.rise > 3.0).sum() == 4 * half * half
+    assert not (Obstructions.of(replace(doubted, flags=np.zeros_like(flags))).rise > 3.0).any()
 
 
 @pytest.mark.parametrize("mapped", [True, False])

@@ -73,6 +73,17 @@ def row_of_poses(rng: np.random.Generator, count: int = 4) -> WindowPoses:
     return WindowPoses(R, p, R, p)
 
 
+def window_at(poses: WindowPoses, *variances: float) -> FilterState:
+    """A state with a clone at each pose, independent, of these variances of rotation [rad^2] and position [m^2]."""
+    state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
+    for k, (R, p) in enumerate(zip(poses.R, poses.p, strict=True)):
+        state.R, state.core[3:6] = R, p
+        state.add_clone(k)
+    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
+    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat(variances, 3), len(poses.R)))
+    return state
+
+
 def ground(rng: np.random.Generator, count: int = 20) -> F64:
     return np.column_stack([rng.uniform(-8, 8, (count, 2)), rng.uniform(-2, 2, count)])
 
@@ -128,12 +139,7 @@ def test_features_that_drift_together_get_little_weight() -> None:
         observations = seen_from(poses, x, rng, 3e-4)
         moves = np.arange(60) < 20
         observations.normalised[moves] += np.arange(6)[:, None, None] * drift
-        state = FilterState(0, poses.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
-        for k in range(6):
-            state.R, state.core[3:6] = poses.R[k], poses.p[k]
-            state.add_clone(k)
-        state.P[CORE:, :] = state.P[:, CORE:] = 0.0
-        state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 1e-2], 3), 6))
+        state = window_at(poses, 4e-6, 1e-2)
         found = marginalise_points(observations, poses, CAMS, triangulate_window(observations, poses, CAMS))
         weight = robust_pose_weights(found, state.P[CORE:, CORE:], np.ones(60, bool), np.zeros(36))[0]
         assert weight[moves].mean() < 0.25 * weight[~moves].mean()
@@ -266,12 +272,7 @@ def test_a_ring_claims_less_where_the_sights_disagree() -> None:
     variance, and the covariance of the last one stays."""
     rng, wide = np.random.default_rng(8), ALIKE.model_copy(update={"pixel_repeat": 10.0})
     true, x = row_of_poses(rng, 4), ground(rng, 200)
-    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
-    for k in range(4):
-        state.R, state.core[3:6] = true.R[k], true.p[k]
-        state.add_clone(k)
-    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
-    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-2, 100.0], 3), 4))
+    state = window_at(true, 4e-2, 100.0)
     observations = seen_from(true, x, rng, 5e-3)
     tight, loose = (KeyframeWindow.of(state, observations, CAMS, s).refined() for s in (ALIKE, wide))
     np.testing.assert_array_equal(loose.p, tight.p)
@@ -290,12 +291,7 @@ def test_observations_that_contradict_the_poses_as_a_whole_move_none_of_them() -
     alike, so that none stands out from the median."""
     rng = np.random.default_rng(8)
     true, x = row_of_poses(rng, 4), ground(rng, 40)
-    state = FilterState(0, true.R[0], np.zeros(CORE), np.eye(CORE) * 1e-12)
-    for k in range(4):
-        state.R, state.core[3:6] = true.R[k], true.p[k]
-        state.add_clone(k)
-    state.P[CORE:, :] = state.P[:, CORE:] = 0.0
-    state.P[CORE:, CORE:] = np.diag(np.tile(np.repeat([4e-6, 4e-2], 3), 4))
+    state = window_at(true, 4e-6, 4e-2)
     good = seen_from(true, x, rng, 1e-3)
     turned = good.normalised.copy()
     turned[:, 2:] *= -1.0

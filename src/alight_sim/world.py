@@ -214,7 +214,7 @@ class World:
         """Light, class, look and tint of a tile's blocks of 2^level cells; the same whatever lies beside it."""
         tile, side = self._tile(i, j), SIDE >> level
         codes = most_of(tile.label.astype(np.uint16) + 16 * tile.look.astype(np.uint16), level)
-        sky = mean_of(self._make_sky(i, j), level)
+        sky = self._tiles.get(("sky", i, j, level), lambda: mean_of(self._make_sky(i, j), level), lambda a: a.nbytes)
         skin = np.ones((side, side, SKIN), np.float32)
         skin[..., :2], skin[..., 3] = sky[..., :2], sky[..., 2]
         skin[..., 2], skin[..., 4] = mean_shadow(self._make_shadow(i, j, sun), level), mean_of(tile.depth, level)

@@ -14,7 +14,7 @@ from alight.arrays import F64, Mask
 from alight.geometry import Grid
 from alight.landing.wind import ground_speed, is_from_behind
 from alight.raster import block_quantile, upsample
-from alight.records import ElevationMap, Flag, Route, Site, Waypoint
+from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
 from alight.settings import RouteSettings
 
 BLOCK = 0.5  # metres: doubtful heights are believed by blocks of this size
@@ -31,13 +31,18 @@ class _Corridor:
     ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
 
 
-def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
-    east, north = elevation.grid.xy()
+def _along(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
+    """How far along a way each cell is, 0 to 1, and which lie within `width` metres of it, (R, C) each."""
+    east, north = grid.xy()
     x, y = np.meshgrid(east - start[0], north - start[1])
-    ex, ey = site.east - start[0], site.north - start[1]
+    ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
     share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
-    near = np.hypot(x - share * ex, y - share * ey) <= width + elevation.grid.cell / 2
-    top = Obstructions.of(elevation, math.inf).top
+    return share, np.hypot(x - share * ex, y - share * ey) <= width + grid.cell / 2
+
+
+def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
+    share, near = _along(start, np.array([site.east, site.north]), elevation.grid, width)
+    top = Obstructions.of(elevation).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
     return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
@@ -48,25 +53,24 @@ class Obstructions:
     """What may stand in the way."""
 
     top: F64  # (R, C) metres, world up; NaN where no camera measured any
-    doubtful: Mask  # (R, C) higher than the ground about it by more than a `rise`, and not a trusted height
+    rise: F64  # (R, C) metres of what is in doubt above the ground about it; NaN where nothing is
 
     @classmethod
-    def of(cls, elevation: ElevationMap, rise: float) -> Obstructions:
+    def of(cls, elevation: ElevationMap) -> Obstructions:
         """Trusted heights with two sigma, and by blocks what is in doubt.
 
         Most of a tree's crown is in doubt, and by several metres: so doubtful heights count as the median of those
-        within a block, because single ones are wrong, and what rises by more than `rise` metres is marked.
+        within a block, because single ones are wrong, and how far they rise is kept.
         """
-        usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-        height = np.where(usable, elevation.height, np.float32(np.nan))
+        height = np.where(is_measured(elevation.flags), elevation.height, np.float32(np.nan))
         size, shape = max(1, round(BLOCK / elevation.grid.cell)), height.shape
         about = upsample(block_quantile(height, size, 0.5), size, shape).astype(np.float64)
         wide = max(1, round(ABOUT / elevation.grid.cell))
         low = block_quantile(height, wide, 0.1)
         low = cv2.erode(np.where(np.isfinite(low), low, np.float32(np.inf)), np.ones((3, 3), np.uint8))
-        doubtful = ~elevation.trusted & (about - upsample(low, wide, shape) > rise)
+        rise = np.where(elevation.trusted, np.nan, about - upsample(low, wide, shape))
         surely = elevation.height.astype(np.float64) + 2 * elevation.sigma.astype(np.float64)
-        return cls(np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan)), doubtful)
+        return cls(np.where(elevation.trusted, surely, np.where(np.isfinite(height), about, np.nan)), rise)
 
 
 def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask) -> bool:
@@ -106,7 +110,7 @@ class WayBelow(NamedTuple):
     doubtful: float  # m^2 of it where something stands whose height is in doubt
 
 
-def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float) -> WayBelow:
+def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float, rise: float) -> WayBelow:
     """How high a level way has to be flown, and how much of the ground below it tells nothing of that.
 
     Args:
@@ -114,20 +118,14 @@ def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clear
         grid: of the map.
         obstructions: what may stand on it.
         clearance: metres, above and beside the way.
+        rise: metres above the ground about it, from which the height of what is in doubt is not known.
     """
-    east, north = grid.xy()
-    x, y = np.meshgrid(east - start[0], north - start[1])
-    ex, ey = float(to[0] - start[0]), float(to[1] - start[1])
-    share = np.clip((x * ex + y * ey) / max(ex * ex + ey * ey, 1e-12), 0.0, 1.0)
-    near = np.hypot(x - share * ex, y - share * ey) <= clearance + grid.cell / 2
+    _, near = _along(start, to, grid, clearance)
     here, cell = obstructions.top[near], grid.cell * grid.cell
-    known = np.isfinite(here)
-    wide = clearance + grid.cell / 2
-    area = max(2 * wide * math.hypot(ex, ey) + math.pi * wide * wide, here.size * cell)
-    unmapped = 1.0 - float(known.sum()) * cell / area
-    return WayBelow(
-        float(here[known].max(initial=-np.inf)) + clearance, unmapped, float(obstructions.doubtful[near].sum()) * cell
-    )
+    known, wide = np.isfinite(here), clearance + grid.cell / 2
+    area = max(2 * wide * math.hypot(to[0] - start[0], to[1] - start[1]) + math.pi * wide * wide, here.size * cell)
+    unmapped, doubtful = 1.0 - float(known.sum()) * cell / area, float((obstructions.rise[near] > rise).sum()) * cell
+    return WayBelow(float(here[known].max(initial=-np.inf)) + clearance, unmapped, doubtful)
 
 
 def _bearing(a: F64, b: F64, otherwise: float) -> float:

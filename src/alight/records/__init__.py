@@ -23,6 +23,7 @@ from alight.records.surface import (
     PlaceSigma,
     Terrain,
     TerrainMap,
+    is_measured,
     is_trusted,
 )
 from alight.records.telemetry import (
@@ -100,5 +101,6 @@ __all__ = [
     "View",
     "Waypoint",
     "is_absolute",
+    "is_measured",
     "is_trusted",
 ]

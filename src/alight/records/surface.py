@@ -87,6 +87,11 @@ REFUSED = (
 )
 
 
+def is_measured(flags: U16) -> NDArray[np.bool_]:
+    """Where there is a height, be it in doubt."""
+    return np.asarray((flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0)
+
+
 def is_trusted(flags: U16) -> NDArray[np.bool_]:
     """Where no flag refuses the height."""
     return np.asarray((flags & np.uint16(REFUSED)) == 0)

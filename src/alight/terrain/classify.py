@@ -11,7 +11,7 @@ import numpy as np
 from alight.arrays import F32, U8, Mask
 from alight.learned import KnownGround, Net, read_known, read_net, relu_net
 from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
-from alight.records import LANDABLE, ElevationMap, Flag, Terrain, TerrainMap
+from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
 from alight.terrain.appearance import PIXEL, Appearance, appearance, seen
 from alight.terrain.enclosed import LevelSurfaces
@@ -50,8 +50,7 @@ def beside_tall(elevation: ElevationMap, shape: Relief, settings: TerrainSetting
     Doubtful heights count here: most of a crown is doubtful, and a needless refusal costs little.
     """
     cell = elevation.grid.cell
-    usable = (elevation.flags & np.uint16(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED)) == 0
-    height_above = np.where(usable, elevation.height - shape.ground, np.float32(np.nan))
+    height_above = np.where(is_measured(elevation.flags), elevation.height - shape.ground, np.float32(np.nan))
     out = np.zeros(height_above.shape, dtype=np.bool_)
     for tall in (1.5, 3.0, 4.5, 6.0):
         n = round(settings.overhang * tall / cell)

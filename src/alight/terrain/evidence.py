@@ -14,7 +14,7 @@ import numpy as np
 from alight.arrays import F32
 from alight.learned.terms import FRAME_TERMS, RELATIVE, PictureTerm, SurfaceTerm, band
 from alight.raster import gaussian_mean, gradient, linear_ramp, local_max, log_at_least, log_offset, nearest_known
-from alight.records import REFUSED, ElevationMap, Flag
+from alight.records import REFUSED, ElevationMap, Flag, is_measured
 from alight.terrain.appearance import Appearance, seen
 from alight.terrain.picture_bands import picture_bands
 from alight.terrain.relief import Relief
@@ -92,8 +92,7 @@ def surface_terms(elevation: ElevationMap, colours: Appearance, shape: Relief) -
     def flagged(flags: int) -> F32:
         return np.asarray((elevation.flags & np.uint16(flags)) != 0, np.float32)
 
-    usable = flagged(Flag.UNSEEN | Flag.RANGE | Flag.SATURATED) == 0
-    standing = np.where(usable, elevation.height - shape.ground, np.float32(0))
+    standing = np.where(is_measured(elevation.flags), elevation.height - shape.ground, np.float32(0))
     moving, residual = flagged(Flag.MOVING | Flag.INCONSISTENT), np.nan_to_num(elevation.residual)
     reach = max(1, round(REACH / cell))
     north, east = gradient(means[0.5] / np.float32(cell))

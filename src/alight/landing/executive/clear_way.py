@@ -25,8 +25,9 @@ class ClearWay:
     def level(self, start: F64, to: F64, seen: Seen) -> float:
         """Metres up at which the way from above one point (3,) to above another is clear."""
         if self._obstructions is None or seen.number != self._number:
-            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation, self._keys.rise)
-        below = way_below(start, to, seen.elevation.grid, self._obstructions, self._clearance)
-        is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > self._keys.long_way
-        untold = below.unmapped > self._keys.unmapped or below.doubtful > self._keys.risen
-        return max(below.clear, seen.ground + self._keys.search_height) if is_long and untold else below.clear
+            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
+        grid, k = seen.elevation.grid, self._keys
+        below = way_below(start, to, grid, self._obstructions, self._clearance, k.rise)
+        is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
+        untold = below.unmapped > k.unmapped or below.doubtful > k.risen
+        return max(below.clear, seen.ground + k.search_height) if is_long and untold else below.clear

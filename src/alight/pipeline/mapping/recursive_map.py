@@ -94,8 +94,7 @@ class RecursiveMap(GroundMap):
     def _improve(self, down: list[View], ring: RecursiveParallax, ground: float, effort: int) -> bool:
         assert self.elevation is not None
         low, high = bounds(down, ground)
-        refuse_too_large(tuple(low), tuple(high), self.elevation.cell_at(self.level), BYTES_A_STEP)
-        grid = self.elevation.window((low[0], high[0]), (low[1], high[1]), self.level)
+        grid = _window(self.elevation, low, high, self.level, BYTES_A_STEP)
         known, up = self.elevation.start(grid), float(down[0].centre[2])
         parts = ring.step(grid, known, *self._range(grid, up, known, ring.beginning), effort)
         if ring.plane.any():
@@ -155,9 +154,14 @@ class RecursiveMap(GroundMap):
         level = self.level
         while self.elevation.cell_at(level + 1) <= self.settings.lander.judging_cell:
             level += 1
-        refuse_too_large(tuple(low), tuple(high), self.elevation.cell_at(level), BYTES_A_CELL)
-        found = self.elevation.read(self.elevation.window((low[0], high[0]), (low[1], high[1]), level))
+        found = self.elevation.read(_window(self.elevation, low, high, level, BYTES_A_CELL))
         return replace(found, gauge=self.gauge) if found.trusted.any() else None
+
+
+def _window(elevation: TiledElevation, low: F64, high: F64, level: int, each: float) -> Grid:
+    """The cells between two corners (2,), `each` of which takes so many bytes; refused where no memory holds them."""
+    refuse_too_large((low[0], low[1]), (high[0], high[1]), elevation.cell_at(level), each)
+    return elevation.window((low[0], high[0]), (low[1], high[1]), level)
 
 
 def box_in(grid: Grid, part: Grid) -> tuple[slice, slice]:
