@@ -302,12 +302,6 @@ def test_an_independent_reader_understands_the_plan(out: Path, tmp_path: Path) -
     np.testing.assert_allclose(got, [w.position_world for w in some_run().route.waypoints], atol=2e-3)
 
 
-@pytest.mark.parametrize("text", ["", "1,2", "47.6,13.4,500", "a,b,c,d", "95,13,500,46", "47,13,nan,46", "1,2,3,4,5"])
-def test_a_home_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="SEPARATION"):
-        Home.parse(text)
-
-
 def test_route_line_has_times_and_speeds(out: Path) -> None:
     line, *points = loaded(out / "route.geojson")["features"]
     assert line["geometry"]["type"] == "LineString"

@@ -80,6 +80,8 @@ def run(
     settings: SettingsLike = None,
     poses: str | None = None,
     prior_dem: str | Path | None = None,
+    home: str | None = None,
+    geoid: str | Path | None = None,
     scheduler: str | None = None,
     progress: Progress = _quiet,
 ) -> Result:
@@ -91,6 +93,10 @@ def run(
         settings: a `Settings` model, a mapping of keys, or the name of a YAML file.
         poses: `truth`, or a TUM file of body poses in ENU, instead of the estimated motion.
         prior_dem: heights from elsewhere, to begin the search with and to compare with.
+        home: where the vehicle is armed that is to fly the route: `LAT,LON,ALT_MSL`, with `geoid`, or with the
+            separation there (ellipsoid minus sea level) as a fourth number. None: heights of `route.plan` are above the
+            site.
+        geoid: grid of geoid heights in metres, on degrees.
         scheduler: address of a Dask cluster that does the work of photos, such as tcp://host:8786.
         progress: called with the stage and the share of it that is done.
 
@@ -98,16 +104,18 @@ def run(
         AlightError: the input or a setting cannot be used; the message says how to mend it.
     """
     from alight.outputs import FileStore
+    from alight.runner.home import known_home, with_home
     from alight.runner.replay import prior_heights, replay
     from alight.runner.work import cluster_jobs
     from alight.sources import open_source
 
     chosen = settings_of(settings, lander)
+    armed_at = known_home(home, None if geoid is None else Path(geoid))
     recording = open_source(Path(source), chosen) if isinstance(source, str | Path) else source
     prior = prior_heights(recording, chosen, None if prior_dem is None else Path(prior_dem))
     store = FileStore(Path(tempfile.gettempdir()))
     with single_threaded_algebra(), closing(store), cluster_jobs(scheduler) as jobs:
-        return Result(replay(recording, chosen, poses, progress, store, jobs, prior))
+        return Result(with_home(replay(recording, chosen, poses, progress, store, jobs, prior), armed_at))
 
 
 def judge(

@@ -58,6 +58,15 @@ SeparationOption = Annotated[
         help="Ellipsoid minus sea level, m, where the receiver does not report it.",
     ),
 ]
+HomeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--home", metavar="LAT,LON,ALT_MSL", help="Where the vehicle is armed: route.plan counts its heights from it."
+    ),
+]
+GeoidOption = Annotated[
+    Path | None, typer.Option("--geoid", metavar="GRID", help="Geoid heights (EGM2008, GeoTIFF) for --home.")
+]
 RecordOption = Annotated[
     bool, typer.Option("--record/--no-record", help="Record everything that comes in, and what is done, as MCAP.")
 ]

@@ -17,6 +17,8 @@ from rich.text import Text
 
 from alight.cli.app import (
     ForceOption,
+    GeoidOption,
+    HomeOption,
     OutOption,
     RecordOption,
     RigOption,
@@ -70,10 +72,8 @@ def fly(
     take_off: Annotated[
         float | None, typer.Option(min=2.0, max=120.0, metavar="M", help="Arm and climb so high above home first.")
     ] = None,
-    home: Annotated[
-        str | None,
-        typer.Option(metavar="LAT,LON,ALT,SEP", help="Home for route.plan, where the autopilot's is not meant."),
-    ] = None,
+    home: HomeOption = None,
+    geoid: GeoidOption = None,
     separation: SeparationOption = None,
     imu: Annotated[
         float, typer.Option(min=0.0, max=1000.0, metavar="HZ", help="Rate of IMU samples to ask for; 0: none.")
@@ -86,11 +86,11 @@ def fly(
 ) -> None:
     """Fly a landing: search, look, look again from lower down, land or give up. A pilot must be ready to take over."""
     chosen = read_settings(settings, assign)
-    from alight.records import Home
     from alight.runner.fly import FlightRequest, fly_vehicle
+    from alight.runner.home import wanted_home
 
     request = FlightRequest(
-        link, camera, out, chosen, rig, dry_run, None if home is None else Home.parse(home), separation, take_off,
+        link, camera, out, chosen, rig, dry_run, wanted_home(home, geoid), separation, take_off,
         imu, record, force,
     )  # fmt: skip
     if stderr.is_terminal:

@@ -10,6 +10,8 @@ from rich.text import Text
 
 from alight.cli.app import (
     ForceOption,
+    GeoidOption,
+    HomeOption,
     OutOption,
     RecordOption,
     RigOption,
@@ -43,6 +45,8 @@ def live(
         str | None, typer.Option(metavar="LINK", help="Autopilot that gives GPS/INS: udp:0.0.0.0:14550.")
     ] = None,
     separation: SeparationOption = None,
+    home: HomeOption = None,
+    geoid: GeoidOption = None,
     record: RecordOption = True,
     settings: SettingsOption = None,
     assign: SetOption = None,
@@ -51,10 +55,12 @@ def live(
 ) -> None:
     """Find a landing site while the flight goes on; Ctrl-C ends it, and what was seen is judged."""
     chosen = read_settings(settings, assign)
+    from alight.runner.home import flown_home, wanted_home, with_home
     from alight.runner.live.health import FlightHealth
     from alight.runner.live.run import fly_live
     from alight.sources.live import open_live
 
+    wanted = wanted_home(home, geoid)
     opened = open_live(source, chosen, speed, follow, rig)
     if telemetry is not None:
         from alight.runner.live.telemetry import with_telemetry
@@ -67,4 +73,4 @@ def live(
                 display.update(Text(health.line), refresh=True)
 
         result = fly_live(opened.source, opened.events, out, chosen, record, opened.real_time, force, tell)
-    leave_result(result, out, force)
+    leave_result(with_home(result, flown_home(wanted, opened.heard(), separation)), out, force)

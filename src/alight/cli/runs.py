@@ -11,6 +11,8 @@ import typer
 
 from alight.cli.app import (
     ForceOption,
+    GeoidOption,
+    HomeOption,
     OutOption,
     SeedOption,
     SetOption,
@@ -74,6 +76,8 @@ def run(
     prior_dem: Annotated[
         Path | None, typer.Option(metavar="DEM", help="Heights from elsewhere: to begin with and to compare with.")
     ] = None,
+    home: HomeOption = None,
+    geoid: GeoidOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with an interrupted run of the same photos and settings in OUT.")
     ] = False,
@@ -87,9 +91,11 @@ def run(
     asked = [f"parallax.quality={quality}"] if quality else []
     chosen = read_settings(settings, [*(assign or ()), *asked])
     from alight.runner import replay
+    from alight.runner.home import known_home
 
+    wishes = replay.Find(chosen, poses, force, resume, prior_dem, scheduler, known_home(home, geoid))
     with progress_bar() as tell:
-        result = replay.find(source, out, replay.Find(chosen, poses, force, resume, prior_dem, scheduler), tell)
+        result = replay.find(source, out, wishes, tell)
     leave_result(result, out, force)
 
 

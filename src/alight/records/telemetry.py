@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -13,6 +14,8 @@ from alight.records.errors import InputError
 _NAN = float("nan")
 PRE_ARM = 0x10000000  # MAV_SYS_STATUS_PREARM_CHECK
 FIX_3D = 3
+HIGHEST = 10_000.0  # metres above or below the sea: no aircraft takes off there
+FARTHEST_FROM_SEA = 120.0  # metres, largest height of the geoid above or below the ellipsoid
 _ABSOLUTE, _CONSTANT = 16, 128  # flags that EKF_STATUS_REPORT and ESTIMATOR_STATUS share
 _DOUBTFUL = 1024 | 32768  # not initialised, or GPS glitches
 
@@ -52,36 +55,41 @@ class Place:
 
 @dataclass(frozen=True)
 class Home:
-    """Where the vehicle is armed: the zero of the heights that it flies by. Known above both zeros of height."""
+    """Where the vehicle is armed: the zero of the heights that it flies by."""
 
     latitude: float  # degrees
     longitude: float  # degrees
     altitude_msl: float  # metres above mean sea level
-    separation: float  # metres, ellipsoid minus sea level there (the geoid's height)
+    separation: float = _NAN  # metres, ellipsoid minus sea level there (the geoid's height); NaN: not known
 
     @property
     def height(self) -> float:
-        """Metres above the WGS84 ellipsoid, which all our heights are."""
+        """Metres above the WGS84 ellipsoid, which all our heights are; NaN without a separation."""
         return self.altitude_msl + self.separation
 
     @classmethod
     def parse(cls, text: str) -> Home:
-        """Read `LAT,LON,ALT_MSL,SEPARATION`.
+        """Read `LAT,LON,ALT_MSL`, with or without `,SEPARATION`.
 
         Raises:
-            InputError: a number is missing or is none; the message says which and where to find it.
+            InputError: a number is missing, is none, or lies out of range.
         """
-        want = "write LAT,LON,ALT_MSL,SEPARATION: degrees; metres above the sea; metres from there to the ellipsoid"
+        want = "write LAT,LON,ALT_MSL: degrees, and metres above the sea; a fourth number is the SEPARATION there"
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError as e:
             raise InputError(f"home {text!r}: {want}") from e
-        if len(numbers) == 3:
-            hint = "GPS gives both heights (GPS_RAW_INT: alt_ellipsoid minus alt); a geoid calculator gives it, too"
-            raise InputError(f"home {text!r}: heights here are above the ellipsoid; add the SEPARATION there. {hint}")
-        if len(numbers) != 4 or not np.isfinite(numbers).all() or abs(numbers[0]) > 90 or abs(numbers[1]) > 360:
+        if not 3 <= len(numbers) <= 4 or not np.isfinite(numbers).all():
             raise InputError(f"home {text!r}: {want}")
+        if abs(numbers[0]) > 90 or abs(numbers[1]) > 360 or abs(numbers[2]) > HIGHEST:
+            raise InputError(f"home {text!r}: is nowhere on Earth; {want}")
+        if len(numbers) == 4 and abs(numbers[3]) > FARTHEST_FROM_SEA:
+            raise InputError(f"home {text!r}: the separation is at most {FARTHEST_FROM_SEA:.0f} m; {want}")
         return cls(*numbers)
+
+    def with_separation(self, separation: float) -> Home:
+        """The same place with this separation, where it has none of its own."""
+        return self if math.isfinite(self.separation) else replace(self, separation=separation)
 
 
 @dataclass(frozen=True)
@@ -141,13 +149,6 @@ class Telemetry:
     def has_position(self) -> bool:
         """Whether the estimator has an absolute position that it believes in."""
         return self.estimator_flags is not None and is_absolute(self.estimator_flags)
-
-    @property
-    def known_home(self) -> Home | None:
-        """The home with its height above the ellipsoid; None: not reported."""
-        if self.home is None or not np.isfinite(self.gps.separation):
-            return None
-        return Home(self.home.latitude, self.home.longitude, self.home.altitude_msl, self.gps.separation)
 
     @property
     def ready(self) -> bool:

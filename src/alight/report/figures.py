@@ -133,7 +133,8 @@ def _explain(result: RunResult) -> list[str]:
     if result.sites.candidates:
         lines.append("Dashed circle with a square number: a candidate; below it the height above it to look from.")
     lines += ["White line: the flight."] if result.motions else []
-    zero = "" if result.home else " The heights of route.plan are relative to the site, not to the vehicle's home."
+    above = "above the home" if result.home else "relative to the site, not to the vehicle's home"
+    zero = f" The heights of route.plan are {above}."
     return lines + (["Green dashes: the way to site 1." + zero] if result.route else [])
 
 

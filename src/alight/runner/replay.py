@@ -13,7 +13,8 @@ from alight.elevation import TileStore
 from alight.jobs import Jobs
 from alight.outputs import FileStore, WorkFolder, is_finished, prepare_folder, write_run
 from alight.pipeline import Decision, Pipeline, TimedPoses
-from alight.records import Frame, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
+from alight.records import Frame, Home, InputError, PhotoFacts, PhotoOutcome, PhotoRow, PriorHeights, RunResult
+from alight.runner.home import with_home
 from alight.runner.work import SavedJobs, cluster_jobs, work_key
 from alight.settings import Settings
 from alight.sources import Described, Source, open_source, read_tum
@@ -186,6 +187,7 @@ class Find:
     resume: bool = False  # go on with what an interrupted run of photos left in the folder
     prior: Path | None = None  # DEM from elsewhere
     scheduler: str | None = None  # address of a Dask cluster that does the work of photos
+    home: Home | None = None  # of the vehicle that is to fly the route
 
 
 def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: None) -> RunResult:
@@ -207,16 +209,18 @@ def find(path: Path, out: Path, how: Find, tell: Tell = lambda stage, share: Non
     if how.resume and is_finished(out):
         raise InputError(f"--resume: {out} holds a finished run; run without it to begin anew")
     given_poses(source, how.poses)  # wrong ones are told before any work
+    if how.home is not None and not source.georeferenced:
+        raise InputError(f"--home: {source.name} says nothing about its place on Earth; run it without")
     prior = prior_heights(source, settings, how.prior)
     prepare_folder(out, how.overwrite)
     with closing(FileStore(out)) as far, cluster_jobs(how.scheduler) as jobs:
         if not digest:
-            return replay(source, settings, how.poses, tell, far, prior=prior)
+            return with_home(replay(source, settings, how.poses, tell, far, prior=prior), how.home)
         given = [Path(how.poses)] if how.poses and how.poses != "truth" else []
         given += [how.prior] if how.prior else []
         work = WorkFolder(out, work_key(source, digest, settings, *given), how.resume)
         try:
-            return replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), prior)
+            return with_home(replay(source, settings, how.poses, tell, far, SavedJobs(jobs, work), prior), how.home)
         except KeyboardInterrupt:
             log.warning("%d pieces of work are kept in %s: the same with --resume goes on", len(work), out)
             raise

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from alight.records import Event, InputError
+from alight.records import Event, InputError, Telemetry
 from alight.settings import Settings
 from alight.sources.capture import PREFIXES, Cameras
 from alight.sources.growing import GrowingLog, wait_for_calibration
@@ -25,6 +25,7 @@ class LiveSource:
     source: Source
     events: Iterator[Event]
     real_time: bool
+    heard: Callable[[], Telemetry | None] = lambda: None  # newest telemetry of the autopilot that gives GPS/INS
 
 
 def never() -> bool:

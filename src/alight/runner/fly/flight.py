@@ -22,6 +22,7 @@ from alight.runner.fly.arrivals import Arrivals
 from alight.runner.fly.orders import OrderTaker, SpokenVehicle
 from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.runner.fly.take_off import TakeOff
+from alight.runner.home import flown_home, with_home
 from alight.runner.live import FlightHealth, Listener
 from alight.runner.live.live import NAVIGATION
 from alight.runner.live.run import LiveRun
@@ -52,7 +53,7 @@ class FlightRequest:
     settings: Settings
     rig: Path | None = None  # calibration of cameras
     dry_run: bool = False  # orders are said, not sent
-    home: Home | None = None  # for route.plan; None: the autopilot's
+    home: Home | None = None  # for route.plan; None: the autopilot's; without a separation, the receiver's
     separation: float | None = None  # metres, ellipsoid minus sea level; None: as the receiver reports it
     take_off: float | None = None  # metres above home; None: it flies already
     imu_rate: float = 100.0  # Hz that the autopilot is asked for; 0: no IMU
@@ -375,13 +376,13 @@ class _Cabin:
             self._hand.release()
 
     def _finished(self) -> FlightOutcome:
-        pilot, home = self._pilot, self._plan.home
+        pilot, plan = self._pilot, self._plan
         entries = pilot.diary.transitions
         why = "ended by the user; the vehicle was told to hold" if self._stopped else entries[-1].reason
         times = {"image to way-point": list(pilot.way_point_times), "image to set-point": list(pilot.set_point_times)}
         found = self._run.finish()
         result = replace(
-            found, home=home or self._vehicle.telemetry.known_home, diary=pilot.diary,
+            with_home(found, flown_home(plan.home, self._vehicle.telemetry, plan.separation)), diary=pilot.diary,
             timings={**found.timings, **{k: v for k, v in times.items() if v}},
             notes={**found.notes, "landing": pilot.state.value},
         )  # fmt: skip

@@ -125,4 +125,4 @@ def with_telemetry(opened: LiveSource, link: str, separation: float | None = Non
         finally:
             feed.close()
 
-    return LiveSource(source, events(), True)
+    return LiveSource(source, events(), True, lambda: feed.autopilot.telemetry)

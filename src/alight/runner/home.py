@@ -1,0 +1,88 @@
+"""The home that the heights of `route.plan` are counted from: what the user and the autopilot say of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from alight.records import Home, InputError, RunResult, Telemetry
+from alight.sources.geoid import separation_at
+
+FARTHEST = 50_000.0  # metres from the site: no vehicle that looks for one flies so far
+STEEPEST = 1000.0  # metres above or below the site
+
+
+def wanted_home(text: str | None, geoid: Path | None = None) -> Home | None:
+    """Read the home that a user names; its separation is his own number, or that of a geoid grid, or NaN.
+
+    Raises:
+        InputError: it is no home, the grid cannot be used, or there is a grid and no home.
+    """
+    if text is None:
+        if geoid is not None:
+            raise InputError(f"--geoid {geoid}: is for --home LAT,LON,ALT_MSL; give the home as well")
+        return None
+    home = Home.parse(text)
+    if geoid is None or math.isfinite(home.separation):
+        return home
+    return home.with_separation(separation_at(geoid, home.latitude, home.longitude))
+
+
+def known_home(text: str | None, geoid: Path | None = None) -> Home | None:
+    """As `wanted_home`, for recordings, where nothing else tells the separation.
+
+    Raises:
+        InputError: as there, or the separation is missing.
+    """
+    home = wanted_home(text, geoid)
+    if home is not None and not math.isfinite(home.separation):
+        raise InputError(
+            f"home {text!r}: is above the sea, and the map above the ellipsoid: add the SEPARATION there as a fourth "
+            "number (GPS_RAW_INT: alt_ellipsoid minus alt; or a geoid calculator), or name a grid with --geoid"
+        )
+    return home
+
+
+def flown_home(wanted: Home | None, heard: Telemetry | None, separation: float | None) -> Home | None:
+    """Return the home of a vehicle on a link, with what is known of its separation; None: nobody names one.
+
+    Args:
+        wanted: by the user; None: the autopilot's own.
+        heard: the newest telemetry.
+        separation: metres, ellipsoid minus sea level, as the user states it; None: as the receiver reports it.
+    """
+    reported = math.nan if heard is None else heard.gps.separation
+    if wanted is None and heard is not None and heard.home is not None:
+        wanted = Home(heard.home.latitude, heard.home.longitude, heard.home.altitude_msl)
+    if wanted is None:
+        return None
+    return wanted.with_separation(reported if separation is None else separation)
+
+
+def with_home(result: RunResult, home: Home | None) -> RunResult:
+    """Return the result with the home of its route; a warning says what speaks against it."""
+    if home is not None and (told := _of_no_use(result, home)):
+        return replace(result, warnings=[*result.warnings, f"the home is not used: {told}"])
+    if home is None or result.route is None or not result.route.waypoints:
+        return replace(result, home=home)
+    site = result.route.waypoints[-1].position_world
+    east, north, up = result.local.to_enu(home.latitude, home.longitude, home.height)
+    away, below = math.hypot(east - site[0], north - site[1]), float(site[2]) - float(up)
+    if away > FARTHEST:
+        where = f"{1e-3 * away:,.0f} km from the site"
+    elif abs(below) > STEEPEST:
+        where = f"{abs(below):,.0f} m {'below' if below > 0 else 'above'} the site"
+    else:
+        return replace(result, home=home)
+    told = f"route.plan: the home lies {where}; give LAT,LON,ALT_MSL of the place where the vehicle is armed"
+    return replace(result, home=home, warnings=[*result.warnings, told])
+
+
+def _of_no_use(result: RunResult, home: Home) -> str:
+    """Why heights cannot be counted from the home; empty: they can."""
+    if not result.georeferenced:
+        return f"{result.source_name} says nothing about its place on Earth"
+    if not math.isfinite(home.separation):
+        return "the receiver does not report both heights; give --separation, metres from sea level to the ellipsoid"
+    return ""

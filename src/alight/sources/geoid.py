@@ -1,0 +1,56 @@
+"""The geoid's height above the ellipsoid at one place, from a grid that the user names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from alight.records import InputError
+from alight.records.telemetry import FARTHEST_FROM_SEA
+from alight.sources.raster import open_raster
+
+
+def separation_at(grid: Path, latitude: float, longitude: float) -> float:
+    """Return metres from sea level to the ellipsoid (ellipsoid minus sea level), bilinear between the grid's cells.
+
+    Args:
+        grid: raster of geoid heights in metres, on degrees, such as EGM96's or EGM2008's as GeoTIFF or GTX.
+        latitude, longitude: degrees; a longitude may count from -180 or from 0.
+
+    Raises:
+        InputError: it is no such raster, or does not cover the place.
+    """
+    with open_raster(grid) as geoid:
+        if geoid.crs is not None and not geoid.crs.is_geographic:
+            raise InputError(f"--geoid {grid}: its cells are not degrees; give a grid of geoid heights such as EGM2008")
+        row, col = _cell(grid, geoid, latitude, longitude)
+        top, left = (int(min(place, size - 2)) for place, size in ((row, geoid.height), (col, geoid.width)))
+        try:
+            read = geoid.read(1, window=Window(left, top, 2, 2), masked=True)
+        except RasterioError as e:
+            raise InputError(f"--geoid {grid}: cannot be read to its end ({e}); copy it again") from e
+        corners = read.astype(np.float64).filled(np.nan) * geoid.scales[0] + geoid.offsets[0]
+    v, u = row - top, col - left
+    weights = np.outer([1.0 - v, v], [1.0 - u, u])
+    counts = weights > 0.0  # a hole that the place does not lie in does no harm
+    height = float(np.sum(corners[counts] * weights[counts]))
+    if not abs(height) <= FARTHEST_FROM_SEA:
+        raise InputError(f"--geoid {grid}: holds no geoid's height at {latitude:g}, {longitude:g} ({height:g} m)")
+    return height
+
+
+def _cell(grid: Path, geoid: Any, latitude: float, longitude: float) -> tuple[float, float]:
+    """Row and column of a place, 0 at the centre of the first cell; up to half a cell beyond the rim is on it."""
+    if min(geoid.height, geoid.width) < 2:
+        raise InputError(f"--geoid {grid}: has {geoid.height} x {geoid.width} cells; give a whole grid such as EGM2008")
+    rows, cols, t = geoid.height - 1.0, geoid.width - 1.0, ~geoid.transform
+    for turns in (0.0, 360.0, -360.0):
+        east = longitude + turns
+        x, y = t.a * east + t.b * latitude + t.c, t.d * east + t.e * latitude + t.f
+        if -0.5 <= x - 0.5 <= cols + 0.5 and -0.5 <= y - 0.5 <= rows + 0.5:
+            return float(np.clip(y - 0.5, 0.0, rows)), float(np.clip(x - 0.5, 0.0, cols))
+    raise InputError(f"--geoid {grid}: does not reach {latitude:g}, {longitude:g}; is the order LAT,LON?")
