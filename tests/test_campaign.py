@@ -287,6 +287,25 @@ def test_a_hard_touchdown_is_unsafe_but_not_by_the_ground(tmp_path: Path) -> Non
     assert not record.touchdown.bad_ground
 
 
+def test_what_is_struck_in_flight_is_unsafe_however_it_touched_down(tmp_path: Path) -> None:
+    def strikes(vehicle: SteeredFlight, *_: object) -> Landing:
+        touch(vehicle)
+        vehicle.contacts.append(replace(vehicle.contacts[0], struck=2.3))
+        return Landing(S.LANDED)
+
+    record = flown(scene(tmp_path), strikes)
+    assert record.outcome == "landed unsafely"
+    assert "2.3 m above its feet" in record.why
+    assert record.touchdown is not None
+    assert record.touchdown.reasons == ("strike",)
+    assert record.touchdown.bad_ground
+
+
+def test_the_nearest_that_it_came_is_noted_until_the_landing_is_begun(tmp_path: Path) -> None:
+    record = flown(scene(tmp_path), lands)  # `happening` is called in the search and in the landing
+    assert record.nearest == pytest.approx(40.0, abs=0.5)
+
+
 def test_ground_touched_outside_a_landing_is_unsafe(tmp_path: Path) -> None:
     def crash(vehicle: SteeredFlight, *_: object) -> Landing:
         touch(vehicle)

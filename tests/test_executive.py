@@ -44,13 +44,18 @@ class Ground:
     tall: float = 0.0  # m, of a wall across east = 15
     unlisted: tuple[float, float] = (0.0, 0.0)  # heights between which places are in doubt and not listed
     gap: bool = False  # of the map, about east = 0
+    posts: tuple[tuple[float, float, float], ...] = ()  # east, north, height, metres; a cell each
+    posts_show: float = 99.0  # m, the height below which the map shows them
 
-    def map(self) -> ElevationMap:
+    def map(self, height: float = 0.0) -> ElevationMap:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
         m = some_elevation()
         flat = np.zeros(grid.shape, np.float32)
         east, _ = grid.xy()
         flat[:, np.abs(east - 15.0) < 1.0] = self.tall
+        for e, n, up in self.posts if height < self.posts_show else ():
+            row, col = (round(float(v)) for v in grid.index(np.array(e), np.array(n)))
+            flat[row, col] = up
         blank = {
             name: np.zeros((*grid.shape, *v.shape[2:]), v.dtype)
             for name, v in vars(m).items()
@@ -80,7 +85,7 @@ class Ground:
         found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
         blank = np.zeros(grid.shape, np.float32)
         danger = HazardMap(grid, blank, blank, blank, blank, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
-        return Seen(number, t, self.frame_id, found, danger, self.map(), 0.0)
+        return Seen(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
 
 
 @dataclass
@@ -581,6 +586,64 @@ def test_candidates_that_all_fall_are_not_visited_for_ever() -> None:
     f = Flight(ground, Executive(settings("executive.time_budget=2000")))
     assert f.fly(2000.0) is S.LANDED
     np.testing.assert_allclose(f.position[:2], [25.0, 25.0], atol=0.3)
+
+
+# -- beside what stands there
+
+
+def ends_of_looks(f: Flight) -> list[np.ndarray]:
+    """(2,) each, where its look legs led."""
+    return [o.position[:2] for s, o, _ in f.orders if s is S.LOOK and o.position is not None]
+
+
+def test_a_look_leg_turns_away_from_what_stands_beside_it() -> None:
+    """A tree 2.5 m beyond the end of the first leg that suits the vehicle best."""
+    place = np.array([10.0, 5.0])
+    free = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    assert free.fly() is S.LANDED
+    end = ends_of_looks(free)[0]
+    east, north = np.round(end + 2.5 * (end - place) / np.hypot(*(end - place)))
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}, posts=((east, north, 12.0),)), Executive(settings()))
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], place, atol=0.3)
+    assert min(np.hypot(e[0] - east, e[1] - north) for e in ends_of_looks(f)) > 3.0
+
+
+def test_a_place_among_trees_is_not_flown_to() -> None:
+    """Trees on three sides of the first place leave no leg of 3 m across it; the second stands free."""
+    trees = tuple((10.0 + e, 5.0 + n, 9.0) for e, n in ((2.5, 0.0), (-1.5, 2.5), (-1.5, -2.5)))
+    f = Flight(
+        Ground({(10.0, 5.0): lambda h: 0.99, (-12.0, 0.0): clearer_from_below}, posts=trees), Executive(settings())
+    )
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], [-12.0, 0.0], atol=0.3)
+    assert E.REFUSED not in f.events
+    alone = Flight(Ground({(10.0, 5.0): lambda h: 0.99}, posts=trees), Executive(settings()))
+    assert alone.fly() is S.RETURN
+
+
+def test_a_tree_that_only_a_near_look_shows_breaks_the_look_off() -> None:
+    """The vehicle climbs before it goes on to the next place."""
+    trees = tuple((10.0 + e, 5.0 + n, 9.0) for e, n in ((2.5, 0.0), (-1.5, 2.5), (-1.5, -2.5)))
+    ground = Ground({(10.0, 5.0): lambda h: 0.99, (-12.0, 0.0): clearer_from_below}, posts=trees, posts_show=9.0)
+    f = Flight(ground, Executive(settings()))
+    assert f.fly() is S.LANDED
+    np.testing.assert_allclose(f.position[:2], [-12.0, 0.0], atol=0.3)
+    refused = [x for x in f.executive.diary.transitions if x.event is E.REFUSED]
+    assert [x.reason for x in refused] == ["something stands beside every way across it"]
+    assert refused[0].before in (S.DESCEND, S.LOOK)
+
+
+def test_a_low_bush_beside_a_leg_leaves_it_as_it_is() -> None:
+    """Half of the height of a look lies above it; the look is flown at its own height, not over the bush."""
+    bush = (13.0, 6.0, 1.5)
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}, posts=(bush,)), Executive(settings()))
+    free = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    assert f.fly() is free.fly() is S.LANDED
+    ways = [[tuple(o.position) for s, o, _ in x.orders if s is S.LOOK and o.position is not None] for x in (f, free)]
+    assert ways[0] == ways[1]
+    lowest = [p[2] for s, _, p in f.orders if s is S.LOOK][-1]
+    assert lowest == pytest.approx(6.0, abs=0.5)
 
 
 # -- wind

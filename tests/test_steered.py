@@ -90,6 +90,51 @@ def test_a_landing_ends_on_the_ground_at_the_speed_that_was_flown(level):
     assert hold(flight, 0.5, Wanted())  # sensors go on
 
 
+def posts(*things):
+    """A level meadow with square things on it: east, north, half a side, height, metres."""
+    n = 600
+    height = np.zeros((n, n), np.float32)
+    grid = Grid(-30.0 + 0.05, 30.0 - 0.05, 0.1, n, n)
+    x, y = grid.xy()
+    for east, north, half, up in things:
+        height[np.ix_(np.abs(y - north) <= half, np.abs(x - east) <= half)] = up
+    return world_of(grid, height)
+
+
+def test_what_stands_beside_the_way_is_struck_once():
+    """It passes 1.0 m beside a post that reaches 2 m above its feet; a vehicle of 0.8 m does not touch it."""
+    world = posts((6.0, 1.1, 0.15, 12.0))
+    struck = []
+    for radius in (1.5, 0.8, 0.0):
+        flight = SteeredFlight(world, 1, start=(0, 0, 10), steered_by="truth", radius=radius, **BLIND)
+        hold(flight, 8.0, Wanted(position=flight.true_pose.translation + np.array([12.0, 0.0, 0.0])))
+        struck.append([c.struck for c in flight.contacts])
+    assert struck == [[pytest.approx(2.0, abs=0.05)], [], []]
+
+
+def test_the_last_metre_is_the_touchdowns():
+    """A kerb of 0.8 m beside the touchdown is its roughness; what stands 3 m high is struck on the way down."""
+    for up, count in ((0.8, 1), (3.0, 2)):
+        flight = SteeredFlight(posts((1.2, 0.0, 0.1, up)), 1, start=(0, 0, 5), steered_by="truth", radius=1.5, **BLIND)
+        hold(flight, 12.0, Wanted(velocity=np.array([0.0, 0.0, -0.6])))
+        assert flight.landed
+        assert len(flight.contacts) == count
+        assert [c.struck is None for c in flight.contacts] == [False, True][2 - count :]
+
+
+def test_the_gap_is_that_to_the_highest_thing_within_the_radius():
+    flight = SteeredFlight(posts((1.2, 0.0, 0.1, 3.0)), 1, start=(0, 0, 10), steered_by="truth", radius=1.5, **BLIND)
+    assert flight.gap == pytest.approx(7.0, abs=0.05)
+    assert flight.height_above_ground == pytest.approx(10.0, abs=0.05)
+    flight.park(-1.0, 0.0)  # a car: lower than the post
+    hold(flight, 0.3)
+    assert flight.gap == pytest.approx(7.0, abs=0.1)
+    bare = SteeredFlight(posts(), 1, start=(0, 0, 10), steered_by="truth", radius=1.5, **BLIND)
+    bare.walk_in(1.6, 0.0, start=(1.6, 0.0))
+    hold(bare, 0.3)
+    assert 8.0 < bare.gap < 8.6  # a person whose shoulder is within the radius
+
+
 def test_a_new_wind_moves_it_until_the_autopilot_has_learned_it(level):
     flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
     place = flight.true_pose.translation

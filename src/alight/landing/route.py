@@ -31,7 +31,7 @@ class _Corridor:
     ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
 
 
-def _along(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
+def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
     """How far along a way each cell is, 0 to 1, and which lie within `width` metres of it, (R, C) each."""
     east, north = grid.xy()
     x, y = np.meshgrid(east - start[0], north - start[1])
@@ -41,7 +41,7 @@ def _along(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]:
 
 
 def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
-    share, near = _along(start, np.array([site.east, site.north]), elevation.grid, width)
+    share, near = along_way(start, np.array([site.east, site.north]), elevation.grid, width)
     top = Obstructions.of(elevation).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
@@ -120,7 +120,7 @@ def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clear
         clearance: metres, above and beside the way.
         rise: metres above the ground about it, from which the height of what is in doubt is not known.
     """
-    _, near = _along(start, to, grid, clearance)
+    _, near = along_way(start, to, grid, clearance)
     here, cell = obstructions.top[near], grid.cell * grid.cell
     known, wide = np.isfinite(here), clearance + grid.cell / 2
     area = max(2 * wide * math.hypot(to[0] - start[0], to[1] - start[1]) + math.pi * wide * wide, here.size * cell)

@@ -13,7 +13,8 @@ Outcome = Literal[
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
-GROUND = ("slope", "roughness", "belly", "rotor", "ground")  # reasons that are the ground's; the rest is the flying's
+STRIKE = "strike"  # of what stands beside it, in flight
+GROUND = ("slope", "roughness", "belly", "rotor", "ground", STRIKE)  # reasons that are the ground's, not the speed's
 
 
 class _Line(BaseModel):
@@ -108,6 +109,7 @@ class LandingRecord(_Line):
     seconds: float = 0.0  # of the flight
     found_after: float | None = None  # s to the first place
     distance: float = 0.0  # metres flown
+    nearest: float | None = None  # metres of the feet above all within the footprint, before the landing was begun
     verdicts: int = 0
     picture: str | None = Field(None, pattern=r"^[\w-]+\.webp$")  # file beside landings.jsonl
     error: str | None = None

@@ -60,7 +60,7 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
         AlightError: the folder cannot be written.
     """
     prepare_folder(out, overwrite)
-    vehicle = SteeredFlight("demo", seed, start=START)
+    vehicle = SteeredFlight("demo", seed, start=START, radius=settings.lander.radius)
     done = [0.0]
 
     def happening(t: float, state: FlightState) -> None:

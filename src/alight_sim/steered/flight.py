@@ -29,6 +29,8 @@ from alight_sim.world import World, build
 
 NIMBLE = FlightLimits(lag=0.08)
 IMU_RATE_HZ = 100.0  # of a flight that is not given an IMU; the vehicle moves in such steps
+STRIKE_STEPS = 5  # samples of the IMU between two looks at what is beside
+LAST = 1.0  # metres above the ground: below, it comes down
 _TRIM = 1.5  # s in which the autopilot has learned a new wind
 _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
@@ -50,6 +52,7 @@ class TrueContact:
     pose: Pose  # world_from_body just then; its origin is `standing` above the ground
     velocity_world: F64  # (3,) m/s just before
     standing: float  # metres from the plane of the feet to the body's origin
+    struck: float | None = None  # metres above its feet of what it struck beside it, in flight; None: it came down
 
 
 class SteeredFlight:
@@ -69,6 +72,7 @@ class SteeredFlight:
         battery: what flying costs.
         faults, nav, imu: instead of the scene's, whose IMU is read `IMU_RATE_HZ` times a second.
         standing: metres from the plane of the feet to the body's origin.
+        radius: metres about its middle within which it strikes what stands higher than its feet; 0: nothing.
         steered_by: positions wanted are in the frame of the navigation solution, as for an autopilot, or true ones.
 
     Raises:
@@ -98,6 +102,7 @@ class SteeredFlight:
         nav: NavErrors | None = None,
         imu: ImuErrors | None = None,
         standing: float = 0.35,
+        radius: float = 0.0,
         steered_by: Literal["navigation", "truth"] = "navigation",
     ) -> None:
         made = scene if isinstance(scene, World) else build(scene, seed)
@@ -124,7 +129,7 @@ class SteeredFlight:
         self._cost = battery or TrueBattery()
         self.battery = self._cost.share
         self.contacts: list[TrueContact] = []
-        self._below = GroundBelow(self.world)
+        self._below, self._radius, self._strikes = GroundBelow(self.world, radius), radius, False
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
         self._steps, self._asked_ns = 0, 0
@@ -204,6 +209,12 @@ class SteeredFlight:
         return float(up - self._floor(float(east), float(north)))
 
     @property
+    def gap(self) -> float:
+        """Metres from the highest thing within its radius, or below its middle, up to the plane of its feet."""
+        east, north, up = (float(c) for c in self._vehicle.position)
+        return up - self.standing - self._below.highest(east, north)
+
+    @property
     def learned_wind(self) -> F64:
         """(3,) m/s, where the air goes, as far as the autopilot has learned it."""
         return self._trimmed.copy()
@@ -255,9 +266,19 @@ class SteeredFlight:
                     START_NS + round((start + h) * 1e9), vehicle.world_from_body, before.velocity_world, self.standing
                 )
             )
+        if self._radius > 0.0 and self._steps % STRIKE_STEPS == 0:
+            self._look_beside(start + h)
         self._spend(flown is not None and not vehicle.stands, h, float(vehicle.position[2]) - up)
         motion = self._track.add(start, h, before, vehicle.position.copy(), vehicle.world_from_body.rotation)
         self._sensors.measure(start, h, motion, vehicle.velocity)
+
+    def _look_beside(self, seconds: float) -> None:
+        """Note what it strikes in flight; on the last metre the touchdown is judged instead."""
+        gap = self.gap if self.height_above_ground > LAST else math.inf
+        if gap < 0.0 and not self._strikes:
+            t_ns, pose = START_NS + round(seconds * 1e9), self._vehicle.world_from_body
+            self.contacts.append(TrueContact(t_ns, pose, self.true_velocity, self.standing, -gap))
+        self._strikes = gap < 0.0
 
     def _as_believed(self, wanted: Wanted, h: float) -> Wanted:
         """It steers by its estimate: the vehicle is off by the error."""

@@ -13,30 +13,34 @@ _WINDOW = 4.0  # metres about the place for which heights are held
 _NEAR = 8.0  # metres within which bodies are looked for
 
 
-def tops(boxes: F64, east: float, north: float) -> float:
-    """Height of the highest of boxes (M, 12) that lies under a place, metres; -inf: none does."""
+def tops(boxes: F64, east: float, north: float, within: float = 0.0) -> float:
+    """Height of the highest of boxes (M, 12) that lies under a place, or `within` metres of it; -inf: none does."""
     dx, dy = east - boxes[:, 0], north - boxes[:, 1]
-    along = np.abs(boxes[:, 3] * dx + boxes[:, 4] * dy)
-    across = np.abs(boxes[:, 3] * dy - boxes[:, 4] * dx)
-    under = (along <= boxes[:, 5]) & (across <= boxes[:, 6]) & (boxes[:, 7] > 0)
-    return float(np.max(boxes[under, 2] + boxes[under, 7], initial=-math.inf))
+    along = np.maximum(np.abs(boxes[:, 3] * dx + boxes[:, 4] * dy) - boxes[:, 5], 0.0)
+    across = np.maximum(np.abs(boxes[:, 3] * dy - boxes[:, 4] * dx) - boxes[:, 6], 0.0)
+    near = (np.hypot(along, across) <= within) & (boxes[:, 7] > 0)
+    return float(np.max(boxes[near, 2] + boxes[near, 7], initial=-math.inf))
 
 
 class GroundBelow:
-    """Heights asked for one after the other, near each other. The surface is bilinear between cell centres."""
+    """Heights asked for one after the other, near each other. The surface is bilinear between cell centres.
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    Args:
+        world: the ground and what stands on it.
+        radius: metres about a place within which `highest` looks.
+    """
+
+    def __init__(self, world: World, radius: float = 0.0) -> None:
+        self._world, self._radius = world, radius
         self._box = (0.0, 0.0, 0.0, 0.0)
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
+        self._heights = np.empty((0, 0))  # the rows as an array
         self.seconds = 0.0  # of the flight: where bodies are
 
     def height(self, east: float, north: float) -> float:
         """Of the surface, metres above the origin."""
-        west, south, right, top = self._box
-        if not (west < east < right and south < north < top):
-            self._load(east, north)
+        self._hold(east, north)
         x = (east - self._place[0]) / self._world.cell
         y = (north - self._place[1]) / self._world.cell
         i, j = int(x), int(y)
@@ -45,15 +49,34 @@ class GroundBelow:
         ground = (1 - v) * ((1 - u) * low[i] + u * low[i + 1]) + v * ((1 - u) * high[i] + u * high[i + 1])
         return max(ground, self._bodies(east, north)) if self._world.bodies else ground
 
-    def _bodies(self, east: float, north: float) -> float:
+    def highest(self, east: float, north: float) -> float:
+        """Height of the highest thing within the radius about a place, metres above the origin."""
+        self._hold(east, north)
+        cell, radius, (west, south) = self._world.cell, self._radius, self._place
+        col, row = int((east - radius - west) / cell), int((north - radius - south) / cell)
+        size = int(2 * radius / cell) + 2
+        part = self._heights[row : row + size, col : col + size]
+        x = west + cell * (col + np.arange(part.shape[1])) - east
+        y = south + cell * (row + np.arange(part.shape[0])) - north
+        ground = float(np.max(part[x[None, :] ** 2 + y[:, None] ** 2 <= radius**2], initial=-math.inf))
+        below = self.height(east, north)
+        return max(ground, below, self._bodies(east, north, radius) if self._world.bodies else -math.inf)
+
+    def _bodies(self, east: float, north: float, within: float = 0.0) -> float:
         boxes = np.concatenate([b.boxes_at(np.array([self.seconds]))[0] for b in self._world.bodies])
-        near = np.hypot(boxes[:, 0] - east, boxes[:, 1] - north) < _NEAR
-        return tops(boxes[near], east, north) if near.any() else -math.inf
+        near = np.hypot(boxes[:, 0] - east, boxes[:, 1] - north) < _NEAR + within
+        return tops(boxes[near], east, north, within) if near.any() else -math.inf
+
+    def _hold(self, east: float, north: float) -> None:
+        west, south, right, top = self._box
+        if not (west < east < right and south < north < top):
+            self._load(east, north)
 
     def _load(self, east: float, north: float) -> None:
-        spare = _WINDOW + 2.0 * self._world.cell
+        spare = _WINDOW + self._radius + 2.0 * self._world.cell
         truth = self._world.truth((east - spare, north - spare, east + spare, north + spare))
         rows = truth.grid.rows
-        self._rows = truth.height[::-1].astype(np.float64).tolist()
+        self._heights = truth.height[::-1].astype(np.float64)
+        self._rows = self._heights.tolist()
         self._place = truth.grid.east, truth.grid.north - (rows - 1) * truth.grid.cell
         self._box = east - _WINDOW, north - _WINDOW, east + _WINDOW, north + _WINDOW

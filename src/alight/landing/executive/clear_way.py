@@ -1,20 +1,28 @@
-"""How high a way must be flown so that nothing stands in it."""
+"""Ways that nothing stands in: how high one must be flown, and how a place can be crossed low down."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+
+import numpy as np
 
 from alight.arrays import F64
-from alight.landing.route import Obstructions, way_below
+from alight.landing.executive.look_leg import LookLeg
+from alight.landing.route import Obstructions, along_way, way_below
 from alight.records.executive import Seen
 from alight.settings import StageSettings
 
+TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
+LOW = 0.5  # of its height, at the most: the clearance of a look leg above what stands beside it
+
 
 class ClearWay:
-    """Heights of ways over the newest map.
+    """Ways over the newest map.
 
     A long way is flown at the height of the search over ground that is not all mapped, and where something stands whose
-    height is in doubt: of a tree 10 m high most of the map said 3 m, and a landing flew into it.
+    height is in doubt: of a tree 10 m high most of the map said 3 m, and a landing flew into it. Nor is a place crossed
+    low down beside anything tall, however high the map says that it is.
     """
 
     def __init__(self, settings: StageSettings) -> None:
@@ -24,10 +32,43 @@ class ClearWay:
 
     def level(self, start: F64, to: F64, seen: Seen) -> float:
         """Metres up at which the way from above one point (3,) to above another is clear."""
-        if self._obstructions is None or seen.number != self._number:
-            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
         grid, k = seen.elevation.grid, self._keys
-        below = way_below(start, to, grid, self._obstructions, self._clearance, k.rise)
+        below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, k.rise)
         is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
         untold = below.unmapped > k.unmapped or below.doubtful > k.risen
         return max(below.clear, seen.ground + k.search_height) if is_long and untold else below.clear
+
+    def turned(self, leg: LookLeg, ground: float, seen: Seen) -> LookLeg | None:
+        """Turn a leg as little as it takes for nothing to stand beside it; None: something does whichever way.
+
+        Args:
+            leg: across a place.
+            ground: metres up, of the place.
+            seen: the newest verdict.
+        """
+        turns = (replace(leg, turned=turn) for turn in TURNS)
+        return next((t for t in turns if self.is_free(t.start, t.end, ground, seen)), None)
+
+    def is_free(self, start: F64, to: F64, ground: float, seen: Seen) -> bool:
+        """Whether a level way (3,) near a place may be flown: beside it nothing is tall, or reaches up to the way.
+
+        Tall is what rises by more than `executive.rise`, within `route.clearance` of the way.
+        """
+        grid, reach = seen.elevation.grid, self._clearance + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
+        middle = 0.5 * (start + to)
+        row, col = (float(i) for i in grid.index(middle[0], middle[1]))
+        k = math.ceil(reach / grid.cell) + 1
+        rows, cols = (
+            slice(max(int(row) - k, 0), max(int(row) + k + 1, 0)),
+            slice(max(int(col) - k, 0), max(int(col) + k + 1, 0)),
+        )
+        top = self._obstructions_of(seen).top[rows, cols]
+        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), self._clearance)
+        spare = min(self._clearance, LOW * (float(start[2]) - ground))
+        highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
+        return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
+
+    def _obstructions_of(self, seen: Seen) -> Obstructions:
+        if self._obstructions is None or seen.number != self._number:
+            self._number, self._obstructions = seen.number, Obstructions.of(seen.elevation)
+        return self._obstructions

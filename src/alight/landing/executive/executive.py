@@ -8,18 +8,22 @@ looked at again from half the height, until the lowest look confirms it. Only th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
+from alight.landing.executive.limits import exceeded
 from alight.landing.executive.look_leg import LookLeg
+from alight.landing.executive.look_planner import LookPlanner
 from alight.landing.executive.opinion import Opinion, Standing, opinion
 from alight.landing.executive.search import SearchLanes
 from alight.landing.executive.table import AT_A_PLACE, ENDS, TABLE
-from alight.landing.wind import downwind, ground_speed, is_from_behind
+from alight.landing.wind import ground_speed, is_from_behind
 from alight.records import MotionState, Site
 from alight.records.executive import (
     FlightDiary,
@@ -27,6 +31,7 @@ from alight.records.executive import (
     FlightState,
     LookRecord,
     Order,
+    Seen,
     Situation,
     Transition,
 )
@@ -47,6 +52,7 @@ class Executive:
         self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
         self._clear_way = ClearWay(settings)
+        self._looks = LookPlanner(settings, self._clear_way)
         self.target: Site | None = None
         self._begun: float | None = None  # s
         self._since = 0.0  # s, in this state
@@ -60,6 +66,7 @@ class Executive:
         self._descends = False  # the vehicle is over the place, and comes down
         self._sound_at = -math.inf  # s, when the motion was not degraded
         self._across: F64 | None = None  # where the look leg leads
+        self._leg_now: LookLeg | None = None  # planned last
         self._leg_done: float | None = None  # s
         self._refusals = self._doubts = self._judged = 0
         self._places = KnownPlaces(settings)
@@ -133,25 +140,14 @@ class Executive:
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        return None if self.state is S.ABORT else self._limits(now)  # first it climbs
+        return None if self.state is S.ABORT else exceeded(now, self._begun, k)  # first it climbs
 
     def _held_enough(self, now: Situation) -> tuple[FlightEvent, str] | None:
         """A vehicle that keeps its place may wait for its cameras; one that drifts is handed over soon."""
         waited, patience = now.t - self._since, self._keys.hold if now.holds else self._keys.wait
         if waited > patience:
             return E.WAITED, f"for {waited:.0f} s"
-        return self._limits(now) if now.holds else None
-
-    def _limits(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        """The limit of wind, battery or time that is exceeded, with its numbers in words; None: none is."""
-        k = self._keys
-        if now.wind_speed > k.most_wind:
-            return E.WIND, f"{now.wind_speed:.1f} m/s, limit {k.most_wind:.1f}"
-        if now.battery < k.least_battery:
-            return E.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * k.least_battery:.0f}"
-        if self._begun is not None and now.t - self._begun > k.time_budget:
-            return E.TIME, f"{k.time_budget:.0f} s"
-        return None
+        return exceeded(now, self._begun, self._keys) if now.holds else None
 
     def _progress(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert now.position is not None or self.state is S.ABORT
@@ -166,7 +162,7 @@ class Executive:
         return None, ""
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
-        found = self._places.best()
+        found = self._places.best(self._is_open(now))
         if found is not None and self._places.worth_a_visit(found):
             return self._found(found)
         assert self._home is not None
@@ -210,6 +206,8 @@ class Executive:
             self.target = replace(self.target, p_safe=said.p_safe) if landing else said.place
         if self.state is S.COMMIT:
             return None, ""
+        if said is not None and self._beside(now):
+            return E.REFUSED, "something stands beside every way across it"
         if self.state is S.LOOK:
             return self._looking(now, said)
         return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
@@ -233,18 +231,20 @@ class Executive:
             waited = now.t - (self._leg_done or self._since)
             return (E.WAITED, "verdicts on it do not come") if waited > self._keys.wait else (None, "")
         self._note_look(now, said)
-        if said.standing is Standing.CANDIDATE and (better := self._places.better(said.place)) is not None:
+        candidate = said.standing is Standing.CANDIDATE
+        if candidate and (better := self._places.better(said.place, self._is_open(now))) is not None:
             return E.REFUSED, f"P(safe) {said.p_safe:.2f} from {self._height:.1f} m, and {better.p_safe:.2f} elsewhere"
         lowest = self._height <= self._keys.commit_height * 1.05
         if said.standing is Standing.SITE and lowest:
             return E.CONFIRMED, f"P(safe) {said.p_safe:.3f} from {self._height:.1f} m"
         if said.standing in (Standing.SITE, Standing.CANDIDATE) and not lowest:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
-        if said.standing is Standing.CANDIDATE and self._height > self._keys.nearest * 1.05:
+        if candidate and self._height > self._keys.nearest * 1.05:
             return E.LOWER, f"in doubt, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         self._doubts += 1
-        if said.standing is Standing.CANDIDATE and self._doubts < self._keys.patience:
-            self._across, self._leg_done = self._leg(now).end, None  # once more, from the other side
+        if candidate and self._doubts < self._keys.patience:
+            self._leg_done = None
+            self._plan(self._leg(now))  # once more, from the other side
             return None, ""
         if said.standing is Standing.REFUSED and self._refusals < self._keys.sure:
             return None, ""
@@ -259,7 +259,9 @@ class Executive:
         low = self.state is S.COMMIT
         same = self._keys.same_spot if low else max(self._keys.same_place, self._keys.beside * self._height)
         least = self._keys.fallen if low else self._keys.hopeless
-        said = opinion(self.target, seen, self._limit, same, least, lambda s: low or not self._places.is_refused(s))
+        is_open = self._is_open(now)
+        may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
+        said = opinion(self.target, seen, self._limit, same, least, may)
         self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
         return said
 
@@ -277,12 +279,9 @@ class Executive:
         self._way, self._across, self._leg_done, self._descends = None, None, None, False
         if after is S.APPROACH:
             self._begin_place(now)
-        elif after is S.DESCEND:
-            least = self._keys.commit_height if self._height > self._keys.commit_height * 1.05 else self._keys.nearest
-            self._height = min(self._height, max(least, self._height * self._keys.lower))
-            self._way = self._leg(now).start
-        elif after is S.LOOK:
-            self._across = self._leg(now).end
+        elif after in (S.DESCEND, S.LOOK):
+            self._height = self._looks.next_height(self._height) if after is S.DESCEND else self._height
+            self._plan(self._leg(now))
         elif after is S.ABORT:
             self._climb(now)
         elif after in (S.SEARCH, S.HOLD, *ENDS) and before is not S.COMMIT:
@@ -291,22 +290,16 @@ class Executive:
     def _begin_place(self, now: Situation) -> None:
         assert self.target is not None
         self._refusals = self._doubts = 0
-        up = self._above(now)
-        look = self.target.look
-        wanted = look.height if look is not None else up * self._keys.lower
-        self._height = float(np.clip(wanted, self._keys.commit_height, max(up, self._keys.commit_height)))
+        self._height = self._looks.first_height(self.target, now)
         if self._keys.look_again:
-            self._way = self._leg(now).start
-            return
+            return self._plan(self._leg(now))
         self._height = self._keys.commit_height
         self._way = np.array([self.target.east, self.target.north, self.target.up + self._height])
 
     def _climb(self, now: Situation) -> None:
-        if now.position is None:
-            self._way = None
-            return
-        ground = self.target.up if self.target is not None else (self._ground or 0.0)
-        self._way = np.array([*now.position[:2], max(now.position[2], ground + 2 * self._keys.commit_height)])
+        at, ground = now.position, self.target.up if self.target is not None else (self._ground or 0.0)
+        above = ground + 2 * self._keys.commit_height
+        self._way = None if at is None else np.array([*at[:2], max(at[2], above)])
 
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
@@ -354,30 +347,52 @@ class Executive:
     def _clear(self, now: Situation, to: F64) -> F64:
         """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""
         assert now.position is not None
-        if now.seen is None or now.seen.frame_id != self._frame:
+        seen = self._seen(now)
+        if seen is None or self.state is S.LOOK:  # nothing stands beside a look leg
             return to
         away = float(np.hypot(*(to[:2] - now.position[:2])))
         if away < 2 * self._keys.arrived:
             return to
-        level = max(float(to[2]), self._clear_way.level(now.position, to, now.seen))
+        level = max(float(to[2]), self._clear_way.level(now.position, to, seen))
         if now.position[2] < level - self._keys.arrived:
             return np.array([*now.position[:2], level])
         return np.array([to[0], to[1], level])
 
-    def _leg(self, now: Situation) -> LookLeg:
+    def _plan(self, leg: LookLeg | None) -> None:
+        """Fly to the start of a leg, or along it; None: no leg is clear, and the next verdict refuses the place."""
+        self._leg_now = leg
+        if leg is not None and self.state is S.LOOK:
+            self._across = leg.end
+        elif leg is not None:
+            self._way = leg.start
+
+    def _leg(self, now: Situation) -> LookLeg | None:
+        """The leg across the target that nothing stands beside; None: there is none."""
         assert self.target is not None
-        assert now.position is not None
-        half = max(self._keys.look_base * self._height, self._keys.least_base)
-        place = np.array([self.target.east, self.target.north, self.target.up + self._height])
-        return LookLeg(place, half, now.position, downwind(now.wind, self._route.calm))
+        return self._looks.across(self.target, self._height, now, self._seen(now))
+
+    def _is_open(self, now: Situation) -> Callable[[Site], bool]:
+        return partial(self._looks.is_open, now=now, seen=self._seen(now))
+
+    def _beside(self, now: Situation) -> bool:
+        """Whether something stands beside the way to a look or across a place; another leg is taken where one is."""
+        seen = self._seen(now)
+        if not self._keys.look_again or self.target is None or now.position is None or seen is None:
+            return False
+        if self.state is S.LOOK and self._leg_now is not None:
+            across = self._across
+            return across is not None and not self._clear_way.is_free(now.position, across, self.target.up, seen)
+        leg = self._leg(now)
+        if leg is not None and (self._leg_now is None or leg.turned != self._leg_now.turned):
+            self._plan(leg)
+        return leg is None
+
+    def _seen(self, now: Situation) -> Seen | None:
+        """The newest verdict, if it is on a map of this frame."""
+        return None if now.seen is None or now.seen.frame_id != self._frame else now.seen
 
     def _reached(self, now: Situation, point: F64) -> bool:
         return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived
-
-    def _above(self, now: Situation) -> float:
-        """Metres above the target."""
-        assert self.target is not None
-        return float("inf") if now.position is None else float(now.position[2]) - self.target.up
 
     def _note_look(self, now: Situation, said: Opinion) -> None:
         p = said.place

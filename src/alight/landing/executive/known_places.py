@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from alight.landing.executive.opinion import Standing, opinion
 from alight.records import Site, Terrain
@@ -52,15 +53,18 @@ class KnownPlaces:
         self._refused.clear()
         self._noted.clear()
 
-    def best(self) -> Site | None:
+    def best(self, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
         """The best place known that was not refused before: sites first, then candidates by their promise.
+
+        Args:
+            is_open: whether a way across a place is clear.
 
         After k candidates that near looks refused, the next one is a site with a chance of 1 in k + 2 (rule of
         succession). When that is small they are worth neither the time nor the battery.
         """
         hopeless = self.refused >= self._keys.visits
         free = [p for p in self._noted if not self.is_refused(p) and (p.kind == "site" or not hopeless)]
-        return max(free, key=self._rank, default=None)
+        return next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
 
     def _rank(self, place: Site) -> tuple[bool, float]:
         """Sites before candidates; bare and paved ground counts more: near looks settle it, not grass."""
@@ -71,11 +75,11 @@ class KnownPlaces:
         few = self.refused < self._keys.tries_at_once
         return place.kind == "site" or (few and place.p_safe >= self._keys.at_once)
 
-    def better(self, place: Site) -> Site | None:
+    def better(self, place: Site, is_open: Callable[[Site], bool] = lambda place: True) -> Site | None:
         """The place to visit instead of one in doubt: one for which a search is broken off, and clearly better."""
         others = [p for p in self._noted if math.hypot(p.east - place.east, p.north - place.north) > self._keys.banned]
         free = [p for p in others if not self.is_refused(p) and self.worth_a_visit(p)]
-        best = max(free, key=self._rank, default=None)
+        best = next(filter(is_open, sorted(free, key=self._rank, reverse=True)), None)
         return best if best is not None and best.p_safe >= place.p_safe + self._keys.clearly else None
 
     def _judged_in(self, place: Site, seen: Seen) -> bool:

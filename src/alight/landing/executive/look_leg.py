@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +20,12 @@ class LookLeg:
     half: float  # metres, half its length
     position: F64  # (3,) metres, of the vehicle
     downwind: F64 | None  # (2,) unit vector, where the air goes; None: calm, or not known
+    turned: float = 0.0  # rad, from the way that suits the wind and the vehicle best
 
     @property
     def start(self) -> F64:
         """(3,) metres: down the wind of the place, so that the leg leads against it; else on the vehicle's side."""
-        return self._beside(self._side if self.downwind is None else self.downwind)
+        return self._beside(self._side if self.downwind is None else self._turn(self.downwind))
 
     @property
     def end(self) -> F64:
@@ -38,6 +40,11 @@ class LookLeg:
         """(2,) unit vector from the place to the vehicle's side, along the wind where there is one."""
         away = self.position[:2] - self.place[:2]
         if self.downwind is not None:
-            return self.downwind if float(self.downwind @ away) >= 0.0 else -self.downwind
+            along = self._turn(self.downwind)
+            return along if float(along @ away) >= 0.0 else -along
         distance = float(np.hypot(*away))
-        return np.asarray(away / distance) if distance > ABOVE else np.array([0.0, 1.0])
+        return self._turn(away / distance if distance > ABOVE else np.array([0.0, 1.0]))
+
+    def _turn(self, v: F64) -> F64:
+        c, s = math.cos(self.turned), math.sin(self.turned)
+        return np.array([c * v[0] - s * v[1], s * v[0] + c * v[1]])

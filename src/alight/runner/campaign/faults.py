@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from alight.landing.executive import ENDS
 from alight.records.campaign import FaultRecord
 from alight.records.executive import FlightState
 from alight_sim.steered import SteeredFlight
@@ -108,9 +109,10 @@ class Happenings:
         self._happened: dict[int, float] = {}
         self._at = vehicle.true_pose.translation.copy()
         self.distance = 0.0  # metres
+        self.nearest: float | None = None  # metres of the feet above all within the vehicle's radius, on the way
 
     def __call__(self, t: float, state: FlightState) -> None:
-        """Let happen what is due, and add the way flown since the last call to `distance`.
+        """Let happen what is due; add the way flown since the last call to `distance`, and see how near it leads.
 
         Args:
             t: s of the flight.
@@ -119,6 +121,9 @@ class Happenings:
         at = self._vehicle.true_pose.translation
         self.distance += float(np.linalg.norm(at - self._at))
         self._at = at.copy()
+        if state not in (FlightState.COMMIT, FlightState.ABORT, *ENDS):
+            gap = self._vehicle.gap
+            self.nearest = gap if self.nearest is None else min(self.nearest, gap)
         self._entered.setdefault(state.value, t)
         for k, fault in enumerate(self._planned):
             since = 0.0 if fault.state is None else self._entered.get(fault.state)

@@ -21,6 +21,7 @@ from alight.runner.landing import Landing, fly_landing
 from alight.runner.replay import appearance_of
 from alight.settings import Settings
 from alight_sim.campaign import CampaignWorld
+from alight_sim.oracle import OracleLander
 from alight_sim.steered import SteeredFlight
 
 log = logging.getLogger(__name__)
@@ -63,18 +64,19 @@ def failed(conditions: Conditions, error: BaseException) -> Flown:
     return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=line))
 
 
-def _vehicle(c: Conditions, kind: CampaignWorld) -> SteeredFlight:
+def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
     world = kind.build(c.world_seed)
     drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
     nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
     return SteeredFlight(
-        world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav
-    )
+        world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
+        radius=OracleLander.of(settings.lander.model_dump()).reach,
+    )  # fmt: skip
 
 
 def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
     kind = campaign_world(conditions.scene)
-    vehicle = _vehicle(conditions, kind)
+    vehicle = _vehicle(conditions, kind, settings)
     happenings = Happenings(vehicle, conditions.faults)
     landing = fly(vehicle, settings, appearance_of(settings), happenings)
     judged = judge_landing(vehicle, landing, settings, kind.start[:2])
@@ -95,7 +97,7 @@ def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
             )
             for x in landing.diary.transitions
         ),
-        seconds=landing.seconds, distance=happenings.distance, verdicts=landing.verdicts,
+        seconds=landing.seconds, distance=happenings.distance, nearest=happenings.nearest, verdicts=landing.verdicts,
         cpu_of={name: round(s, 2) for name, s in landing.cpu_of.items()},
         picture=None if picture is None else f"landing-{conditions.landing:05d}.webp",
     )  # fmt: skip

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from alight.records.campaign import Outcome, TouchdownLine
+from alight.records.campaign import STRIKE, Outcome, TouchdownLine
 from alight.records.executive import FlightEvent, FlightState
 from alight.runner.landing import Landing
 from alight.settings import Settings
@@ -67,19 +67,23 @@ def judge_landing(
 def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> JudgedLanding:
     """The worst of the contacts counts; one outside a landing is none that was meant."""
     found = [_line(vehicle, contact, settings) for contact in vehicle.contacts]
-    worst = max(found, key=lambda d: (not d.safe, len(d.reasons)))
+    worst = max(found, key=lambda d: (not d.safe, STRIKE in d.reasons, len(d.reasons)))
     if state is not FlightState.LANDED:
         return JudgedLanding("landed unsafely", f"it touched the ground and was then in {state.value}", worst)
+    if STRIKE in worst.reasons:
+        above = max(c.struck or 0.0 for c in vehicle.contacts)
+        return JudgedLanding("landed unsafely", f"it struck what stands beside it, {above:.1f} m above its feet", worst)
     if worst.safe:
         return JudgedLanding("landed safely", "every limit is kept", worst)
     return JudgedLanding("landed unsafely", ", ".join(worst.reasons), worst)
 
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
-    d = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
+    d, strike = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump())), contact.struck
     return TouchdownLine(
-        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt,
-        roughness=d.roughness, sink=d.sink, drift=d.drift,
+        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe and strike is None,
+        reasons=d.reasons if strike is None else (STRIKE,), tilt=d.tilt, roughness=d.roughness, sink=d.sink,
+        drift=d.drift,
     )  # fmt: skip
 
 

@@ -1,0 +1,64 @@
+"""From which height a place is looked at first, and by which leg across it that nothing stands beside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from alight.landing.executive.clear_way import ClearWay
+from alight.landing.executive.look_leg import LookLeg
+from alight.landing.wind import downwind
+from alight.records import Site
+from alight.records.executive import Seen, Situation
+from alight.settings import StageSettings
+
+
+class LookPlanner:
+    """Look legs over the newest map.
+
+    Args:
+        settings: of all stages; `executive` and `route` are used.
+        clear_way: tells what stands beside a way.
+    """
+
+    def __init__(self, settings: StageSettings, clear_way: ClearWay) -> None:
+        self._keys, self._calm, self._clear_way = settings.executive, settings.route.calm, clear_way
+        self._open: dict[Site, bool] = {}  # by the newest verdict
+        self._number = -1  # of it
+
+    def first_height(self, place: Site, now: Situation) -> float:
+        """Metres above a place, of the first look at it: from where its doubt would be settled, or half as high."""
+        assert now.position is not None
+        least, up = self._keys.commit_height, float(now.position[2]) - place.up
+        wanted = place.look.height if place.look is not None else up * self._keys.lower
+        return float(np.clip(wanted, least, max(up, least)))
+
+    def next_height(self, height: float) -> float:
+        """Metres above a place of the look after one from `height`: half as high, as low as a place in doubt asks."""
+        k = self._keys
+        least = k.commit_height if height > k.commit_height * 1.05 else k.nearest
+        return min(height, max(least, height * k.lower))
+
+    def across(self, place: Site, height: float, now: Situation, seen: Seen | None) -> LookLeg | None:
+        """The leg across a place, turned as little as it takes for nothing to stand beside it; None: none is clear.
+
+        Args:
+            place: that is looked at.
+            height: metres above it.
+            now: where the vehicle is, and the wind.
+            seen: the newest verdict on a map of this frame; None: nothing is known of what stands there.
+        """
+        assert now.position is not None
+        half = max(self._keys.look_base * height, self._keys.least_base)
+        above = np.array([place.east, place.north, place.up + height])
+        leg = LookLeg(above, half, now.position, downwind(now.wind, self._calm))
+        return leg if seen is None else self._clear_way.turned(leg, place.up, seen)
+
+    def is_open(self, place: Site, now: Situation, seen: Seen | None) -> bool:
+        """Whether a place can be crossed at the height of its first look; arguments as of `across`."""
+        if seen is None or now.position is None or not self._keys.look_again:
+            return True
+        if seen.number != self._number:
+            self._number, self._open = seen.number, {}
+        if place not in self._open:
+            self._open[place] = self.across(place, self.first_height(place, now), now, seen) is not None
+        return self._open[place]
