@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from alight.checks import CheckResult
     from alight.runner.fly import FlightOutcome, FlightStatus
     from alight_sim.oracle import Touchdown
-    from alight_sim.steered import SteeredFlight, TrueContact
 
 PLACE = (-20.0, -12.0)  # m east and north in the scene, where a rehearsal begins
 NOT_DOWN = "it has not touched the ground"
@@ -147,12 +146,15 @@ def rehearse(
             raise InputError(f"{which}: the autopilot that is followed decides that; leave it out, or --follow")
         _follow(follow, scene, seed, folder, width, rate, seconds)
         return
+    from alight_sim.oracle import OracleLander
     from alight_sim.rehearsal import Rehearsal
     from alight_sim.steered import SteeredFlight
+    from alight_sim.steered.touchdown import judge_flight
 
+    lander = OracleLander()
     flight = SteeredFlight(
         scene, seed, size=_size(width), rate_hz=rate, start=(*PLACE, height), wind=(wind, 0.0, 0.0),
-        steered_by="truth",
+        steered_by="truth", radius=lander.reach,
     )  # fmt: skip
     with Rehearsal(flight, folder, port, autopilot is Dialects.PX4) as rehearsal:
         say(f"ready: alight fly --link udp:127.0.0.1:{port} --camera {folder} --out OUT")
@@ -167,7 +169,8 @@ def rehearse(
             "slow for it; lower --rate or --width",
             "yellow",
         )
-    say(NOT_DOWN if flight.contact is None else _touchdown_words(_contact(flight, flight.contact)))
+    found = judge_flight(flight, lander)
+    say(NOT_DOWN if found is None else _touchdown_words(found))
 
 
 def _size(width: int) -> tuple[int, int]:
@@ -184,13 +187,6 @@ def _follow(link: str, scene: str, seed: int, folder: Path, width: int, rate: fl
     if cameras.left_out:
         complain(f"warning: {cameras.left_out} exposures were left out: this machine is too slow for them", "yellow")
     say(NOT_DOWN if found is None else _touchdown_words(found))
-
-
-def _contact(flight: SteeredFlight, contact: TrueContact) -> Touchdown:
-    from alight_sim.oracle import OracleLander
-    from alight_sim.steered.touchdown import judge_contact
-
-    return judge_contact(flight, contact, OracleLander())
 
 
 def _touchdown_words(found: Touchdown) -> str:

@@ -20,7 +20,7 @@ from alight.settings import Settings
 from alight.sources import open_source
 from alight_sim.oracle import OracleLander, Touchdown
 from alight_sim.steered import SteeredFlight
-from alight_sim.steered.touchdown import judge_contact
+from alight_sim.steered.touchdown import judge_flight
 
 START = (-4.0, -12.0, 30.0)  # metres east and north, and above the ground there
 SHARE = {  # of a landing that is done, about
@@ -60,7 +60,8 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
         AlightError: the folder cannot be written.
     """
     prepare_folder(out, overwrite)
-    vehicle = SteeredFlight("demo", seed, start=START, radius=settings.lander.radius)
+    lander = OracleLander.of(settings.lander.model_dump())
+    vehicle = SteeredFlight("demo", seed, start=START, radius=lander.reach)
     done = [0.0]
 
     def happening(t: float, state: FlightState) -> None:
@@ -73,14 +74,7 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
     result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
     notes = {**result.notes, "landing": flown.state.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
-    return DemoLanding(result, flown.state, flown.seconds, _touchdown(vehicle, settings))
-
-
-def _touchdown(vehicle: SteeredFlight, settings: Settings) -> Touchdown | None:
-    contact = vehicle.contact
-    if contact is None:
-        return None
-    return judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
+    return DemoLanding(result, flown.state, flown.seconds, judge_flight(vehicle, lander))
 
 
 def compile_kernels(tell: Tell) -> None:

@@ -79,11 +79,10 @@ def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> 
 
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
-    d, strike = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump())), contact.struck
+    d = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
     return TouchdownLine(
-        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe and strike is None,
-        reasons=d.reasons if strike is None else (STRIKE,), tilt=d.tilt, roughness=d.roughness, sink=d.sink,
-        drift=d.drift,
+        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt,
+        roughness=d.roughness, sink=d.sink, drift=d.drift,
     )  # fmt: skip
 
 
