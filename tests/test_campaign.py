@@ -298,7 +298,11 @@ def test_what_is_struck_in_flight_is_unsafe_however_it_touched_down(tmp_path: Pa
     assert "2.3 m above its feet" in record.why
     assert record.touchdown is not None
     assert record.touchdown.reasons == ("strike",)
-    assert record.touchdown.bad_ground
+    assert not record.touchdown.bad_ground
+    numbers = campaign_numbers([record, flown(scene(tmp_path), lands)])
+    assert (numbers.struck, numbers.unsafe_ground) == (1, 0)
+    assert numbers.bound > numbers.ground_bound
+    assert numbers.nearest == pytest.approx(40.0, abs=0.5)
 
 
 def test_the_nearest_that_it_came_is_noted_until_the_landing_is_begun(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
 STRIKE = "strike"  # of what stands beside it, in flight
-GROUND = ("slope", "roughness", "belly", "rotor", "ground", STRIKE)  # reasons that are the ground's, not the speed's
+GROUND = ("slope", "roughness", "belly", "rotor", "ground")  # reasons that are the ground's; the rest is the flying's
 
 
 class _Line(BaseModel):

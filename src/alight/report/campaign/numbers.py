@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from alight.records.campaign import OUTCOMES, PLACES, LandingRecord, LookLine
+from alight.records.campaign import OUTCOMES, PLACES, STRIKE, LandingRecord, LookLine
 
 CONFIDENCE = 0.95
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
@@ -64,7 +64,9 @@ class CampaignNumbers:
     outcomes: dict[str, int]
     right: float | None  # share that landed safely or was rightly refused
     touchdowns: int
-    unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast
+    unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
+    struck: int  # landings that struck what stood beside them in flight
+    nearest: float | None  # metres of the feet above all within the footprint, before the landing was begun: the least
     bound: float  # no more than this share of landings ends unsafely, with 95 %
     ground_bound: float  # the same for unsafe ground
     by_scene: Counts
@@ -98,7 +100,10 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     n = len(records)
     return CampaignNumbers(
         landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
-        touchdowns=len(down), unsafe_ground=ground, bound=unsafe_bound(outcomes["landed unsafely"], n),
+        touchdowns=len(down), unsafe_ground=ground,
+        struck=sum(STRIKE in r.touchdown.reasons for r in down if r.touchdown),
+        nearest=min((r.nearest for r in records if r.nearest is not None), default=None),
+        bound=unsafe_bound(outcomes["landed unsafely"], n),
         ground_bound=unsafe_bound(ground, n), by_scene=_counts(records, lambda r: r.conditions.scene),
         by_fault=_counts(records, lambda r: next((f.what for f in r.conditions.faults), NO_FAULT)),
         by_wind=_counts(records, _wind_range), p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),

@@ -145,7 +145,7 @@ def _tables(
             ("CPU time of a landing, s", *_spread(n.cpu_s)),
             *((f"of it {name}, s", *_spread(s)) for name, s in n.cpu_of.items()),
         ],
-        "Time and distance are of the landings that touched down; CPU time is of all, with the simulator.",
+        "Time and distance are of the landings that touched down; CPU time is of all, with the simulator." + _near(n),
     )
     yield CampaignTable(
         "Landings to look into",
@@ -157,6 +157,14 @@ def _tables(
         ],
         f"Fly one again with --only N, over the same scenes and with seed {head.seed}.",
     )
+
+
+def _near(n: CampaignNumbers) -> str:
+    if n.nearest is None:
+        return ""
+    struck = words.counted(n.struck, "landing") if n.struck else "no landing"
+    least = f"the least height of the feet above all within the footprint was {words.metres(n.nearest)}"
+    return f" Before a landing was begun {least}; {struck} struck what stood beside the way."
 
 
 def _outcomes(title: str, first: str, counts: Counts) -> CampaignTable:
@@ -181,6 +189,7 @@ def comparison(one: CampaignNumbers, two: CampaignNumbers) -> list[tuple[str, st
             **{name: str(count) for name, count in n.outcomes.items()},
             "landed safely or rightly refused": "" if n.right is None else f"{100 * n.right:.1f} %",
             "touchdowns on unsafe ground": str(n.unsafe_ground),
+            "struck in flight": str(n.struck),
             "unsafe landings, 95 % bound": f"{100 * n.bound:.2g} %",
             "unsafe ground, 95 % bound": f"{100 * n.ground_bound:.2g} %",
             "looks a landing": "" if n.looks_each is None else f"{n.looks_each:.1f}",
