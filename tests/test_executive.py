@@ -18,6 +18,7 @@ from some_run import site as some_site
 
 from alight.geometry import Grid
 from alight.landing.executive import TABLE, Executive, as_markdown
+from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.search import square_spiral
 from alight.landing.route import Obstructions, way_below
@@ -834,6 +835,20 @@ def test_a_crown_in_doubt_stands_in_the_way_and_a_single_doubtful_cell_does_not(
     assert (found.rise[crown] > 3.0).all()
     assert (found.rise > 3.0).sum() == 4 * half * half
     assert not (Obstructions.of(replace(doubted, flags=np.zeros_like(flags))).rise > 3.0).any()
+
+
+@pytest.mark.parametrize("length", [6.0, 30.0])
+def test_a_way_past_a_crown_in_doubt_is_flown_at_the_height_of_the_search(length: float) -> None:
+    """However short: the map said 4 m of trees of 12 m. From one look at a place to the next it is not climbed for."""
+    ground = Ground({}, posts=tuple((e, n, 4.0) for e in (-1.0, 0.0, 1.0) for n in (2.0, 3.0)))
+    seen = ground.seen(1, 0.0, AWAY)
+    flags = np.where(seen.elevation.height > 3.0, np.uint16(Flag.UNSURE), np.uint16(0))
+    doubted = replace(seen, elevation=replace(seen.elevation, flags=flags))
+    keys = settings()
+    start, to = np.array([-0.5 * length, 0.0, 6.0]), np.array([0.5 * length, 0.0, 6.0])
+    assert ClearWay(keys).level(start, to, doubted) == keys.executive.search_height
+    assert ClearWay(keys).level(start, to, doubted, at_a_place=True) == pytest.approx(7.0, abs=0.1)
+    assert ClearWay(keys).level(start, to, seen) == pytest.approx(7.0, abs=0.1)  # nothing in doubt
 
 
 @pytest.mark.parametrize("mapped", [True, False])

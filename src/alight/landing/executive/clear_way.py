@@ -20,9 +20,9 @@ LOW = 0.5  # of its height, at the most: the clearance of a look leg above what 
 class ClearWay:
     """Ways over the newest map.
 
-    A long way is flown at the height of the search over ground that is not all mapped, and where something stands whose
-    height is in doubt: of a tree 10 m high most of the map said 3 m, and a landing flew into it. Nor is a place crossed
-    low down beside anything tall, however high the map says that it is.
+    A way is flown at the height of the search where something stands whose height is in doubt: of a tree 10 m high most
+    of the map said 3 m, and a landing flew into it. A long one is so, too, over ground that is not all mapped. Nor is a
+    place crossed low down beside anything tall, however high the map says that it is.
     """
 
     def __init__(self, settings: StageSettings) -> None:
@@ -30,13 +30,16 @@ class ClearWay:
         self._number = -1  # of the verdict
         self._obstructions: Obstructions | None = None  # on its map
 
-    def level(self, start: F64, to: F64, seen: Seen) -> float:
-        """Metres up at which the way from above one point (3,) to above another is clear."""
+    def level(self, start: F64, to: F64, seen: Seen, at_a_place: bool = False) -> float:
+        """Metres up at which the way from above one point (3,) to above another is clear.
+
+        `at_a_place`: it leads from one look at a place to the next, and only what is mapped counts.
+        """
         grid, k = seen.elevation.grid, self._keys
         below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, k.rise)
         is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
-        untold = below.unmapped > k.unmapped or below.doubtful > k.risen
-        return max(below.clear, seen.ground + k.search_height) if is_long and untold else below.clear
+        untold = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
+        return max(below.clear, seen.ground + k.search_height) if untold and not at_a_place else below.clear
 
     def turned(self, leg: LookLeg, ground: float, seen: Seen) -> LookLeg | None:
         """Turn a leg as little as it takes for nothing to stand beside it; None: something does whichever way.

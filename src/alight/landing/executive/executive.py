@@ -353,7 +353,7 @@ class Executive:
         away = float(np.hypot(*(to[:2] - now.position[:2])))
         if away < 2 * self._keys.arrived:
             return to
-        level = max(float(to[2]), self._clear_way.level(now.position, to, seen))
+        level = max(float(to[2]), self._clear_way.level(now.position, to, seen, self.state is S.DESCEND))
         if now.position[2] < level - self._keys.arrived:
             return np.array([*now.position[:2], level])
         return np.array([to[0], to[1], level])
