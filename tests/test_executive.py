@@ -621,6 +621,7 @@ def test_a_place_among_trees_is_not_flown_to() -> None:
     assert E.REFUSED not in f.events
     alone = Flight(Ground({(10.0, 5.0): lambda h: 0.99}, posts=trees), Executive(settings()))
     assert alone.fly() is S.RETURN
+    assert "something stands beside" in alone.executive.diary.transitions[-1].reason
 
 
 def test_a_tree_that_only_a_near_look_shows_breaks_the_look_off() -> None:

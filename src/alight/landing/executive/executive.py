@@ -179,7 +179,8 @@ class Executive:
     def _searched_words(self) -> str:
         refused = f"; {self._places.refused} places were refused from near by" if self._places.refused else ""
         unseen = "" if self._ground is not None else "; no height could be measured"
-        return f"within {self._keys.search_side:.0f} m{refused}{unseen}"
+        shut = "; something stands beside what is left" if self._places.best() is not None else ""
+        return f"within {self._keys.search_side:.0f} m{refused}{unseen}{shut}"
 
     def _found(self, place: Site) -> tuple[FlightEvent, str]:
         self.target = place
