@@ -636,6 +636,14 @@ def test_a_tree_that_only_a_near_look_shows_breaks_the_look_off() -> None:
     assert refused[0].before in (S.DESCEND, S.LOOK)
 
 
+def test_a_wider_vehicle_keeps_farther_away() -> None:
+    """A tree 4 m beside the way: free for 1.5 m of radius, not for a rotor of 2.5 m."""
+    seen = Ground({}, posts=((0.0, 4.0, 9.0),)).seen(1, 0.0, AWAY)
+    start, to = np.array([-2.0, 0.0, 6.0]), np.array([2.0, 0.0, 6.0])
+    assert ClearWay(settings()).is_free(start, to, 0.0, seen)
+    assert not ClearWay(settings("lander.rotor_radius=2.5")).is_free(start, to, 0.0, seen)
+
+
 def test_a_low_bush_beside_a_leg_leaves_it_as_it_is() -> None:
     """Half of the height of a look lies above it; the look is flown at its own height, not over the bush."""
     bush = (13.0, 6.0, 1.5)
@@ -815,10 +823,10 @@ def test_after_four_refusals_the_search_goes_on_to_its_end() -> None:
 def test_the_lowest_clear_height_is_that_of_the_highest_thing_on_the_way() -> None:
     m = Ground({}, tall=12.0).map()
     start, ways = np.array([0.0, 0.0, 5.0]), Obstructions.of(m)
-    over, beside = (way_below(start, np.array([e, 0.0, 5.0]), m.grid, ways, 3.0, 3.0) for e in (30.0, 10.0))
+    over, beside = (way_below(start, np.array([e, 0.0, 5.0]), m.grid, ways, 3.0, 3.0, 3.0) for e in (30.0, 10.0))
     assert over == (pytest.approx(12.0 + 2 * 0.02 + 3.0, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
     assert beside == (pytest.approx(3.04, abs=1e-4), pytest.approx(0.0, abs=0.02), 0.0)
-    away = way_below(start, np.array([300.0, 0.0, 5.0]), m.grid, ways, 3.0, 3.0)
+    away = way_below(start, np.array([300.0, 0.0, 5.0]), m.grid, ways, 3.0, 3.0, 3.0)
     assert away.unmapped > 0.5  # most of it is not on the map
 
 

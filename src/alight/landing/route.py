@@ -110,19 +110,22 @@ class WayBelow(NamedTuple):
     doubtful: float  # m^2 of it where something stands whose height is in doubt
 
 
-def way_below(start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float, rise: float) -> WayBelow:
+def way_below(
+    start: F64, to: F64, grid: Grid, obstructions: Obstructions, clearance: float, beside: float, rise: float
+) -> WayBelow:  # fmt: skip
     """How high a level way has to be flown, and how much of the ground below it tells nothing of that.
 
     Args:
         start, to: (3,) metres; the way leads from above the one to above the other, and may leave the map.
         grid: of the map.
         obstructions: what may stand on it.
-        clearance: metres, above and beside the way.
+        clearance: metres above what stands below it.
+        beside: metres on either side within which that is below it.
         rise: metres above the ground about it, from which the height of what is in doubt is not known.
     """
-    _, near = along_way(start, to, grid, clearance)
+    _, near = along_way(start, to, grid, beside)
     here, cell = obstructions.top[near], grid.cell * grid.cell
-    known, wide = np.isfinite(here), clearance + grid.cell / 2
+    known, wide = np.isfinite(here), beside + grid.cell / 2
     area = max(2 * wide * math.hypot(to[0] - start[0], to[1] - start[1]) + math.pi * wide * wide, here.size * cell)
     unmapped, doubtful = 1.0 - float(known.sum()) * cell / area, float((obstructions.rise[near] > rise).sum()) * cell
     return WayBelow(float(here[known].max(initial=-np.inf)) + clearance, unmapped, doubtful)

@@ -14,6 +14,7 @@ from alight.records.executive import Seen
 from alight.settings import StageSettings
 
 TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
+WIDE = 2.0  # times the vehicle's radius, from its middle to what stands beside it, at least
 LOW = 0.5  # of its height, at the most: the clearance of a look leg above what stands beside it
 
 
@@ -26,7 +27,8 @@ class ClearWay:
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._keys, self._clearance = settings.executive, settings.route.clearance
+        self._keys, self._clearance, lander = settings.executive, settings.route.clearance, settings.lander
+        self._beside = max(self._clearance, WIDE * max(lander.radius, lander.rotor_radius or 0.0))
         self._number = -1  # of the verdict
         self._obstructions: Obstructions | None = None  # on its map
 
@@ -36,7 +38,7 @@ class ClearWay:
         `at_a_place`: it leads from one look at a place to the next, and only what is mapped counts.
         """
         grid, k = seen.elevation.grid, self._keys
-        below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, k.rise)
+        below = way_below(start, to, grid, self._obstructions_of(seen), self._clearance, self._beside, k.rise)
         is_long = math.hypot(to[0] - start[0], to[1] - start[1]) > k.long_way
         untold = below.doubtful > k.risen or (is_long and below.unmapped > k.unmapped)
         return max(below.clear, seen.ground + k.search_height) if untold and not at_a_place else below.clear
@@ -55,9 +57,10 @@ class ClearWay:
     def is_free(self, start: F64, to: F64, ground: float, seen: Seen) -> bool:
         """Whether a level way (3,) near a place may be flown: beside it nothing is tall, or reaches up to the way.
 
-        Tall is what rises by more than `executive.rise`, within `route.clearance` of the way.
+        Tall is what rises by more than `executive.rise`; beside the way is within `route.clearance`, or twice the
+        lander's radius if that is more.
         """
-        grid, reach = seen.elevation.grid, self._clearance + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
+        grid, reach = seen.elevation.grid, self._beside + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
         middle = 0.5 * (start + to)
         row, col = (float(i) for i in grid.index(middle[0], middle[1]))
         k = math.ceil(reach / grid.cell) + 1
@@ -66,7 +69,7 @@ class ClearWay:
             slice(max(int(col) - k, 0), max(int(col) + k + 1, 0)),
         )
         top = self._obstructions_of(seen).top[rows, cols]
-        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), self._clearance)
+        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), self._beside)
         spare = min(self._clearance, LOW * (float(start[2]) - ground))
         highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)
