@@ -18,6 +18,7 @@ import pytest
 import alight_sim
 from alight.geometry import Camera
 from alight.records import Event, Frame, ImuSample, InputError, NavSample, Rig, RigCamera
+from alight.runner.home import flown_home
 from alight.runner.live.telemetry import with_telemetry
 from alight.settings import Settings
 from alight.sources.arrival import as_they_arrive
@@ -269,6 +270,9 @@ def test_cameras_with_the_telemetry_of_an_autopilot(log: Path, tmp_path: Path) -
     assert np.linalg.norm(first) < 5.0
     now = time.monotonic_ns()
     assert all(0 <= now - r.t_ns < 60_000_000_000 for r in rows)
+    home = flown_home(None, opened.heard(), None)  # of route.plan: the autopilot's own
+    assert home is not None
+    assert np.isfinite(home.height)
 
 
 def slow(opened: LiveSource) -> LiveSource:
