@@ -18,14 +18,14 @@ import alight
 from alight.cli import call
 from alight.geometry import Pose
 from alight.records import InputError, OutputError
-from alight.records.campaign import Conditions, FaultRecord, LandingRecord, TouchdownLine
+from alight.records.campaign import Conditions, FaultRecord, LandingRecord, LightRecord, TouchdownLine
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.report.campaign import campaign_numbers, unsafe_bound
 from alight.runner import campaign as runner
 from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign
 from alight.runner.campaign.faults import FAULTS, Happenings
 from alight.runner.campaign.flying import fly_conditions
-from alight.runner.campaign.plan import MOST_WIND, conditions_of, scenes_of
+from alight.runner.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
 from alight.runner.landing import Landing
 from alight.settings import Settings, load_settings
 from alight_sim.flight import START_NS
@@ -125,6 +125,34 @@ def test_scenes_take_turns_wind_is_bounded_and_a_third_has_a_fault() -> None:
     assert 0.28 < np.mean([bool(c.faults) for c in drawn]) < 0.39
     assert {f.what for c in drawn for f in c.faults} == set(FAULTS)
     assert all(f.state for c in drawn for f in c.faults if FAULTS[f.what].is_body)
+
+
+def test_the_light_is_that_of_any_time_of_the_day() -> None:
+    """It has a stream of chance of its own: older campaigns are drawn as they were."""
+    lights = [c.light for c in (conditions_of(("lake",), 1, k) for k in range(600)) if c.light is not None]
+    assert len(lights) == 600
+    heights = np.array([light.elevation_deg for light in lights])
+    assert SUN[0] <= heights.min() < SUN[0] + 2.0
+    assert SUN[1] - 2.0 < heights.max() <= SUN[1]
+    assert np.ptp([light.azimuth_deg for light in lights]) > 350.0
+    assert 0.2 < np.mean([light.sun < 0.5 for light in lights]) < 0.3
+    assert 0.2 < np.mean([light.clouds > 0.0 for light in lights]) < 0.3
+
+
+def test_the_vehicle_flies_in_that_light_with_cameras_that_adapt(tmp_path: Path) -> None:
+    seen: list[SteeredFlight] = []
+
+    def looks(vehicle: SteeredFlight, *_: object) -> Landing:
+        seen.append(vehicle)
+        return Landing(S.SEARCH)
+
+    drawn = LightRecord(azimuth_deg=10.0, elevation_deg=70.0, sun=0.9, sky=0.6, clouds=0.3)
+    for light in (drawn, None):
+        flown(scene(tmp_path), looks, light=light)
+    lit, own = (v.world.light for v in seen)
+    assert (lit.elevation_deg, lit.azimuth_deg, lit.clouds.share) == (70.0, 10.0, 0.3)
+    assert own == seen[1].scene.light
+    assert [v.scene.imaging.auto for v in seen] == [True, False]
 
 
 def test_all_stands_for_every_kind_and_a_wrong_name_is_refused(tmp_path: Path) -> None:

@@ -31,6 +31,16 @@ class FaultRecord(_Line):
     happened: float | None = None  # s of the flight; None: the landing ended before
 
 
+class LightRecord(_Line):
+    """Sun and sky."""
+
+    azimuth_deg: float  # of the sun, clockwise from north
+    elevation_deg: float  # of it above the horizon
+    sun: float  # its strength, 1 is clear
+    sky: float  # strength of the sky: 0.5 clear, 2 hazy
+    clouds: float = 0.0  # share of the ground in their shadow
+
+
 class Conditions(_Line):
     """What a landing is flown in: all that is drawn."""
 
@@ -44,6 +54,7 @@ class Conditions(_Line):
     gusts: float  # m/s^2, standard deviation
     gps_sigma: tuple[float, float, float]  # of the drift: east, north, up
     gps_tau: float  # s, its correlation time
+    light: LightRecord | None = None  # None: the scene's own
     faults: tuple[FaultRecord, ...] = ()
 
     @property

@@ -14,6 +14,8 @@ from scipy.special import betaincinv
 from alight.records.campaign import OUTCOMES, PLACES, STRIKE, LandingRecord, LookLine
 
 CONFIDENCE = 0.95
+SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
+OVERCAST = 0.5  # strength of the sun below which its place tells nothing
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
 WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
 NO_FAULT = "none"
@@ -72,6 +74,7 @@ class CampaignNumbers:
     by_scene: Counts
     by_fault: Counts
     by_wind: Counts
+    by_sun: Counts
     p_at_commit: tuple[PBin, ...]
     looks: tuple[LookChange, ...]
     looks_each: float | None  # looks a landing, mean
@@ -106,7 +109,8 @@ def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
         bound=unsafe_bound(outcomes["landed unsafely"], n),
         ground_bound=unsafe_bound(ground, n), by_scene=_counts(records, lambda r: r.conditions.scene),
         by_fault=_counts(records, lambda r: next((f.what for f in r.conditions.faults), NO_FAULT)),
-        by_wind=_counts(records, _wind_range), p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
+        by_wind=_counts(records, _wind_range), by_sun=_counts(records, _sun_range),
+        p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
         looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
         seconds=Spread.of(r.seconds for r in down), distance=Spread.of(r.distance for r in down),
         cpu_s=Spread.of(r.cpu_s for r in records if r.outcome != "failed"), cpu_of=_parts(records),
@@ -128,6 +132,16 @@ def _counts(records: Sequence[LandingRecord], key: Callable[[LandingRecord], str
 def _wind_range(r: LandingRecord) -> str:
     at = min(int(np.searchsorted(WIND_EDGES, r.conditions.wind_speed, "right")), len(WIND_EDGES) - 1)
     return f"{WIND_EDGES[at - 1]:.0f} to {WIND_EDGES[at]:.0f} m/s"
+
+
+def _sun_range(r: LandingRecord) -> str:
+    light = r.conditions.light
+    if light is None:
+        return "the scene's own"
+    if light.sun < OVERCAST:
+        return "overcast"
+    at = min(int(np.searchsorted(SUN_EDGES, light.elevation_deg, "right")), len(SUN_EDGES) - 1)
+    return f"{SUN_EDGES[at - 1]:.0f} to {SUN_EDGES[at]:.0f} degrees"
 
 
 def _bins(down: Sequence[LandingRecord]) -> Iterator[PBin]:

@@ -121,6 +121,7 @@ def _tables(
     yield _outcomes("Outcomes by world", "world", n.by_scene)
     yield _outcomes("Outcomes by fault", "fault", n.by_fault)
     yield _outcomes("Outcomes by wind", "wind", n.by_wind)
+    yield _outcomes("Outcomes by the height of the sun", "sun", n.by_sun)
     yield CampaignTable(
         "P(safe) at commit against what happened",
         ("P(safe)", "touchdowns", "ground safe", "ground unsafe", "mean P(safe)", "share safe"),

@@ -7,11 +7,12 @@ import logging
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 from threadpoolctl import threadpool_limits
 
-from alight.records.campaign import Conditions, LandingRecord, LookLine, TransitionLine
+from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
 from alight.records.executive import FlightState
 from alight.runner.campaign.faults import Happenings
 from alight.runner.campaign.outcome import judge_landing
@@ -22,7 +23,9 @@ from alight.runner.replay import appearance_of
 from alight.settings import Settings
 from alight_sim.campaign import CampaignWorld
 from alight_sim.oracle import OracleLander
+from alight_sim.scene import Scene
 from alight_sim.steered import SteeredFlight
+from alight_sim.world import World
 
 log = logging.getLogger(__name__)
 
@@ -65,13 +68,24 @@ def failed(conditions: Conditions, error: BaseException) -> Flown:
 
 
 def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
-    world = kind.build(c.world_seed)
+    world = _lit(kind.build(c.world_seed), c.light)
     drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
     nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
     return SteeredFlight(
         world, c.flight_seed, start=kind.start, heading=c.heading, wind=(*c.wind, 0.0), gusts=c.gusts, nav=nav,
         radius=OracleLander.of(settings.lander.model_dump()).reach,
     )  # fmt: skip
+
+
+def _lit(world: World, drawn: LightRecord | None) -> World:
+    """The world under the sun and the sky that were drawn; its haze and its wind stay, and cameras adapt."""
+    if drawn is None:
+        return world
+    clouds = world.light.clouds.model_copy(update={"share": drawn.clouds})
+    light = world.light.model_copy(update={**drawn.model_dump(exclude={"clouds"}), "clouds": clouds})
+    scene = world.scene or Scene()
+    adapting = scene.model_copy(update={"imaging": scene.imaging.model_copy(update={"auto": True})})
+    return replace(world, light=light, scene=adapting)
 
 
 def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:

@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from alight.records import InputError
-from alight.records.campaign import Conditions, FaultRecord
+from alight.records.campaign import Conditions, FaultRecord, LightRecord
 from alight.records.executive import FlightState
 from alight.runner.campaign.faults import FAULTS
 from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.scene import built_in, read_scene
 
 MOST_WIND = 6.0  # m/s
+LIGHT = 1  # of the spawn key: a stream of chance of its own
+SUN = (12.0, 75.0)  # degrees above the horizon
+OVERCAST, CLOUDY = 0.25, 0.25  # shares of the landings
 FAULTY = 1.0 / 3.0  # share of the landings
 EARLIEST, LATEST = 5.0, 60.0  # s of a flight, for what happens at a time
 DELAY = 2.0  # s after a state is entered, at most
@@ -61,8 +64,19 @@ def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
         landing=landing, seed=seed, scene=scenes[landing % len(scenes)], world_seed=world_seed,
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
+        light=_light(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LIGHT)))),
         faults=(_fault(rng),) if rng.random() < FAULTY else (),
     )  # fmt: skip
+
+
+def _light(rng: np.random.Generator) -> LightRecord:
+    """Any time of the day, a quarter of it overcast, a quarter with clouds that drift."""
+    place = {"azimuth_deg": rng.uniform(0.0, 360.0), "elevation_deg": rng.uniform(*SUN)}
+    kind = rng.random()
+    if kind < OVERCAST:
+        return LightRecord(**place, sun=rng.uniform(0.0, 0.3), sky=rng.uniform(1.0, 2.0))
+    clouds = rng.uniform(0.1, 0.6) if kind < OVERCAST + CLOUDY else 0.0
+    return LightRecord(**place, sun=rng.uniform(0.8, 1.1), sky=rng.uniform(0.4, 0.8), clouds=clouds)
 
 
 def _fault(rng: np.random.Generator) -> FaultRecord:
