@@ -23,6 +23,7 @@ from alight.raster import (
     clearance_of,
     disc_any,
     disc_crosses_edge,
+    disc_max,
     disc_mean,
     disc_share,
     linear_ramp,
@@ -159,11 +160,12 @@ def _reasons(f: _Findings, sigma: F32, lander: Lander, settings: HazardsSettings
 
 
 def _appearance(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Share of a footprint that is darker than what lies about it, and its patchiness: from 0, plain ground, to 2."""
+    """The darkest patch of a footprint against what lies about it, and its patchiness: from 0, plain ground, to 2."""
     cell, seen = elevation.grid.cell, elevation.rgb.any(axis=2)
     light = np.where(seen, log_brightness(elevation.rgb), np.float32(np.nan))
     below = disc_mean(light, settings.dark_radius, cell) - light
-    dark = disc_mean(linear_ramp(below, settings.dark_least, settings.dark_most), lander.radius, cell)
+    darker = linear_ramp(below, settings.dark_least, settings.dark_most)
+    dark = disc_max(disc_mean(darker, settings.patchy_length, cell), lander.radius, cell)  # one puddle is enough
     smooth = disc_mean(light, settings.patchy_length, cell)
     mean, square = (disc_mean(v, lander.radius, cell) for v in (smooth, smooth * smooth))
     spread = np.sqrt(np.maximum(square - mean * mean, 0))
