@@ -271,6 +271,17 @@ def test_quality_is_less_where_ground_is_dark_or_patchy() -> None:
     assert_allclose(unseen.quality[60, 60], 0.0, atol=1e-6)
 
 
+def test_one_small_dark_patch_costs_a_footprint_as_much_as_a_large_one() -> None:
+    """A puddle of 0.4 m in a footprint of 3 m: 2 % of it."""
+    lander, shape = Lander(radius=1.5), (161, 161)
+    rgb = textured(GREY, shape, 0.05, 1)
+    rgb[78:82, 78:82] = (rgb[78:82, 78:82] * 0.65).astype(np.uint8)  # cells of 0.1 m
+    quality = assess(ground(np.zeros(shape), rgb=rgb), None, lander, EXACT).quality
+    assert quality[80, 80] < -0.8
+    assert quality[80, 92] < -0.8  # at the rim of its footprint
+    assert quality[80, 110] > -0.1
+
+
 def test_maps_of_two_grids_are_refused() -> None:
     e = ground(flat())
     with pytest.raises(ValueError, match="one grid"):
