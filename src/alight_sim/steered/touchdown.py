@@ -21,7 +21,12 @@ def judge_contact(flight: SteeredFlight, contact: TrueContact, lander: OracleLan
     return found if contact.struck is None else replace(found, safe=False, reasons=(STRIKE,))
 
 
+def severity(safe: bool, reasons: tuple[str, ...]) -> tuple[bool, bool, int]:
+    """Rank a contact, worse is larger: unsafe, then what was struck, then how many limits it broke."""
+    return not safe, STRIKE in reasons, len(reasons)
+
+
 def judge_flight(flight: SteeredFlight, lander: OracleLander) -> Touchdown | None:
     """The verdict on the worst contact of a flight, else on its last; None: it met nothing."""
     found = [judge_contact(flight, contact, lander) for contact in flight.contacts]
-    return max(found, key=lambda d: (not d.safe, STRIKE in d.reasons, len(d.reasons), d is found[-1]), default=None)
+    return max(found, key=lambda d: (severity(d.safe, d.reasons), d is found[-1]), default=None)

@@ -101,9 +101,9 @@ class Executive:
             self._home, self._frame = now.position.copy(), now.frame_id
         if now.position is not None and self.target is not None and now.frame_id == self._frame:
             self._left = float(now.position[2]) - self.target.up
-        if now.seen is not None and now.seen.frame_id == self._frame:
-            self._ground = now.seen.ground
-            self._places.note(now.seen)
+        if (seen := self._seen(now)) is not None:
+            self._ground = seen.ground
+            self._places.note(seen)
 
     # -- what happened
 
@@ -177,10 +177,8 @@ class Executive:
         return None, ""
 
     def _searched_words(self) -> str:
-        refused = f"; {self._places.refused} places were refused from near by" if self._places.refused else ""
         unseen = "" if self._ground is not None else "; no height could be measured"
-        shut = "; something stands beside what is left" if self._places.best() is not None else ""
-        return f"within {self._keys.search_side:.0f} m{refused}{unseen}{shut}"
+        return f"within {self._keys.search_side:.0f} m{self._places.fates}{unseen}"
 
     def _found(self, place: Site) -> tuple[FlightEvent, str]:
         self.target = place
@@ -253,8 +251,8 @@ class Executive:
 
     def _opinion(self, now: Situation) -> Opinion | None:
         """The opinion of a new verdict on the target; None where there is no new one."""
-        seen = now.seen
-        if seen is None or seen.number <= self._judged or seen.frame_id != self._frame or self.target is None:
+        seen = self._seen(now)
+        if seen is None or seen.number <= self._judged or self.target is None:
             return None
         self._judged = seen.number
         low = self.state is S.COMMIT

@@ -31,6 +31,12 @@ class KnownPlaces:
         """How many places were refused from near by."""
         return len(self._refused)
 
+    @property
+    def fates(self) -> str:
+        """Why none of the places was landed on, in words that go on a sentence; empty: none was known."""
+        refused = f"; {self.refused} places were refused from near by" if self.refused else ""
+        return f"{refused}; something stands beside what is left" if self.best() is not None else refused
+
     def note(self, seen: Seen) -> None:
         """Remember the listed places of a new verdict, in place of what earlier ones said of the same ground."""
         if seen.number <= self._noted_by:

@@ -15,7 +15,7 @@ from alight.records.campaign import OUTCOMES, PLACES, STRIKE, LandingRecord, Loo
 
 CONFIDENCE = 0.95
 SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
-OVERCAST = 0.5  # strength of the sun below which its place tells nothing
+FAINT_SUN = 0.5  # strength of the sun below which its place tells nothing
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
 WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
 NO_FAULT = "none"
@@ -138,7 +138,7 @@ def _sun_range(r: LandingRecord) -> str:
     light = r.conditions.light
     if light is None:
         return "the scene's own"
-    if light.sun < OVERCAST:
+    if light.sun < FAINT_SUN:
         return "overcast"
     at = min(int(np.searchsorted(SUN_EDGES, light.elevation_deg, "right")), len(SUN_EDGES) - 1)
     return f"{SUN_EDGES[at - 1]:.0f} to {SUN_EDGES[at]:.0f} degrees"

@@ -20,7 +20,7 @@ from alight.runner.landing import Landing
 from alight.settings import Settings
 from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.steered import SteeredFlight, TrueContact
-from alight_sim.steered.touchdown import contact_seconds, judge_contact
+from alight_sim.steered.touchdown import contact_seconds, judge_contact, severity
 
 STEP = 0.5  # m between the places that the oracle tries
 
@@ -67,7 +67,7 @@ def judge_landing(
 def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> JudgedLanding:
     """The worst of the contacts counts; one outside a landing is none that was meant."""
     found = [_line(vehicle, contact, settings) for contact in vehicle.contacts]
-    worst = max(found, key=lambda d: (not d.safe, STRIKE in d.reasons, len(d.reasons)))
+    worst = max(found, key=lambda d: severity(d.safe, d.reasons))
     if state is not FlightState.LANDED:
         return JudgedLanding("landed unsafely", f"it touched the ground and was then in {state.value}", worst)
     if STRIKE in worst.reasons:
