@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from alight.records.executive import FlightEvent, Situation
-from alight.settings.stages import ExecutiveSettings
+from alight.settings import ExecutiveSettings
 
 
 def exceeded(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tuple[FlightEvent, str] | None:
