@@ -28,6 +28,8 @@ from alight.parallax.window import part_of
 from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
 from alight.records import ElevationMap, Event, Frame, InputError
+from alight.runner.campaign.flying import lit_world
+from alight.runner.campaign.plan import drawn_light
 from alight.settings import Settings, load_settings
 from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.oracle import OracleLander, safe_places
@@ -72,7 +74,7 @@ class Look:
 
 
 def world_of(name: str) -> tuple[World, int]:
-    """The world of a name such as `meadow/looks/tuning-3`, and its seed.
+    """The world of a name such as `meadow/looks/tuning-3` under a sun and a sky of its own, and its seed.
 
     Raises:
         InputError: no such name.
@@ -81,7 +83,8 @@ def world_of(name: str) -> tuple[World, int]:
     if found is None:
         raise InputError(f"{name}: not looks; write for example meadow/looks/test-1")
     family, seed = found[1], FIRST_SEED[found[2]] + int(found[3])
-    return campaign_worlds().get(family, CampaignWorld(family, family)).build(seed), seed
+    world = campaign_worlds().get(family, CampaignWorld(family, family)).build(seed)
+    return lit_world(world, drawn_light(np.random.default_rng([seed, *family.encode()]))), seed
 
 
 def _places(world: World, rng: np.random.Generator) -> F64:

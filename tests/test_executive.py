@@ -335,7 +335,7 @@ def test_a_car_on_the_site_breaks_the_landing_off() -> None:
 
 def test_a_car_beside_which_good_ground_is_left_breaks_the_landing_off_too() -> None:
     """Seen in a campaign: the site was refused, a listed one 1.6 m beside it was taken for it, and the vehicle swerved
-    to that at two metres of height and came down on the car's edge. One verdict that sees P(safe) fall is enough."""
+    to that at two metres of height and came down on the car's edge. Two verdicts that see P(safe) fall are enough."""
     there = {(10.0, 5.0): clearer_from_below, (-12.0, 0.0): lambda h: 0.97 if h < 9.0 else 0.5}
     ground, since = Ground(there), list[float]()
 
@@ -349,7 +349,7 @@ def test_a_car_beside_which_good_ground_is_left_breaks_the_landing_off_too() -> 
     assert f.fly() is S.LANDED
     k = f.events.index(E.REFUSED)
     assert f.states[k : k + 2] == [S.COMMIT, S.ABORT]
-    assert f.executive.diary.transitions[k].t - since[0] <= 1.5  # the next verdict
+    assert f.executive.diary.transitions[k].t - since[0] <= 2.5  # two verdicts
     low = [o for s, o, _ in f.orders if s is S.COMMIT and o.position is not None and o.position[0] > 0]
     assert max(abs(o.position[0] - 10.0) for o in low if o.position is not None) < 0.1
     assert f.position[0] < 0
@@ -371,6 +371,24 @@ def test_verdicts_a_little_below_the_limit_do_not_break_a_landing_off(every: int
     f = Flight(ground, Executive(settings()), waver)
     assert f.fly() is S.LANDED
     assert count
+    assert S.ABORT not in f.states
+
+
+def test_one_low_verdict_does_not_break_a_landing_off() -> None:
+    """Seen in campaigns: grass sways, and P(safe) of a meadow falls to 0.85 for one verdict."""
+    dips = list[int]()
+
+    def dip(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.seen is not None and (not dips or now.seen.number == dips[0]):
+            dips.append(now.seen.number)
+            p = np.minimum(now.seen.hazards.p_safe, np.float32(0.6))
+            hazards = replace(now.seen.hazards, p_safe=p)
+            return replace(now, seen=replace(now.seen, hazards=hazards, sites=Sites((), "", 0, ())))
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), dip)
+    assert f.fly() is S.LANDED
+    assert dips
     assert S.ABORT not in f.states
 
 

@@ -50,7 +50,7 @@ class _Findings:
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
-    measured_roughness: F32  # metres, of all heights, doubtful ones as well
+    measured_roughness: F32  # metres, of all heights but vague ones, doubtful ones as well
     unmeasured: F32  # share of the footprint without any height
 
     @property
@@ -200,7 +200,9 @@ def _measure(
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
     sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
-    found = _find(height, elevation.height, unseen, terrain, _spare(sigma), lander, settings, cell)
+    vague = elevation.sigma > np.float32(settings.vague * lander.max_roughness)
+    measured = np.where(vague, np.float32(np.nan), elevation.height)
+    found = _find(height, measured, unseen, terrain, _spare(sigma), lander, settings, cell)
     reasons = _reasons(found, sigma, lander, settings)
     return found, sigma, reasons
 

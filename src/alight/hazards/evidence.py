@@ -50,8 +50,8 @@ class FootprintShape:
     footprint: Footprint
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m
-    measured_roughness: F32  # metres, of all heights that were measured, doubtful ones as well
-    unmeasured: F32  # share of the footprint where nothing was
+    measured_roughness: F32  # metres, of all heights that were measured well, doubtful ones as well
+    unmeasured: F32  # share of the footprint where none was
 
 
 class Discs:
@@ -152,10 +152,13 @@ def obstacle_terms(
 
 def near_terms(shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
     """Evidence of all measured heights against a footprint that was seen from near by, on the cells of `discs`."""
-    rise = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * lander.max_roughness)
+    highest = np.float32(lander.max_roughness)
+    measured = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * lander.max_roughness)
+    rise, smooth = (log_at_least(v / highest, 0.03) for v in (measured, shape.roughness_smooth))
     return {
-        NearTerm.RISE: discs.largest(log_at_least(rise / np.float32(lander.max_roughness), 0.03)),
+        NearTerm.RISE: discs.largest(rise),
         NearTerm.RISE_UNKNOWN: discs.largest(shape.unmeasured),
+        NearTerm.NARROW: discs.largest(rise - np.nan_to_num(smooth)),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,7 @@ FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
 LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
 DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # of all measured heights, over the limit
 EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # hazards that these alone let expect (docs/lab/looks.md)
+BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
 
@@ -116,7 +118,7 @@ def _chances(
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * _measured(found))
+    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * measured(found.near))
     expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
@@ -132,12 +134,15 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
     return np.asarray(np.exp(log), np.float32)
 
 
-def _measured(found: Evidence) -> F32:
-    """Hazards expected by the largest deviation of all measured heights alone (G7g).
+def measured(near: Mapping[str, F32]) -> F32:
+    """Hazards expected by the largest deviation of all measured heights alone, from the terms of a near look (G7g).
+
+    A narrow one counts in full: it may be a stone that matching has flattened. A broad ridge is as high as measured.
 
     The fit also sees the shadow that an obstacle throws. Where the sky is grey, or the sun high, there is none.
     """
-    return np.asarray(np.interp(found.near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED), np.float32)
+    expected = np.interp(near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED)
+    return np.asarray(expected * np.interp(near[NearTerm.NARROW], BROAD_TO_NARROW, (0.0, 1.0)), np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:

@@ -57,7 +57,8 @@ class NearTerm(StrEnum):
     """Evidence of looks from near by, besides that of relief, density and ground (G7f)."""
 
     RISE = "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts
-    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured
+    RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured well
+    NARROW = "narrow"  # log of that deviation over the one of smoothed heights: matching flattens stones, not ridges
 
 
 class SurfaceTerm(StrEnum):

@@ -195,12 +195,10 @@ class Executive:
     def _at_place(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert self.target is not None
         said = self._opinion(now) if self._keys.look_again else None
-        if said is not None and self._is_fallen(said):
-            return E.REFUSED, f"P(safe) has fallen to {said.p_safe:.2f}: {said.why}"
-        if said is not None and said.standing is Standing.REFUSED:
-            if self._refusals >= self._keys.sure:
-                return E.REFUSED, said.why
-        elif said is not None and said.standing is not Standing.NOT_SEEN:
+        if said is not None and self._refusals >= self._keys.sure:
+            fallen = f"P(safe) has fallen to {said.p_safe:.2f}: " if self.state is S.COMMIT else ""
+            return E.REFUSED, f"{fallen}{said.why}"
+        if said is not None and said.standing in (Standing.SITE, Standing.CANDIDATE):
             landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
             self.target = replace(self.target, p_safe=said.p_safe) if landing else said.place
         if self.state is S.COMMIT:
@@ -210,11 +208,6 @@ class Executive:
         if self.state is S.LOOK:
             return self._looking(now, said)
         return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
-
-    def _is_fallen(self, said: Opinion) -> bool:
-        """Whether one verdict is enough to break a landing off: something has come."""
-        seen = said.standing is not Standing.NOT_SEEN
-        return self.state is S.COMMIT and seen and said.p_safe < self._keys.fallen
 
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """A look is over when a verdict holds what the whole leg saw."""
@@ -261,7 +254,9 @@ class Executive:
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         said = opinion(self.target, seen, self._limit, same, least, may)
-        self._refusals = self._refusals + 1 if said.standing is Standing.REFUSED else 0
+        if said.standing is not Standing.NOT_SEEN:
+            fallen = said.standing is Standing.REFUSED or (low and said.p_safe < least)
+            self._refusals = self._refusals + 1 if fallen else 0
         return said
 
     # -- changes of state

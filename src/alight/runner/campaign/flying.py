@@ -68,7 +68,7 @@ def failed(conditions: Conditions, error: BaseException) -> Flown:
 
 
 def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
-    world = _lit(kind.build(c.world_seed), c.light)
+    world = lit_world(kind.build(c.world_seed), c.light)
     drift = {"position": c.gps_sigma, "position_tau": c.gps_tau}
     nav = None if world.scene is None else world.scene.sensors.nav.model_copy(update=drift)
     return SteeredFlight(
@@ -77,7 +77,7 @@ def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredF
     )  # fmt: skip
 
 
-def _lit(world: World, drawn: LightRecord | None) -> World:
+def lit_world(world: World, drawn: LightRecord | None) -> World:
     """The world under the sun and the sky that were drawn; its haze and its wind stay, and cameras adapt."""
     if drawn is None:
         return world

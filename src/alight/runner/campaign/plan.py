@@ -64,12 +64,12 @@ def conditions_of(scenes: Sequence[str], seed: int, landing: int) -> Conditions:
         landing=landing, seed=seed, scene=scenes[landing % len(scenes)], world_seed=world_seed,
         flight_seed=flight_seed, heading=heading, wind=(wind * math.cos(blows), wind * math.sin(blows)),
         gusts=0.1 + 0.05 * wind, gps_sigma=(gps, gps, 1.5 * gps), gps_tau=rng.uniform(30.0, 120.0),
-        light=_light(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LIGHT)))),
+        light=drawn_light(np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(landing, LIGHT)))),
         faults=(_fault(rng),) if rng.random() < FAULTY else (),
     )  # fmt: skip
 
 
-def _light(rng: np.random.Generator) -> LightRecord:
+def drawn_light(rng: np.random.Generator) -> LightRecord:
     """Any time of the day, a quarter of it overcast, a quarter with clouds that drift."""
     place = {"azimuth_deg": rng.uniform(0.0, 360.0), "elevation_deg": rng.uniform(*SUN)}
     kind = rng.random()

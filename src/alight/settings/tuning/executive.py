@@ -27,7 +27,7 @@ class ExecutiveTuning(FrozenModel):
     same_spot: Positive = Field(
         0.5, description="The same once the landing has begun: it comes down without a swerve, m"
     )
-    fallen: Fraction = Field(0.9, description="P(safe) below which one verdict breaks a landing off")
+    fallen: Fraction = Field(0.8, description="P(safe) below which a verdict on a landing under way refuses its place")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     plain: Fraction = Field(
         0.1, description="P(safe) that bare and paved ground counts more when the next place is chosen"
@@ -35,7 +35,9 @@ class ExecutiveTuning(FrozenModel):
     nearest: Positive = Field(
         4.0, description="Height of one more look at a place that is in doubt from the height to commit from, m"
     )
-    sure: int = Field(2, ge=1, description="Verdicts in a row that refuse a place before a look or a descent ends")
+    sure: int = Field(
+        2, ge=1, description="Verdicts in a row that refuse a place before a look, a descent or a landing ends"
+    )
     patience: int = Field(2, ge=1, description="Verdicts from the lowest look that may leave a candidate a candidate")
     visits: int = Field(
         8, ge=1, description="Places refused from near by after which candidates are visited no more, sites only"

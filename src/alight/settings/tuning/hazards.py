@@ -86,6 +86,9 @@ class HazardsTuning(FrozenModel):
         2.0, description="Sigmas by which averaged heights must exceed the limit of roughness to be refused at once"
     )
     surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
+    vague: Positive = Field(
+        0.5, description="Sigma over the limit of roughness from which a doubtful height tells nothing of an obstacle"
+    )
     even_length: Vehicle = Field(0.2, description="1-sigma of the window of averaged heights, m")
     broad_length: Vehicle = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")
     sharpen: SharpenTuning = SharpenTuning()
