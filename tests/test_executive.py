@@ -392,6 +392,21 @@ def test_one_low_verdict_does_not_break_a_landing_off() -> None:
     assert S.ABORT not in f.states
 
 
+@pytest.mark.parametrize(("height", "holds", "broken_off"), [(4.5, True, True), (2.5, True, False), (2.5, False, True)])
+def test_degraded_motion_ends_a_landing_but_near_the_ground(height: float, holds: bool, broken_off: bool) -> None:
+    """Grass sways all over a picture from 2 m; without a place of its own the autopilot drifts."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+
+    def weak(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and f.position[2] < height:
+            return replace(now, state=MotionState.DEGRADED, holds=holds)
+        return now
+
+    f.change = weak
+    f.fly(120.0)
+    assert (S.ABORT in f.states) is broken_off
+
+
 def test_a_landing_makes_no_step_to_a_better_spot_beside_it() -> None:
     """Seen in a campaign: it touched down with 0.59 m/s sideways, where 0.5 is allowed."""
     there = {(10.0, 5.0): clearer_from_below}

@@ -17,7 +17,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
-from alight.landing.executive.limits import exceeded
+from alight.landing.executive.limits import exceeded, is_too_weak
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.look_planner import LookPlanner
 from alight.landing.executive.opinion import Opinion, Standing, opinion
@@ -129,7 +129,7 @@ class Executive:
             return over
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
-        weak = self.state in (S.LOOK, S.DESCEND, S.COMMIT, S.HOLD) and now.t - self._sound_at >= k.degraded
+        weak = is_too_weak(now, self.state, now.t - self._sound_at, self._left, k)
         if self.state is not S.ABORT:
             if astray or weak:
                 lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)

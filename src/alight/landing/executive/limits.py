@@ -1,8 +1,8 @@
-"""The limits of wind, battery and time."""
+"""The limits of wind, battery and time, and of degraded motion."""
 
 from __future__ import annotations
 
-from alight.records.executive import FlightEvent, Situation
+from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
 
 
@@ -21,3 +21,22 @@ def exceeded(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tu
     if begun is not None and now.t - begun > keys.time_budget:
         return FlightEvent.TIME, f"{keys.time_budget:.0f} s"
     return None
+
+
+def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float, keys: ExecutiveSettings) -> bool:
+    """Tell that motion has been degraded for too long for what is flown.
+
+    Near the ground it does not end a landing, as long as the autopilot holds its place: of grass from 2 m the whole
+    picture sways.
+
+    Args:
+        now: whether the autopilot holds its place.
+        state: what is flown.
+        degraded: s, for which the motion has been.
+        left: metres above the place.
+        keys: the limits.
+    """
+    if state is FlightState.COMMIT and now.holds and left < keys.degraded_height:
+        return False
+    near_a_place = (FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT, FlightState.HOLD)
+    return state in near_a_place and degraded >= keys.degraded

@@ -47,6 +47,9 @@ class ExecutiveTuning(FrozenModel):
         60.0, description="Time without navigation or pictures that the autopilot is let hold its place, s"
     )
     degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
+    degraded_height: NonNegative = Field(
+        3.0, description="Height above the site below which it does not end a landing, where the autopilot holds, m"
+    )
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
     over_site: Positive = Field(0.4, description="Distance from the site within which it begins to come down, m")
