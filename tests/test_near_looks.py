@@ -78,9 +78,10 @@ def test_doubtful_heights_that_stand_up_cost_probability_from_near_by(height: fl
 
 
 def test_the_same_bumps_cost_more_the_higher_they_are() -> None:
-    p = [looked_at(rough_ground(h), 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11)]
+    """In the footprint the largest is half as high as on the map: 1 to 10 cm, where the lander stands 15."""
+    p = [looked_at(rough_ground(h), 0.02).p_obstacle[MID] for h in (0.02, 0.05, 0.08, 0.11, 0.14, 0.17, 0.2)]
     assert (np.diff(p) <= 0).all()
-    assert -np.log(p[-1]) > 1.3 * -np.log(p[0])
+    assert -np.log(p[-1]) > 3 * -np.log(p[0])
 
 
 def test_a_measured_deviation_alone_is_enough_for_doubt() -> None:
