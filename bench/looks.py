@@ -29,9 +29,8 @@ from alight.pipeline import Pipeline
 from alight.pipeline.judging import as_judged
 from alight.records import ElevationMap, Event, Frame, InputError
 from alight.runner.campaign.flying import lit_world
-from alight.runner.campaign.plan import drawn_light
+from alight.runner.campaign.plan import campaign_world, drawn_light
 from alight.settings import Settings, load_settings
-from alight_sim.campaign import CampaignWorld, campaign_worlds
 from alight_sim.oracle import OracleLander, safe_places
 from alight_sim.steered import SteeredFlight, Wanted
 from alight_sim.world import World
@@ -83,7 +82,7 @@ def world_of(name: str) -> tuple[World, int]:
     if found is None:
         raise InputError(f"{name}: not looks; write for example meadow/looks/test-1")
     family, seed = found[1], FIRST_SEED[found[2]] + int(found[3])
-    world = campaign_worlds().get(family, CampaignWorld(family, family)).build(seed)
+    world = campaign_world(family).build(seed)
     return lit_world(world, drawn_light(np.random.default_rng([seed, *family.encode()]))), seed
 
 

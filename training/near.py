@@ -21,12 +21,12 @@ from ground_flights import cover_of
 from ground_truth import GroundTruth
 from land_cover import family_of
 from looks import FAMILIES, TEST, Look, kept_looks
-from p_safe import Part, Rows, fit
+from p_safe import Part, Rows, fit, folds_of
 from scipy.special import ndtr
 
 from alight.arrays import F64, Mask
 from alight.hazards.assessment import evidence
-from alight.hazards.factors import measured
+from alight.hazards.factors import deviation_hazards
 from alight.learned import Rate, rate_bytes
 from alight.learned.terms import NEAR_TERMS
 from alight.settings import Settings
@@ -36,9 +36,7 @@ SHALLOW = ("depot", "furrows")  # water of 3 cm on even ground: it lowers P ever
 WORLDS = tuple(f"{family}/looks/tuning-{k}" for k in range(1, 5) for family in FAMILIES if family not in LEFT_OUT)
 SOME = 250  # cells of a look
 LEAST_NEARNESS = 0.5
-EAGER = 0.0  # how much more families weigh on which more is lost: none does
 WHAT = ("obstacle", "ground")
-FOLDS = 5  # of families left out together
 LEVELS = (0.8, 0.9, 0.95, 0.97, 0.99)
 
 
@@ -102,14 +100,14 @@ def rows_of(samples: Sequence[NearSample], what: str) -> Rows:
 
 def fitted(samples: Sequence[NearSample]) -> dict[str, Rate]:
     """The rates of both factors."""
-    return {what: fit(rows_of(samples, what), EAGER)[0] for what in WHAT}
+    return {what: fit(rows_of(samples, what), eager=0.0)[0] for what in WHAT}  # families weigh alike
 
 
 def claimed(rates: dict[str, Rate], s: NearSample) -> F64:
     """P(safe) of the cells of a sample."""
     values = {t: s.terms[:, k].astype(np.float32) for k, t in enumerate(NEAR_TERMS)}
     obstacle, ground = (np.exp(rates[what].log_rate(values)) for what in WHAT)
-    return np.asarray(s.tilt * np.exp(-np.maximum(obstacle, measured(values)) - ground), np.float64)
+    return np.asarray(s.tilt * np.exp(-np.maximum(obstacle, deviation_hazards(values)) - ground), np.float64)
 
 
 def line(name: str, p: F64, safe: Mask) -> str:
@@ -141,8 +139,8 @@ def main() -> None:
     options = parser.parse_args()
     samples = [s for n in options.worlds if (s := sample_of(n, options.scratch)) is not None]
     families = sorted({s.family for s in samples})
-    fold = {f: k % FOLDS for k, f in enumerate(families)}
-    without = [fitted([s for s in samples if fold[s.family] != k]) for k in range(FOLDS)]
+    fold = folds_of(families, whole_families=True)
+    without = {k: fitted([s for s in samples if fold[s.family] != k]) for k in set(fold.values())}
     print("families left out", *report(samples, [claimed(without[fold[s.family]], s) for s in samples]), sep="\n")
     rates = fitted(samples)
     fresh = [s for n in options.test if (s := sample_of(n, options.scratch)) is not None]

@@ -118,7 +118,7 @@ def _chances(
     usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * measured(found.near))
+    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * deviation_hazards(found.near))
     expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
@@ -134,7 +134,7 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
     return np.asarray(np.exp(log), np.float32)
 
 
-def measured(near: Mapping[str, F32]) -> F32:
+def deviation_hazards(near: Mapping[str, F32]) -> F32:
     """Hazards expected by the largest deviation of all measured heights alone, from the terms of a near look (G7g).
 
     A narrow one counts in full: it may be a stone that matching has flattened. A broad ridge is as high as measured.
