@@ -493,6 +493,94 @@ def test_a_limit_that_is_broken_in_a_landing_lets_it_climb_and_return(change: di
     assert f.position[2] > 2 * 6.0 - 2.0
 
 
+@pytest.mark.parametrize("limit", [{"battery": 0.1}, {"t": 1000.0}])
+def test_who_comes_ends_a_landing_that_is_late_or_short_of_battery(limit: dict[str, float]) -> None:
+    """A landing is the shortest way down: time and battery do not end it, and do not end the looking either."""
+
+    def late(now: Situation, executive: Executive) -> Situation:
+        return replace(now, **limit | ({"t": now.t + limit["t"]} if "t" in limit else {}))
+
+    ground = Ground({(10.0, 5.0): clearer_from_below})
+
+    def comes(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT:
+            ground.places[10.0, 5.0] = lambda h: 0.0
+            return late(now, executive)
+        return now
+
+    f = Flight(ground, Executive(settings()), comes)
+    f.fly(200.0)
+    assert f.states[f.states.index(S.COMMIT) + 1] is S.ABORT
+
+
+def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
+    """An autopilot that refuses to land, say."""
+
+    class Stubborn(Flight):
+        def _obey(self, order: Order) -> None:
+            if order.what != "land":
+                super()._obey(order)
+
+    f = Stubborn(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    f.fly(300.0)
+    k = f.states.index(S.COMMIT)
+    assert (f.events[k], f.states[k + 1]) == (E.WAITED, S.ABORT)
+    assert "does not come down" in f.executive.diary.transitions[k].reason
+
+
+@pytest.mark.parametrize(("holds", "ends"), [(True, S.RETURN), (False, S.HANDED_OVER)])
+def test_motion_lost_in_a_landing_is_waited_for_as_long_as_the_autopilot_holds(holds: bool, ends: S) -> None:
+    """And where it comes again the vehicle climbs before it searches."""
+    lost_at: list[float] = []
+
+    def lose(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.position is not None and now.position[2] < 4.0:
+            lost_at.append(now.t)
+        if lost_at and now.t < lost_at[0] + 20.0:
+            return replace(now, state=MotionState.LOST, position=None, holds=holds)
+        return replace(now, seen=None) if lost_at else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), lose)
+    assert f.fly(390.0) is ends
+    if holds:
+        begins = next(p for s, o, p in f.orders if s is S.SEARCH and lost_at and p[2] < 20.0)
+        assert begins[2] > 2 * 6.0 - 2.0
+
+
+@pytest.mark.parametrize("state", [S.LOOK, S.COMMIT])
+def test_motion_that_begins_anew_near_the_ground_climbs_before_it_goes_aside(state: S) -> None:
+    """The new frame has another height, and no verdict yet: nothing is known of what stands about."""
+    ground, anew, up = Ground({(10.0, 5.0): clearer_from_below}), [], 50.0
+
+    def change(now: Situation, executive: Executive) -> Situation:
+        if executive.state is state and now.position is not None and now.position[2] < 6.5:
+            anew.append(now.t)
+        if not anew:
+            return now
+        assert now.position is not None
+        return replace(now, position=now.position + np.array([0.0, 0.0, up]), frame_id=1, seen=None)
+
+    class Shifted(Flight):
+        def _obey(self, order: Order) -> None:
+            if anew and order.position is not None:
+                order = replace(order, position=order.position - [0.0, 0.0, up])
+            super()._obey(order)
+
+    f = Shifted(ground, Executive(settings("executive.search_height=30")), change)
+    f.fly(120.0)
+    assert anew
+    begins = next(k for k, e in enumerate(f.events) if e is E.NEW_FRAME)
+    low = [
+        (p, o.position)
+        for (s, o, p), t in zip(f.orders, np.arange(len(f.orders)) * STEP, strict=True)
+        if t > anew[0] and s in (S.SEARCH, S.ABORT) and o.position is not None and p[2] < 25.0
+    ]
+    assert f.states[begins + 1] in (S.SEARCH, S.ABORT)
+    assert low
+    assert all(np.hypot(*(to[:2] - at[:2])) < 0.1 and to[2] - up > at[2] for at, to in low)
+    assert f.position[2] == pytest.approx(30.0, abs=2.0)
+
+
 def test_a_vehicle_that_does_not_climb_out_of_a_landing_is_handed_over() -> None:
     stuck = in_state(S.COMMIT, lambda now: replace(now, picture_age=3.0))
 

@@ -17,7 +17,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
-from alight.landing.executive.limits import exceeded, is_too_weak
+from alight.landing.executive.limits import exceeded, held_enough, is_too_weak, patience
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.look_planner import LookPlanner
 from alight.landing.executive.opinion import Opinion, Standing, opinion
@@ -58,7 +58,8 @@ class Executive:
         self._since = 0.0  # s, in this state
         self._home: F64 | None = None
         self._frame = 0
-        self._ground: float | None = None
+        self._ground: float | None = None  # metres up
+        self._above: float | None = None  # metres above it, as known last
         self._lanes: SearchLanes | None = None
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
@@ -104,6 +105,8 @@ class Executive:
         if (seen := self._seen(now)) is not None:
             self._ground = seen.ground
             self._places.note(seen)
+        if now.position is not None and self._ground is not None and now.frame_id == self._frame:
+            self._above = float(now.position[2]) - self._ground
 
     # -- what happened
 
@@ -125,7 +128,7 @@ class Executive:
 
     def _trouble(self, now: Situation) -> tuple[FlightEvent, str] | None:
         k = self._keys
-        if self.state is S.HOLD and (over := self._held_enough(now)) is not None:
+        if self.state is S.HOLD and (over := held_enough(now, self._since, self._begun, k)) is not None:
             return over
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
@@ -140,14 +143,10 @@ class Executive:
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        return None if self.state is S.ABORT else exceeded(now, self._begun, k)  # first it climbs
-
-    def _held_enough(self, now: Situation) -> tuple[FlightEvent, str] | None:
-        """A vehicle that keeps its place may wait for its cameras; one that drifts is handed over soon."""
-        waited, patience = now.t - self._since, self._keys.hold if now.holds else self._keys.wait
-        if waited > patience:
-            return E.WAITED, f"for {waited:.0f} s"
-        return exceeded(now, self._begun, self._keys) if now.holds else None
+        if self.state is S.COMMIT and now.t - self._since > k.hold:
+            return E.WAITED, f"it does not come down: {now.t - self._since:.0f} s"
+        over = exceeded(now, self._begun, k)
+        return over if over is not None and (self.state, over[0]) in TABLE else None  # else it goes on looking
 
     def _progress(self, now: Situation) -> tuple[FlightEvent | None, str]:
         assert now.position is not None or self.state is S.ABORT
@@ -187,8 +186,10 @@ class Executive:
     def _aborting(self, now: Situation) -> tuple[FlightEvent | None, str]:
         waited = now.t - self._since
         if now.position is None:
-            return (E.WAITED, "the motion is not known") if waited > self._keys.wait else (None, "")
-        if self._way is None or now.position[2] > self._way[2] - self._keys.arrived:
+            return (E.WAITED, "the motion is not known") if waited > patience(now, self._keys) else (None, "")
+        if self._way is None:  # it was not known where the vehicle was: only now it can climb
+            self._climb(now)
+        if self._way is not None and now.position[2] > self._way[2] - self._keys.arrived:
             return E.CLEAR, ""
         return (E.WAITED, f"it does not climb: {waited:.0f} s") if waited > self._keys.hold else (None, "")
 
@@ -298,11 +299,14 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self._ground = now.frame_id, None, None
+        self._frame, self._lanes, self.target = now.frame_id, None, None
         self._home = now.position.copy()
+        if self._above is not None:  # it goes on at the same height above the ground, in a frame of another height
+            self._ground = float(now.position[2]) - self._above
+            self._home[2] = self._ground + self._keys.search_height
         self._places.forget()
         if self.state is S.ABORT:
-            self._way = now.position + np.array([0.0, 0.0, self._keys.commit_height])
+            self._climb(now)
         self._judged = 0 if now.seen is None else now.seen.number
 
     # -- where to fly
@@ -342,11 +346,12 @@ class Executive:
         """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""
         assert now.position is not None
         seen = self._seen(now)
-        if seen is None or self.state is S.LOOK:  # nothing stands beside a look leg
-            return to
         away = float(np.hypot(*(to[:2] - now.position[:2])))
-        if away < 2 * self._keys.arrived:
+        if self.state is S.LOOK or away < 2 * self._keys.arrived:  # nothing stands beside a look leg
             return to
+        if seen is None:  # nothing is known of what stands about: up before aside
+            low = now.position[2] < to[2] - self._keys.arrived
+            return np.array([*now.position[:2], to[2]]) if low else to
         level = max(float(to[2]), self._clear_way.level(now.position, to, seen, self.state is S.DESCEND))
         if now.position[2] < level - self._keys.arrived:
             return np.array([*now.position[:2], level])

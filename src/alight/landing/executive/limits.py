@@ -1,4 +1,4 @@
-"""The limits of wind, battery and time, and of degraded motion."""
+"""The limits of wind, battery and time, of waiting, and of degraded motion."""
 
 from __future__ import annotations
 
@@ -21,6 +21,28 @@ def exceeded(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tu
     if begun is not None and now.t - begun > keys.time_budget:
         return FlightEvent.TIME, f"{keys.time_budget:.0f} s"
     return None
+
+
+def patience(now: Situation, keys: ExecutiveSettings) -> float:
+    """Seconds to wait for what is lost: a vehicle that keeps its place may wait, one that drifts is handed over soon."""
+    return keys.hold if now.holds else keys.wait
+
+
+def held_enough(
+    now: Situation, since: float, begun: float | None, keys: ExecutiveSettings
+) -> tuple[FlightEvent, str] | None:
+    """Why a vehicle that holds is to wait no longer; None: it is to wait on.
+
+    Args:
+        now: whether the autopilot keeps its place.
+        since: s, when it began to hold.
+        begun: s, when the landing was.
+        keys: the limits.
+    """
+    waited = now.t - since
+    if waited > patience(now, keys):
+        return FlightEvent.WAITED, f"for {waited:.0f} s"
+    return exceeded(now, begun, keys) if now.holds else None
 
 
 def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float, keys: ExecutiveSettings) -> bool:

@@ -20,7 +20,7 @@ def _rows() -> Mapping[tuple[FlightState, FlightEvent], FlightState]:
     out |= {(s, E.NAVIGATION_LOST): S.HOLD for s in ABOVE} | {(s, E.CAMERA_LOST): S.HOLD for s in ABOVE}
     out |= {(S.COMMIT, E.NAVIGATION_LOST): S.ABORT, (S.COMMIT, E.CAMERA_LOST): S.ABORT}
     out |= {(s, e): S.RETURN for s in (*ABOVE, S.HOLD) for e in (E.WIND, E.BATTERY, E.TIME)}
-    out |= {(S.COMMIT, E.WIND): S.ABORT}
+    out |= {(S.COMMIT, E.WIND): S.ABORT, (S.COMMIT, E.WAITED): S.ABORT}
     out |= {(S.HOLD, E.RECOVERED): S.SEARCH, (S.HOLD, E.WAITED): S.HANDED_OVER}
     out |= {(S.SEARCH, E.SEARCHED): S.RETURN, (S.SEARCH, E.FOUND): S.APPROACH}
     out |= {(S.APPROACH, E.ARRIVED): S.LOOK, (S.DESCEND, E.ARRIVED): S.LOOK}
