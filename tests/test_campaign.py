@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -325,12 +326,39 @@ def test_what_is_struck_in_flight_is_unsafe_however_it_touched_down(tmp_path: Pa
     assert record.outcome == "landed unsafely"
     assert "2.3 m above its feet" in record.why
     assert record.touchdown is not None
-    assert record.touchdown.reasons == ("strike",)
-    assert not record.touchdown.bad_ground
+    assert record.touchdown.safe
+    assert record.strike is not None
+    assert record.strike.above == 2.3
     numbers = campaign_numbers([record, flown(scene(tmp_path), lands)])
     assert (numbers.struck, numbers.unsafe_ground) == (1, 0)
     assert numbers.bound > numbers.ground_bound
     assert numbers.nearest == pytest.approx(40.0, abs=0.5)
+
+
+def test_a_strike_does_not_hide_the_ground_below_and_counts_against_p_safe(tmp_path: Path) -> None:
+    def strikes(vehicle: SteeredFlight, *_: object) -> Landing:
+        touch(vehicle)
+        vehicle.contacts.insert(0, replace(vehicle.contacts[0], struck=0.4))
+        return Landing(
+            S.LANDED, diary((S.LOOK, E.CONFIRMED, S.COMMIT), (S.COMMIT, E.TOUCHED_DOWN, S.LANDED)), 30.0, 0.97
+        )
+
+    wet, dry = flown(scene(tmp_path, "wet", "water"), strikes), flown(scene(tmp_path), strikes)
+    numbers = campaign_numbers([wet, dry])
+    assert (numbers.struck, numbers.unsafe_ground) == (2, 1)
+    assert [(b.safe, b.unsafe) for b in numbers.p_at_commit] == [(0, 2)]
+
+
+def test_ground_touched_before_the_landing_was_begun_is_unsafe(tmp_path: Path) -> None:
+    def bumps(vehicle: SteeredFlight, *others: object) -> Landing:
+        touch(vehicle)
+        vehicle.contacts[0] = replace(vehicle.contacts[0], t_ns=START_NS + 10**9)
+        return lands(vehicle, *others)  # type: ignore[arg-type]
+
+    record = fly_conditions(conditions(scene(tmp_path)), load_settings("", SMALL), bumps)
+    assert record.record.outcome == "landed unsafely"
+    assert "touched the ground at 1.0 s" in record.record.why
+    assert record.picture is not None
 
 
 def test_the_nearest_that_it_came_is_noted_until_the_landing_is_begun(tmp_path: Path) -> None:
@@ -354,6 +382,16 @@ def test_a_refusal_is_right_only_where_there_is_no_place(tmp_path: Path) -> None
         assert no.safe_share is not None
         assert no.safe_share > 0.5
         assert yes.safe_share == 0.0
+
+
+@pytest.mark.parametrize("off", [0.0, 0.2, 0.3, 0.4])
+def test_a_strip_that_is_just_wide_enough_makes_a_refusal_wrong(tmp_path: Path, off: float) -> None:
+    """Bare ground between tall grass, 4.3 m wide: its centres keep a radius of 1.5 m and a margin of 0.5 m in 0.3 m."""
+    ground = "  cover: tall_vegetation\n  size: [60, 60]\n  cell: 0.1\n  relief: []\n  layers:\n"
+    path = f"[[{off - 20}, -30], [{off - 20}, 30]]"
+    strip = f"  - {{thing: road, path: {path}, width: 4.3, ragged: 0, look: sand, kind: bare}}\n"
+    (tmp_path / "strip.yaml").write_text(f"ground:\n{ground}{strip}")
+    assert flown(str(tmp_path / "strip.yaml"), gives_up(E.SEARCHED)).outcome == "wrongly refused"
 
 
 def test_wind_and_battery_are_believed_only_where_they_are_true(tmp_path: Path) -> None:
@@ -383,6 +421,74 @@ def test_a_landing_that_raises_is_failed_and_the_campaign_goes_on(tmp_path: Path
     assert record.error.startswith("ArithmeticError: the world ended (test_campaign.py:")
 
 
+@pytest.mark.parametrize(("cover", "outcome"), [("short_grass", "failed"), ("water", "landed unsafely")])
+def test_what_was_touched_before_it_raised_counts(tmp_path: Path, cover: str, outcome: str) -> None:
+    def touches_and_raises(vehicle: SteeredFlight, *_: object) -> Landing:
+        touch(vehicle)
+        raise ArithmeticError("after the contact")
+
+    record = flown(scene(tmp_path, "ground", cover), touches_and_raises)
+    assert (record.outcome, record.error is None) == (outcome, False)
+    assert record.touchdown is not None
+
+
+def test_failed_landings_are_no_evidence_of_safety(tmp_path: Path) -> None:
+    numbers = fly_campaign(small([scene(tmp_path)], 2), tmp_path / "out", fly=raises)
+    assert numbers.bound == numbers.ground_bound == 1.0
+    page = (tmp_path / "out" / "campaign.html").read_text()
+    assert "Two landings, no unsafe touchdowns, 2 failed" in page
+    assert 'class="answer good"' not in page
+
+
+def test_what_cannot_begin_is_told_before_anything_is_written(tmp_path: Path) -> None:
+    names, out = [scene(tmp_path)], tmp_path / "out"
+    wide = tmp_path / "wide.yaml"
+    wide.write_text(f"ground:\n  {FLAT.format(cover='bare')}\nrig: {{cameras: [{{resolution: [640, 360]}}]}}\n")
+    for campaign, said in (
+        (replace(small(names), settings=load_settings("", ["lander.radius=0.15"])), "lander.radius 0.15 m"),
+        (replace(small(names), settings=load_settings("", ["terrain.model=nope.npz"])), "nope.npz"),
+        (small([*names, str(wide)]), "rig"),
+    ):
+        with pytest.raises(InputError, match=said):
+            fly_campaign(campaign, out, fly=lands)
+        assert not out.exists()
+    for seed in (-1, 2**63):
+        with pytest.raises(InputError, match="seed"):
+            small(names, seed=seed)
+
+
+def test_a_scene_or_a_program_that_has_changed_is_another_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names, out = [scene(tmp_path)], tmp_path / "out"
+    fly_campaign(small(names, 1), out, fly=lands)
+    scene(tmp_path, cover="water")
+    with pytest.raises(OutputError, match=r"another content of .*flat\.yaml"):
+        fly_campaign(small(names, 2), out, fly=lands)
+    found = again(small(names, 2), out, 0, lands)
+    assert found.not_compared is not None
+    assert "another content of" in found.not_compared
+    scene(tmp_path)
+    monkeypatch.setattr(runner.run, "sources_digest", lambda: "0123456789abcdef")
+    with pytest.raises(OutputError, match="another state of Alight's sources"):
+        fly_campaign(small(names, 2), out, fly=lands)
+    assert len(lines(out)) == 1
+
+
+def test_two_campaigns_do_not_write_one_folder(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    fly_campaign(small([scene(tmp_path)], 1), out, fly=lands)
+    other = "import sys; from pathlib import Path; from alight.outputs.folder_lock import lock_folder\n"
+    command = [sys.executable, "-c", f"{other}lock_folder(Path({str(out)!r})); print(flush=True); sys.stdin.read()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        with pytest.raises(OutputError, match="another run writes there"):
+            fly_campaign(small([scene(tmp_path)], 2), out, fly=lands)
+        holder.communicate()
+    assert fly_campaign(small([scene(tmp_path)], 2), out, fly=lands).landings == 2
+
+
 # -- again, bit for bit
 
 
@@ -393,7 +499,7 @@ def test_a_landing_flown_again_is_compared_with_its_line(tmp_path: Path) -> None
     assert again(campaign, out, 1, lands)[1] == []
     assert again(campaign, out, 1, gives_up(E.TIME))[1][:2] == ["outcome", "why"]
     assert lines(out) == before
-    assert again(campaign, out, 7, lands)[1] == []
+    assert again(campaign, out, 7, lands).not_compared == f"{out}: holds no line of landing 7"
 
 
 def test_a_real_flight_is_the_same_again() -> None:
@@ -450,8 +556,9 @@ def test_a_killed_process_loses_nothing(deadly: Callable[[int, int], object], tm
     fly_campaign(campaign, tmp_path / "two", jobs=2, fly=dies_once)
     one, two = repeatable(tmp_path / "one"), repeatable(tmp_path / "two")
     if times > 1:
-        assert two.pop(1)["outcome"] == "failed"
-        del one[1]
+        assert two[1]["outcome"] == "failed"
+        fly_campaign(campaign, tmp_path / "two", fly=lands)  # goes on: what was lost is flown again
+        two = repeatable(tmp_path / "two")
     assert one == two
 
 
@@ -469,6 +576,26 @@ def test_a_cluster_gives_the_same_and_a_killed_worker_loses_nothing(
     assert repeatable(tmp_path / "one") == repeatable(tmp_path / "two")
 
 
+@pytest.mark.filterwarnings("ignore")  # the cluster's own
+def test_a_cluster_that_loses_a_landing_time_and_again_is_told_and_keeps_what_there_is(
+    deadly: Callable[[int, int], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'cluster'")
+    import dask
+
+    campaign, out = small([scene(tmp_path)], 3), tmp_path / "out"
+    deadly(conditions_of(campaign.scenes, campaign.seed, 1).flight_seed, 99)
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(1, threads_per_worker=1, dashboard_address=None) as cluster,
+    ):
+        with pytest.raises(InputError, match="landing 1: the workers that had it were lost"):
+            fly_campaign(campaign, out, scheduler=cluster.scheduler_address, fly=dies_once)
+        assert (out / "campaign.html").exists()
+    fly_campaign(campaign, out, fly=lands)
+    assert [r.outcome for r in CampaignFolder(out).read().values()] == ["landed safely"] * 3
+
+
 # -- the report
 
 
@@ -483,6 +610,20 @@ def test_the_bound_is_where_so_few_are_one_in_twenty() -> None:
 
     for unsafe, landings in ((0, 200), (1, 200), (5, 37)):
         assert binom.cdf(unsafe, landings, unsafe_bound(unsafe, landings)) == pytest.approx(0.05)
+
+
+def test_faults_that_never_happened_stand_in_a_row_of_their_own() -> None:
+    wind = FaultRecord(what="strong wind", after=5.0, numbers={"speed": 10.0}, happened=5.0)
+    late = FaultRecord(what="gust", after=50.0)
+    records = [made(k, "rightly refused", None, None) for k in range(2)]
+    records = [
+        r.model_copy(update={"conditions": r.conditions.model_copy(update={"faults": (f,)})})
+        for r, f in zip(records, (wind, late), strict=True)
+    ]
+    n = campaign_numbers(records)
+    assert set(n.by_fault) == {"strong wind", "planned, and never happened"}
+    assert set(n.by_wind) == {"2 to 4 m/s", "more than 6 m/s"}
+    assert "strong wind" in FAULTS
 
 
 def made(number: int, outcome: str, p: float | None, reasons: tuple[str, ...] | None) -> LandingRecord:
@@ -566,6 +707,8 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
     path.write_text(path.read_text().replace('"verdicts":0', '"verdicts":5'))
     assert call(["campaign", "--out", str(out), "--only", "0"]) == 3
     assert capsys.readouterr().err.endswith(f"landing 0 is not as in {out}: verdicts\n")
+    assert call(["campaign", "--out", str(out), "--only", "5"]) == 3
+    assert "was not compared" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -573,7 +716,8 @@ def test_a_landing_that_is_not_repeated_is_told(tmp_path: Path, capsys: pytest.C
     [
         (["medow"], "no scene is called 'medow'"),
         ([], "holds no campaign; name scenes"),
-        (["--seed", "3"], "name SCENES beside --seed"),
+        (["--seed", "0"], "name SCENES beside --seed"),
+        (["--look-again"], "name SCENES beside --seed"),
         (["demo", "--compare", "nowhere"], "nowhere: holds no campaign"),
         (["demo", "--scheduler", "tcp://127.0.0.1:9"], "distributed (Dask) is not installed"),
     ],

@@ -7,6 +7,7 @@ import pytest
 
 from alight.geometry import Grid, Pose
 from alight.records import Terrain
+from alight.settings import Settings
 from alight_sim import world_of
 from alight_sim.campaign import campaign_worlds
 from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
@@ -151,6 +152,24 @@ def test_kinds_without_a_safe_place_have_none(name):
     kind = campaign_worlds()[name]
     places = safe_places(kind.build(3), (-20.0, -20.0, 20.0, 20.0), OracleLander(radius=1.0), step=2.0)
     assert places.safe.any() == kind.safe
+
+
+def test_a_step_has_a_limit_of_its_own_where_one_is_set():
+    world = ground(np.where(EAST > 0.3, 0.08, 0.0))
+    for most, reasons in ((None, ()), (0.1, ()), (0.05, ("step",))):
+        assert judge_touchdown(world, OracleLander(max_step=most), down_at()).reasons == reasons
+        beside = judge_touchdown(world, OracleLander(max_step=most), down_at(east=-1.4))
+        assert beside.safe  # the step is beyond the rim
+    ramp = ground(0.1 * EAST)
+    assert judge_touchdown(ramp, OracleLander(max_step=0.011), down_at()).safe
+    assert not judge_touchdown(ramp, OracleLander(max_step=0.009), down_at()).safe
+
+
+def test_every_limit_of_a_lander_is_judged_or_left_aside_by_name():
+    """A new one is not left out without a word."""
+    with pytest.raises(TypeError):
+        OracleLander.of({"radius": 0.9, "max_hum": 3.0})
+    assert OracleLander.of(Settings().lander.model_dump()).max_step is None
 
 
 def test_settings_of_a_lander_are_taken_by_name():

@@ -10,6 +10,7 @@ from alight.geometry import Grid, so3_exp, so3_log
 from alight.records import Frame, ImuSample, InputError, NavSample
 from alight_sim import Imaging, ImuErrors, NavErrors, Scene, build, world_of
 from alight_sim.exposure import QUIET
+from alight_sim.movers import Traffic
 from alight_sim.oracle import OracleLander, judge_touchdown
 from alight_sim.scene import SceneGround
 from alight_sim.steered import SteeredFlight, TrueBattery, Wanted
@@ -110,6 +111,16 @@ def test_what_stands_beside_the_way_is_struck_once():
         hold(flight, 8.0, Wanted(position=flight.true_pose.translation + np.array([12.0, 0.0, 0.0])))
         struck.append([c.struck for c in flight.contacts])
     assert struck == [[pytest.approx(2.0, abs=0.05)], [], []]
+
+
+def test_a_car_of_the_scene_is_as_solid_as_one_that_comes_on_command():
+    """It drives through below a vehicle whose feet are 1.3 m above the street, and is 1.5 m high."""
+    traffic = Traffic(path=((-25.0, 0.0), (25.0, 0.0)), speed=5.0, gap=100.0)
+    scene = Scene(ground=SceneGround(size=(60, 60), relief=()), imaging=Imaging(**QUIET), traffic=(traffic,))
+    flight = SteeredFlight(build(scene), 1, start=(0, 0, 1.3), steered_by="truth", radius=0.5, **BLIND)
+    hold(flight, 10.0)
+    assert flight.contacts
+    assert not SteeredFlight(build(LEVEL), 1, start=(0, 0, 1.3), steered_by="truth", radius=0.5, **BLIND).contacts
 
 
 def test_the_last_metre_is_the_touchdowns():

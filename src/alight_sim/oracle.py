@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F64, U8, Mask
+from alight.arrays import F64, I64, U8, Mask
 from alight.geometry import Pose
 from alight.records import Terrain
 from alight_sim.things.base import Box
@@ -23,6 +23,7 @@ from alight_sim.world import World
 
 BEARS = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED, Terrain.ROCK)
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: any number of them is spread over any symmetry of the gear
+ASIDE = ("headings", "support", "foot_contact")  # how a map is judged: here all is tried, and feet stand on the highest
 _TIE = 1e-6  # metres: poses of rest whose height differs by less are all possible
 _RIM = 8  # places on the rim of a foot
 _BATCH = 4_000_000  # heights looked at together
@@ -39,6 +40,7 @@ class OracleLander:
     feet: tuple[tuple[float, float], ...] | None = None  # forward, left of each
     foot_radius: float = 0.0
     skids: tuple[float, float] | None = None  # length, distance
+    max_step: float | None = None  # between neighbouring cells of the footprint; None: only the roughness counts
     rotor_radius: float | None = None  # None: within the footprint
     rotor_rise: float = 0.3  # what stands beside the footprint may be so high above the plane
     max_sink: float = 1.0  # m/s
@@ -47,9 +49,8 @@ class OracleLander:
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any], **more: Any) -> OracleLander:
-        """Out of a mapping such as the dump of a lander's settings; keys that nothing here needs are left aside."""
-        known = {f.name for f in fields(cls)}
-        return cls(**{k: v for k, v in numbers.items() if k in known}, **more)
+        """Out of a mapping such as the dump of a lander's settings; keys of `ASIDE` are left aside."""
+        return cls(**{k: v for k, v in numbers.items() if k not in ASIDE}, **more)
 
     @property
     def reach(self) -> float:
@@ -128,7 +129,7 @@ class Touchdown:
     """The verdict on one touchdown."""
 
     safe: bool
-    reasons: tuple[str, ...]  # why not: slope, roughness, belly, rotor, ground, sink, drift
+    reasons: tuple[str, ...]  # why not: slope, roughness, step, belly, rotor, ground, sink, drift
     tilt: float  # rad, of the plane that it stands on, the worst where it rocks
     belly_gap: float  # metres between the belly (plane of the feet, where no clearance is given) and the ground below
     roughness: float  # metres, largest deviation from the footprint's least-squares plane
@@ -260,6 +261,11 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
     wrong = {
         "slope": tilt > lander.max_slope,
         "roughness": roughness > lander.max_roughness if clear is None or not has_gear else np.zeros(len(tilt), bool),
+        "step": (
+            np.zeros(len(tilt), bool)
+            if lander.max_step is None
+            else _largest_step(surface, centres, lander.radius) > lander.max_step
+        ),
         "belly": gap < 0.0 if clear is not None else np.zeros(len(tilt), bool),
         "rotor": rise > lander.rotor_rise,
         "ground": ~firm.all(axis=1),
@@ -282,6 +288,28 @@ def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> 
     inside = there & (east**2 + north**2 <= radius**2 + 1e-9)
     s, c = math.sin(heading), math.cos(heading)
     return Disc(s * east + c * north, s * north - c * east, surface.height[i, j], surface.label[i, j], inside)
+
+
+def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
+    """(N,) metres between neighbouring cells of the discs about centres (N, 2)."""
+    k = math.ceil(radius / surface.cell) + 1
+    row, col = (np.rint(v).astype(np.int64)[:, None] for v in surface.index(centres))
+    a, b = (g.ravel() for g in np.meshgrid(np.arange(-k, k + 1), np.arange(-k, k + 1), indexing="ij"))
+    rows, cols = surface.height.shape
+
+    def cells(i: I64, j: I64) -> tuple[F64, Mask]:
+        north = surface.north + surface.cell * i - centres[:, 1:]
+        east = surface.east + surface.cell * j - centres[:, :1]
+        there = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
+        height = surface.height[np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)]
+        return height, there & (east**2 + north**2 <= radius**2 + 1e-9)
+
+    here, inside = cells(row + a, col + b)
+    worst = np.zeros(len(centres))
+    for i, j in ((1, 0), (0, 1)):
+        there, within = cells(row + a + i, col + b + j)
+        worst = np.maximum(worst, np.where(inside & within, np.abs(there - here), 0.0).max(axis=1))
+    return worst
 
 
 def _fitted(disc: Disc) -> tuple[F64, F64]:

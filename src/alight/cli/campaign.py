@@ -18,12 +18,12 @@ from alight.cli.app import (
     say,
 )
 from alight.records import InputError
-from alight.records.campaign import MOST_LANDINGS
+from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS
 
 if TYPE_CHECKING:
     from alight.runner.campaign import Campaign, Ended
 
-DIFFERS = 3  # exit code: a landing that was flown again came out differently
+WRONG = 3  # exit code: landings failed, or one that was flown again differs from its line, or has none
 
 
 @app.command()
@@ -33,15 +33,17 @@ def campaign(
         list[str] | None, typer.Argument(metavar="SCENES", help="Names, scene files, or 'all'; none: go on with OUT.")
     ] = None,
     landings: Annotated[int | None, typer.Option(min=1, max=MOST_LANDINGS, help="How many landings; 20.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that chance decides.")] = 0,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=LARGEST_SEED, help="Of everything that chance decides; 0.")
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, max=256, help="Processes that fly landings on this machine.")] = 1,
     scheduler: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask cluster instead: tcp://host:8786.")
     ] = None,
     only: Annotated[int | None, typer.Option(metavar="K", min=0, help="Fly landing K again and write nothing.")] = None,
     look_again: Annotated[
-        bool, typer.Option("--look-again/--no-look-again", help="Look again from lower heights before landing.")
-    ] = True,
+        bool | None, typer.Option("--look-again/--no-look-again", help="Look again from lower heights before landing.")
+    ] = None,
     compare: Annotated[
         Path | None, typer.Option(metavar="OTHER", help="Another campaign, for a table of both.")
     ] = None,
@@ -50,13 +52,13 @@ def campaign(
     verbose: VerboseOption = False,
 ) -> None:
     """Fly many simulated landings in closed loop and report how they ended; an interrupted campaign goes on."""
-    assign = [*(assign or []), *([] if look_again else ["executive.look_again=false"])]
+    assign = [*(assign or []), *([] if look_again is None else [f"executive.look_again={str(look_again).lower()}"])]
     chosen = read_settings(settings, assign)
     from alight.runner import campaign as runner
 
     if scenes:
-        planned = runner.Campaign.of(scenes, landings or 20, seed, chosen)
-    elif settings or assign or seed:
+        planned = runner.Campaign.of(scenes, landings or 20, seed or 0, chosen)
+    elif settings or assign or seed is not None:
         raise InputError("name SCENES beside --seed, --set, --settings or --no-look-again; without, OUT's own are used")
     else:
         planned = runner.continued(out, landings)
@@ -70,16 +72,22 @@ def campaign(
         for name, one, two in runner.comparison(numbers, runner.numbers_in(compare)):
             say(f"{name:<34} {one:>10} {two:>10}")
     say(f"report: {out / 'campaign.html'}")
+    if failed := numbers.outcomes["failed"]:
+        complain(f"{failed} landings failed: the report says why, and counts nothing of them as safe", "bold red")
+        raise typer.Exit(WRONG)
 
 
 def _again(planned: Campaign, out: Path, only: int) -> None:
     from alight.runner import campaign as runner
 
-    record, differing = runner.again(planned, out, only)
-    say(record.model_dump_json())
-    if differing:
-        complain(f"landing {only} is not as in {out}: {', '.join(differing)}", "bold red")
-        raise typer.Exit(DIFFERS)
+    found = runner.again(planned, out, only)
+    say(found.record.model_dump_json())
+    if found.differing:
+        complain(f"landing {only} is not as in {out}: {', '.join(found.differing)}", "bold red")
+        raise typer.Exit(WRONG)
+    if found.not_compared is not None and out.exists():
+        complain(f"landing {only} was not compared: {found.not_compared}", "bold red")
+        raise typer.Exit(WRONG)
 
 
 def _tell(ended: Ended) -> None:

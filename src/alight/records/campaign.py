@@ -10,11 +10,20 @@ from pydantic import BaseModel, ConfigDict, Field
 Outcome = Literal[
     "landed safely", "landed unsafely", "rightly refused", "wrongly refused", "handed over", "failed"
 ]  # fmt: skip
+LOST = "WorkerLostError"  # an error of the machine, not of the landing
 OUTCOMES: tuple[Outcome, ...] = Outcome.__args__  # type: ignore[attr-defined]
 PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wanted
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
+LARGEST_SEED = 2**63 - 1
 STRIKE = "strike"  # of what stands beside it, in flight
-GROUND = ("slope", "roughness", "belly", "rotor", "ground")  # reasons that are the ground's; the rest is the flying's
+GROUND = (
+    "slope",
+    "roughness",
+    "step",
+    "belly",
+    "rotor",
+    "ground",
+)  # reasons that are the ground's; the rest is the flying's
 
 
 class _Line(BaseModel):
@@ -104,6 +113,15 @@ class TouchdownLine(_Line):
         return any(r in GROUND for r in self.reasons)
 
 
+class StrikeLine(_Line):
+    """What stood beside the vehicle and was struck in flight, by the oracle."""
+
+    t: float
+    east: float  # of the vehicle
+    north: float
+    above: float  # metres above its feet
+
+
 class LandingRecord(_Line):
     """How a landing went, and in what."""
 
@@ -115,7 +133,8 @@ class LandingRecord(_Line):
     p_at_commit: float | None = None
     looks: tuple[LookLine, ...] = ()
     transitions: tuple[TransitionLine, ...] = ()
-    touchdown: TouchdownLine | None = None
+    touchdown: TouchdownLine | None = None  # the worst contact from above
+    strike: StrikeLine | None = None
     safe_share: float | None = None  # of the searched area, by the oracle with the margin; only of a refusal
     seconds: float = 0.0  # of the flight
     found_after: float | None = None  # s to the first place
@@ -133,6 +152,23 @@ class LandingRecord(_Line):
     def number(self) -> int:
         """Of the landing."""
         return self.conditions.landing
+
+    @property
+    def commit_t(self) -> float | None:
+        """Seconds when the landing was begun that was not broken off; None: none was begun."""
+        return next((x.t for x in reversed(self.transitions) if x.after == "commit"), None)
+
+    @property
+    def bad_place(self) -> bool:
+        """Whether the place was unsafe, and not the flying: its ground, or what was struck while landing there."""
+        begun = self.commit_t
+        struck = self.strike is not None and begun is not None and self.strike.t >= begun
+        return struck or (self.touchdown is not None and self.touchdown.bad_ground)
+
+    @property
+    def was_lost(self) -> bool:
+        """Whether its process died: nothing is known of the landing."""
+        return self.error is not None and self.error.startswith(LOST)
 
     @property
     def last_looks(self) -> tuple[LookLine, ...]:
@@ -155,6 +191,8 @@ class CampaignHead(_Line):
     scenes: tuple[str, ...] = Field(min_length=1)
     landings: int = Field(ge=1, le=MOST_LANDINGS)  # that are to be flown; more of them make no other campaign
     settings: dict[str, Any]
+    sources: str = ""  # digest of the program; empty: not known
+    files: dict[str, str] = {}  # digests of scene files, their rasters, and the model of appearance
 
     def differing(self, other: CampaignHead) -> str | None:
         """In what this is another campaign, in words; None: it is the same."""
@@ -164,4 +202,9 @@ class CampaignHead(_Line):
             return f"the scenes {' '.join(self.scenes)}"
         if self.alight != other.alight:
             return f"version {self.alight} of Alight"
-        return "other settings" if self.settings != other.settings else None
+        if self.settings != other.settings:
+            return "other settings"
+        if self.sources and other.sources and self.sources != other.sources:
+            return "another state of Alight's sources"
+        changed = [name for name in self.files if other.files.get(name, self.files[name]) != self.files[name]]
+        return f"another content of {', '.join(changed)}" if changed else None

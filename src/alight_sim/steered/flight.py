@@ -141,6 +141,7 @@ class SteeredFlight:
         place = np.array([start[0], start[1], ground + start[2] + self.standing])
         seed = int(self._seeds(WIND).generate_state(1)[0])
         self._vehicle = PointMass(limits, self._floor, self._air, gusts, seed=seed, position=place, heading=heading)
+        self._stood = self._vehicle.stands
 
     def _floor(self, east: float, north: float) -> float:
         return self._below.height(east, north) + self.standing
@@ -256,11 +257,12 @@ class SteeredFlight:
         self._below.seconds = start
         place = vehicle.world_from_body
         before = TrueMotion(place.translation, vehicle.velocity.copy(), place.rotation, np.zeros(3))
-        stood, up = vehicle.stands, float(vehicle.position[2])
+        up = float(vehicle.position[2])
         flown = wanted if self.battery > 0 else None
         vehicle.push_world = self._blown(start, h)
         vehicle.step(h, None if flown is None else self._as_believed(flown, h))
-        if vehicle.stands and not stood:
+        stood, self._stood = self._stood, vehicle.stands  # what drives in below it is met, too: not asked for before
+        if self._stood and not stood:
             self.contacts.append(
                 TrueContact(
                     START_NS + round((start + h) * 1e9), vehicle.world_from_body, before.velocity_world, self.standing

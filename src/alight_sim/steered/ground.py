@@ -1,4 +1,4 @@
-"""The true surface under a vehicle: the ground and what stands on it, bodies that came on command included."""
+"""The true surface under a vehicle: the ground and what stands and drives on it, and bodies that came on command."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class GroundBelow:
         self._rows: list[list[float]] = []
         self._place = (0.0, 0.0)  # of the south-west cell's centre
         self._heights = np.empty((0, 0))  # the rows as an array
-        self.seconds = 0.0  # of the flight: where bodies are
+        self.seconds = 0.0  # of the flight: where cars and persons are
+        self._boxes, self._boxes_of = np.empty((0, 12)), (-1, 0.0)  # (M, 12), and the bodies and the time they are of
 
     def height(self, east: float, north: float) -> float:
         """Of the surface, metres above the origin."""
@@ -47,7 +48,7 @@ class GroundBelow:
         u, v = x - i, y - j
         low, high = self._rows[j], self._rows[j + 1]
         ground = (1 - v) * ((1 - u) * low[i] + u * low[i + 1]) + v * ((1 - u) * high[i] + u * high[i + 1])
-        return max(ground, self._bodies(east, north)) if self._world.bodies else ground
+        return max(ground, self._bodies(east, north)) if self._world.movers else ground
 
     def highest(self, east: float, north: float) -> float:
         """Height of the highest thing within the radius about a place, metres above the origin."""
@@ -60,10 +61,14 @@ class GroundBelow:
         y = south + cell * (row + np.arange(part.shape[0])) - north
         ground = float(np.max(part[x[None, :] ** 2 + y[:, None] ** 2 <= radius**2], initial=-math.inf))
         below = self.height(east, north)
-        return max(ground, below, self._bodies(east, north, radius) if self._world.bodies else -math.inf)
+        return max(ground, below, self._bodies(east, north, radius) if self._world.movers else -math.inf)
 
     def _bodies(self, east: float, north: float, within: float = 0.0) -> float:
-        boxes = np.concatenate([b.boxes_at(np.array([self.seconds]))[0] for b in self._world.bodies])
+        movers, now = self._world.movers, (len(self._world.bodies), self.seconds)
+        if self._boxes_of != now:
+            self._boxes_of = now
+            self._boxes = np.concatenate([m.boxes_at(np.array([self.seconds]))[0] for m in movers])
+        boxes = self._boxes
         near = np.hypot(boxes[:, 0] - east, boxes[:, 1] - north) < _NEAR + within
         return tops(boxes[near], east, north, within) if near.any() else -math.inf
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from alight.records.campaign import OUTCOMES, PLACES, STRIKE, LandingRecord, LookLine
+from alight.records.campaign import OUTCOMES, PLACES, LandingRecord, LookLine
 
 CONFIDENCE = 0.95
 SUN_EDGES = (0.0, 25.0, 40.0, 55.0, 90.0)  # degrees above the horizon
@@ -19,6 +19,8 @@ FAINT_SUN = 0.5  # strength of the sun below which its place tells nothing
 P_EDGES = (0.0, 0.9, 0.95, 0.98, 0.99, 1.0)  # of the table of P(safe) at commit
 WIND_EDGES = (0.0, 2.0, 4.0, 6.0)  # m/s
 NO_FAULT = "none"
+NEVER = "planned, and never happened"
+STRONG_WIND = "strong wind"  # a fault
 Counts = dict[str, dict[str, int]]  # row -> outcome -> landings
 
 
@@ -29,7 +31,7 @@ class PBin:
     low: float
     high: float
     safe: int
-    unsafe: int  # on unsafe ground: P(safe) says nothing of speeds
+    unsafe: int  # by the ground, or by what stood beside it: P(safe) says nothing of speeds
     mean_p: float
 
 
@@ -69,8 +71,9 @@ class CampaignNumbers:
     unsafe_ground: int  # touchdowns that the ground made unsafe; the rest came down too fast, or struck something
     struck: int  # landings that struck what stood beside them in flight
     nearest: float | None  # metres of the feet above all within the footprint, before the landing was begun: the least
-    bound: float  # no more than this share of landings ends unsafely, with 95 %
-    ground_bound: float  # the same for unsafe ground
+    bound: float  # no more than this share of landings that did not fail ends unsafely, with 95 %
+    touchdown_bound: float  # the same of landings that touched anything
+    ground_bound: float  # of landings that did not fail, on unsafe ground
     by_scene: Counts
     by_fault: Counts
     by_wind: Counts
@@ -98,17 +101,18 @@ def unsafe_bound(unsafe: int, landings: int) -> float:
 def campaign_numbers(records: Sequence[LandingRecord]) -> CampaignNumbers:
     """Count and measure the landings of a campaign."""
     outcomes: dict[str, int] = {name: sum(r.outcome == name for r in records) for name in OUTCOMES}
-    down = [r for r in records if r.touchdown is not None]
-    ground = sum(r.outcome == "landed unsafely" and r.touchdown.bad_ground for r in down if r.touchdown)
-    n = len(records)
+    down = [r for r in records if r.touchdown is not None or r.strike is not None]
+    ground = sum(r.touchdown is not None and r.touchdown.bad_ground for r in down)
+    n, unsafe = len(records), outcomes["landed unsafely"]
+    known = n - outcomes["failed"]  # of the others nobody knows how they would have ended
     return CampaignNumbers(
         landings=n, outcomes=outcomes, right=sum(outcomes[p] for p in PLACES) / n if n else None,
         touchdowns=len(down), unsafe_ground=ground,
-        struck=sum(STRIKE in r.touchdown.reasons for r in down if r.touchdown),
+        struck=sum(r.strike is not None for r in down),
         nearest=min((r.nearest for r in records if r.nearest is not None), default=None),
-        bound=unsafe_bound(outcomes["landed unsafely"], n),
-        ground_bound=unsafe_bound(ground, n), by_scene=_counts(records, lambda r: r.conditions.scene),
-        by_fault=_counts(records, lambda r: next((f.what for f in r.conditions.faults), NO_FAULT)),
+        bound=unsafe_bound(unsafe, known), touchdown_bound=unsafe_bound(unsafe, len(down)),
+        ground_bound=unsafe_bound(ground, known), by_scene=_counts(records, lambda r: r.conditions.scene),
+        by_fault=_counts(records, _fault),
         by_wind=_counts(records, _wind_range), by_sun=_counts(records, _sun_range),
         p_at_commit=tuple(_bins(down)), looks=tuple(_changes(records)),
         looks_each=float(np.mean([len(r.looks) for r in records])) if n else None,
@@ -129,7 +133,13 @@ def _counts(records: Sequence[LandingRecord], key: Callable[[LandingRecord], str
     return {row: {name: found[row][name] for name in OUTCOMES} for row in sorted(found)}
 
 
+def _fault(r: LandingRecord) -> str:
+    return next((NEVER if f.happened is None else f.what for f in r.conditions.faults), NO_FAULT)
+
+
 def _wind_range(r: LandingRecord) -> str:
+    if _fault(r) == STRONG_WIND:
+        return f"more than {WIND_EDGES[-1]:.0f} m/s"
     at = min(int(np.searchsorted(WIND_EDGES, r.conditions.wind_speed, "right")), len(WIND_EDGES) - 1)
     return f"{WIND_EDGES[at - 1]:.0f} to {WIND_EDGES[at]:.0f} m/s"
 
@@ -145,7 +155,7 @@ def _sun_range(r: LandingRecord) -> str:
 
 
 def _bins(down: Sequence[LandingRecord]) -> Iterator[PBin]:
-    pairs = [(r.p_at_commit, not r.touchdown.bad_ground) for r in down if r.touchdown and r.p_at_commit is not None]
+    pairs = [(r.p_at_commit, not r.bad_place) for r in down if r.p_at_commit is not None]
     for low, high in pairwise(P_EDGES):
         here = [(p, safe) for p, safe in pairs if low <= p < high or (p == high == P_EDGES[-1])]
         if here:

@@ -64,7 +64,7 @@ def render_campaign(
         name=name,
         head=head,
         version=head.alight,
-        good=numbers.landings > 0 and numbers.outcomes["landed unsafely"] == 0,
+        good=numbers.landings > 0 and numbers.outcomes["landed unsafely"] + numbers.outcomes["failed"] == 0,
         headline=_headline(numbers),
         detail=_detail(numbers),
         chips=[(outcome, str(count)) for outcome, count in numbers.outcomes.items()],
@@ -78,7 +78,8 @@ def _headline(n: CampaignNumbers) -> str:
     if not n.landings:
         return "No landing has ended"
     unsafe = words.counted(n.outcomes["landed unsafely"], "unsafe touchdown")
-    return f"{words.counted(n.landings, 'landing').capitalize()}, {unsafe}"
+    failed = f", {n.outcomes['failed']} failed" if n.outcomes["failed"] else ""
+    return f"{words.counted(n.landings, 'landing').capitalize()}, {unsafe}{failed}"
 
 
 def _detail(n: CampaignNumbers) -> str:
@@ -86,19 +87,23 @@ def _detail(n: CampaignNumbers) -> str:
         return ""
     return (
         f"{100 * n.right:.1f} % landed safely or were rightly refused. With 95 % confidence no more than "
-        f"{100 * n.bound:.2g} % of such landings end unsafely, and no more than {100 * n.ground_bound:.2g} % on "
-        "unsafe ground (Clopper-Pearson, one-sided)."
+        f"{100 * n.bound:.2g} % of such landings end unsafely, no more than {100 * n.touchdown_bound:.2g} % of the "
+        f"{n.touchdowns} that touched down, and no more than {100 * n.ground_bound:.2g} % of all on unsafe ground "
+        "(Clopper-Pearson, one-sided; landings that failed are left aside)."
     )
 
 
 def _unsafe(r: LandingRecord, uri: str | None) -> Unsafe:
-    d = r.touchdown
+    d, s = r.touchdown, r.strike
+    struck = "" if s is None else f" Struck at {s.t:.1f} s, {s.east:.1f} m east, {s.north:.1f} m north."
     measured = "" if d is None else (
         f" Tilt {math.degrees(d.tilt):.1f}°, roughness {words.metres(d.roughness)}, sink {d.sink:.2f} m/s, "
         f"drift {d.drift:.2f} m/s, at {d.east:.1f} m east, {d.north:.1f} m north."
     )  # fmt: skip
     p = "" if r.p_at_commit is None else f" P(safe) at commit {r.p_at_commit:.3f}."
-    return Unsafe(f"Landing {r.number}, {r.conditions.scene}", f"{r.why}.{measured}{p} {_faults(r)}".strip(), uri)
+    return Unsafe(
+        f"Landing {r.number}, {r.conditions.scene}", f"{r.why}.{struck}{measured}{p} {_faults(r)}".strip(), uri
+    )
 
 
 def _faults(r: LandingRecord) -> str:

@@ -1,4 +1,4 @@
-"""Fly one landing of a campaign and judge it. What raises is an outcome like any other."""
+"""Fly one landing of a campaign and judge it. What raises in flight is an outcome like any other."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 from threadpoolctl import threadpool_limits
 
+from alight.records import InputError
 from alight.records.campaign import Conditions, LandingRecord, LightRecord, LookLine, TransitionLine
 from alight.records.executive import FlightState
 from alight.runner.campaign.faults import Happenings
-from alight.runner.campaign.outcome import judge_landing
+from alight.runner.campaign.outcome import judge_landing, met
 from alight.runner.campaign.picture import ground_picture
 from alight.runner.campaign.plan import campaign_world
 from alight.runner.landing import Landing, fly_landing
@@ -30,6 +31,7 @@ from alight_sim.world import World
 log = logging.getLogger(__name__)
 
 FlyLanding = Callable[..., Landing]
+LEAST_CELLS = 1.5  # of the ground, in the radius of a footprint: its plane needs three of them
 
 
 class Flown(NamedTuple):
@@ -46,11 +48,16 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
         conditions: all that is drawn.
         settings: of the aircraft.
         fly: in place of the true one, in tests.
+
+    Raises:
+        InputError: it cannot begin: the scene, the lander or the model of appearance cannot be used.
     """
     begun = time.process_time()
     try:
         with threadpool_limits(limits=1, user_api="blas"):
             flown = _fly(conditions, settings, fly)
+    except InputError:
+        raise
     except Exception as e:
         log.info("landing %d: %s", conditions.landing, traceback.format_exc())
         flown = failed(conditions, e)
@@ -61,10 +68,39 @@ def fly_conditions(conditions: Conditions, settings: Settings, fly: FlyLanding =
 
 def failed(conditions: Conditions, error: BaseException) -> Flown:
     """Return the record of a landing that raised, or whose process died: outcome `failed`, with the error in a line."""
+    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=_in_a_line(error)))
+
+
+def _in_a_line(error: BaseException) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({frames[-1].filename.rpartition('/')[2]}:{frames[-1].lineno})" if frames else ""
-    line = " ".join(f"{type(error).__name__}: {error}".split()) + where
-    return Flown(LandingRecord(conditions=conditions, outcome="failed", why="it raised", error=line))
+    return " ".join(f"{type(error).__name__}: {error}".split()) + where
+
+
+def _raised(vehicle: SteeredFlight, conditions: Conditions, settings: Settings, error: Exception) -> Flown:
+    """A landing that raised in flight; what it met until then counts."""
+    touchdown, strike = met(vehicle, settings)
+    unsafe = strike is not None or (touchdown is not None and not touchdown.safe)
+    more: dict[str, object] = {"touchdown": touchdown, "strike": strike}
+    if unsafe:
+        more |= {"outcome": "landed unsafely", "why": "it raised, and had touched what is not safe"}
+    return Flown(failed(conditions, error).record.model_copy(update=more))
+
+
+def checked_vehicle(c: Conditions, settings: Settings) -> SteeredFlight:
+    """The vehicle of a landing above its world.
+
+    Raises:
+        InputError: the scene cannot be flown over at this size, or the lander is too small for its cells.
+    """
+    vehicle = _vehicle(c, campaign_world(c.scene), settings)
+    least = LEAST_CELLS * vehicle.world.cell
+    if settings.lander.radius < least:
+        raise InputError(
+            f"lander.radius {settings.lander.radius:g} m: the ground of {c.scene} has cells of "
+            f"{vehicle.world.cell:g} m, and only footprints of {least:g} m and more can be judged on it"
+        )
+    return vehicle
 
 
 def _vehicle(c: Conditions, kind: CampaignWorld, settings: Settings) -> SteeredFlight:
@@ -89,19 +125,22 @@ def lit_world(world: World, drawn: LightRecord | None) -> World:
 
 
 def _fly(conditions: Conditions, settings: Settings, fly: FlyLanding) -> Flown:
-    kind = campaign_world(conditions.scene)
-    vehicle = _vehicle(conditions, kind, settings)
+    vehicle, appearance = checked_vehicle(conditions, settings), appearance_of(settings)
     happenings = Happenings(vehicle, conditions.faults)
-    landing = fly(vehicle, settings, appearance_of(settings), happenings)
-    judged = judge_landing(vehicle, landing, settings, kind.start[:2])
-    touchdown = judged.touchdown
-    picture = (
-        ground_picture(vehicle.world, touchdown, settings.lander.radius) if touchdown and not touchdown.safe else None
-    )
+    try:
+        landing = fly(vehicle, settings, appearance, happenings)
+    except Exception as e:
+        log.info("landing %d: %s", conditions.landing, traceback.format_exc())
+        return _raised(vehicle, conditions.model_copy(update={"faults": happenings.faults}), settings, e)
+    judged = judge_landing(vehicle, landing, settings, campaign_world(conditions.scene).start[:2])
+    picture = None
+    if judged.outcome == "landed unsafely" and (at := judged.touchdown or judged.strike):
+        picture = ground_picture(vehicle.world, at, settings.lander.radius)
     found = [x for x in landing.diary.transitions if x.after is FlightState.APPROACH]
     record = LandingRecord(
         conditions=conditions.model_copy(update={"faults": happenings.faults}),
-        outcome=judged.outcome, why=judged.why, touchdown=touchdown, safe_share=judged.safe_share,
+        outcome=judged.outcome, why=judged.why, touchdown=judged.touchdown, strike=judged.strike,
+        safe_share=judged.safe_share,
         state=landing.state.value, p_at_commit=landing.p_at_commit, p_found=found[-1].p_safe if found else None,
         found_after=found[0].t if found else None,
         looks=tuple(LookLine(**{k: getattr(x, k) for k in LookLine.model_fields}) for x in landing.diary.looks),

@@ -10,6 +10,7 @@ from typing import Any
 
 from alight.documents import LARGEST_JSON, LONGEST, DocumentError, parse_json, read_bytes, read_text, validated
 from alight.outputs.atomic_write import output_error, write_whole
+from alight.outputs.folder_lock import LOCK, lock_folder, release_folder
 from alight.records import InputError, OutputError
 from alight.records.campaign import CampaignHead, LandingRecord
 
@@ -44,14 +45,15 @@ class CampaignFolder:
             raise InputError(f"{path}: is not a campaign's ({_why(e)}); name another folder") from e
 
     def begin(self, head: CampaignHead) -> None:
-        """Make the folder, or see that it is this campaign's, and mend the last line where it is torn.
+        """Make the folder, or see that it is this campaign's, take it, and mend the last line where it is torn.
 
         Raises:
-            OutputError: the folder holds another campaign or other files, or may not be written.
+            OutputError: the folder holds another campaign or other files, another process writes there, or it cannot
+                be written.
         """
         try:
             self.out.mkdir(parents=True, exist_ok=True)
-            if (there := self.head()) is None and any(self.out.iterdir()):
+            if (there := self.head()) is None and any(p.name != LOCK for p in self.out.iterdir()):
                 raise OutputError(
                     f"{self.out}: holds files that are not a campaign's; choose another folder with --out"
                 )
@@ -59,8 +61,16 @@ class CampaignFolder:
             raise output_error(self.out, e) from e
         if there is not None and (other := there.differing(head)) is not None:
             raise OutputError(f"{self.out}: holds a campaign with {other}; choose another folder with --out")
+        try:
+            lock_folder(self.out)
+        except OSError as e:
+            raise output_error(self.out, e) from e
         self.write_head(head, {})
         self._mend()
+
+    def end(self) -> None:
+        """Give the folder back."""
+        release_folder(self.out)
 
     def write_head(self, head: CampaignHead, more: dict[str, Any]) -> None:
         """Write campaign.json whole: the head first, then what was found."""

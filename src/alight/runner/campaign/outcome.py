@@ -1,6 +1,7 @@
 """Which outcome a landing has, by the oracle: the true lander on the true ground.
 
-A touchdown is judged wherever it happened. Without one, a landing that was given up is rightly refused if
+A contact is judged wherever it happened, and is unsafe where no landing was meant. Without one, a landing that was
+given up is rightly refused if
 
 - the wind or the battery was truly beyond its limit when the executive gave up for that reason, or
 - the oracle finds no safe place, with the margin that the settings ask for, in the square that is searched,
@@ -10,19 +11,20 @@ and wrongly refused otherwise, also where the time or the search ended. Handed o
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from alight.records.campaign import STRIKE, Outcome, TouchdownLine
+from alight.records.campaign import Outcome, StrikeLine, TouchdownLine
 from alight.records.executive import FlightEvent, FlightState
 from alight.runner.landing import Landing
 from alight.settings import Settings
-from alight_sim.oracle import OracleLander, safe_places
+from alight_sim.oracle import OracleLander, judge_touchdown, safe_places
 from alight_sim.steered import SteeredFlight, TrueContact
-from alight_sim.steered.touchdown import contact_seconds, judge_contact, severity
+from alight_sim.steered.touchdown import contact_seconds, severity
 
-STEP = 0.5  # m between the places that the oracle tries
+STEPS = (0.5, 0.25)  # m between the places that the oracle tries; the finer ones only where none is found
 
 
 class JudgedLanding(NamedTuple):
@@ -31,6 +33,7 @@ class JudgedLanding(NamedTuple):
     outcome: Outcome
     why: str
     touchdown: TouchdownLine | None = None
+    strike: StrikeLine | None = None
     safe_share: float | None = None
 
 
@@ -46,7 +49,7 @@ def judge_landing(
         start: east, north, metres: the middle of the square that is searched.
     """
     if vehicle.contacts:
-        return _touched(vehicle, landing.state, settings)
+        return _touched(vehicle, landing, settings)
     last = landing.diary.transitions[-1] if landing.diary.transitions else None
     if landing.state is FlightState.HANDED_OVER:
         return JudgedLanding("handed over", last.reason if last else "")
@@ -64,33 +67,67 @@ def judge_landing(
     )
 
 
-def _touched(vehicle: SteeredFlight, state: FlightState, settings: Settings) -> JudgedLanding:
-    """The worst of the contacts counts; one outside a landing is none that was meant."""
-    found = [_line(vehicle, contact, settings) for contact in vehicle.contacts]
-    worst = max(found, key=lambda d: severity(d.safe, d.reasons))
-    if state is not FlightState.LANDED:
-        return JudgedLanding("landed unsafely", f"it touched the ground and was then in {state.value}", worst)
-    if STRIKE in worst.reasons:
-        above = max(c.struck or 0.0 for c in vehicle.contacts)
-        return JudgedLanding("landed unsafely", f"it struck what stands beside it, {above:.1f} m above its feet", worst)
-    if worst.safe:
+def met(
+    vehicle: SteeredFlight, settings: Settings, begun: float = -math.inf
+) -> tuple[TouchdownLine | None, StrikeLine | None]:
+    """Judge all contacts: the worst from above, and what was struck in flight, in the landing before what was before.
+
+    Args:
+        vehicle: after its flight.
+        settings: those it was flown with.
+        begun: s, when the landing was begun.
+    """
+    down = [_line(vehicle, c, settings) for c in vehicle.contacts if c.struck is None]
+    struck = [_strike(c, c.struck) for c in vehicle.contacts if c.struck is not None]
+    return (
+        max(down, key=lambda d: severity(d.safe, d.reasons), default=None),
+        max(struck, key=lambda s: (s.t >= begun, s.above), default=None),
+    )
+
+
+def _touched(vehicle: SteeredFlight, landing: Landing, settings: Settings) -> JudgedLanding:
+    """One contact that was not meant, or a strike, makes a landing unsafe."""
+    begun = max((x.t for x in landing.diary.transitions if x.after is FlightState.COMMIT), default=-math.inf)
+    worst, strike = met(vehicle, settings, begun)
+    early = min((contact_seconds(c) for c in vehicle.contacts if c.struck is None), default=math.inf)
+    if strike is not None:
+        why = f"it struck what stands beside it, {strike.above:.1f} m above its feet"
+    elif landing.state is not FlightState.LANDED:
+        why = f"it touched the ground and was then in {landing.state.value}"
+    elif early < begun:
+        why = f"it touched the ground at {early:.1f} s, and its landing was begun at {begun:.1f} s"
+    elif worst is None or worst.safe:
         return JudgedLanding("landed safely", "every limit is kept", worst)
-    return JudgedLanding("landed unsafely", ", ".join(worst.reasons), worst)
+    else:
+        why = ", ".join(worst.reasons)
+    return JudgedLanding("landed unsafely", why, worst, strike)
 
 
 def _line(vehicle: SteeredFlight, contact: TrueContact, settings: Settings) -> TouchdownLine:
-    d = judge_contact(vehicle, contact, OracleLander.of(settings.lander.model_dump()))
+    lander, t = OracleLander.of(settings.lander.model_dump()), contact_seconds(contact)
+    d = judge_touchdown(vehicle.world, lander, contact.pose, contact.velocity_world, t)
     return TouchdownLine(
-        t=contact_seconds(contact), east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt,
-        roughness=d.roughness, sink=d.sink, drift=d.drift,
+        t=t, east=d.east, north=d.north, safe=d.safe, reasons=d.reasons, tilt=d.tilt, roughness=d.roughness,
+        sink=d.sink, drift=d.drift,
     )  # fmt: skip
+
+
+def _strike(contact: TrueContact, above: float) -> StrikeLine:
+    east, north, _ = (float(v) for v in contact.pose.translation)
+    return StrikeLine(t=contact_seconds(contact), east=east, north=north, above=above)
 
 
 def safe_share(vehicle: SteeredFlight, settings: Settings, start: tuple[float, float]) -> float:
     """Share of the searched square whose centres are safe with the margin, by the oracle."""
-    half, (east, north) = 0.5 * settings.executive.search_side, start
-    places = safe_places(
-        vehicle.world, (east - half, north - half, east + half, north + half),
-        OracleLander.of(settings.lander.model_dump()), step=STEP,
-    )  # fmt: skip
-    return float(np.mean(places.with_margin(settings.sites.margin)))
+    margin, (east, north) = settings.sites.margin, start
+    half = 0.5 * settings.executive.search_side
+    lander, share = OracleLander.of(settings.lander.model_dump()), 0.0
+    for step in STEPS:
+        rim = math.ceil(margin / step) * step  # the ground beyond the square is known as well
+        out = half + rim
+        places = safe_places(vehicle.world, (east - out, north - out, east + out, north + out), lander, step=step)
+        k, whole = round(rim / step), places.with_margin(margin)
+        share = float(np.mean(whole[k : whole.shape[0] - k, k : whole.shape[1] - k]))
+        if share > 0.0 or not places.safe.any():  # a margin of half a metre holds a centre of the coarse grid
+            break
+    return share

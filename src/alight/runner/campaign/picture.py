@@ -1,4 +1,4 @@
-"""The true ground round a touchdown, with all that stands on it then, as a picture."""
+"""The true ground round a contact, with all that stands on it then, as a picture."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from alight.records import Terrain
-from alight.records.campaign import TouchdownLine
+from alight.records.campaign import StrikeLine, TouchdownLine
 from alight.report.canvas import webp
 from alight.report.paint import TERRAIN_COLOURS, hillshade, rgb
 from alight_sim.oracle import TrueSurface
@@ -17,16 +17,16 @@ PIXELS = 480
 RING = ((20, 20, 20), 5), ((255, 255, 255), 2)  # colour and width, one over the other
 
 
-def ground_picture(world: World, touchdown: TouchdownLine, radius: float) -> bytes:
+def ground_picture(world: World, contact: TouchdownLine | StrikeLine, radius: float) -> bytes:
     """WebP, north up: classes by colour, shaded relief, the footprint as a ring.
 
     Args:
         world: with its bodies.
-        touchdown: where and when.
+        contact: where and when.
         radius: metres, of the footprint.
     """
-    half, e, n = AROUND * radius, touchdown.east, touchdown.north
-    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), touchdown.t)
+    half, e, n = AROUND * radius, contact.east, contact.north
+    surface = TrueSurface.of(world, (e - half, n - half, e + half, n + half), contact.t)
     height, label = surface.height[::-1].astype(np.float32), surface.label[::-1]
     colours = np.zeros((*label.shape, 3), np.float32)
     for terrain, text in TERRAIN_COLOURS.items():

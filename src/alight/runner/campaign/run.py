@@ -14,15 +14,18 @@ from alight import __version__
 from alight.documents import DocumentError, read_bytes
 from alight.outputs.atomic_write import write_whole
 from alight.records import InputError
-from alight.records.campaign import MOST_LANDINGS, CampaignHead, LandingRecord
+from alight.records.campaign import LARGEST_SEED, MOST_LANDINGS, CampaignHead, LandingRecord
 from alight.report.campaign import CampaignNumbers, campaign_numbers, render_campaign
 from alight.report.canvas import embedded
-from alight.runner.campaign.flying import FlyLanding, fly_conditions
+from alight.runner.campaign.flying import FlyLanding, checked_vehicle, fly_conditions
 from alight.runner.campaign.folder import HEAD, PAGE, CampaignFolder
+from alight.runner.campaign.identity import file_digests, sources_digest
 from alight.runner.campaign.plan import conditions_of, scenes_of
 from alight.runner.campaign.workers import fly_all
 from alight.runner.landing import fly_landing
+from alight.runner.replay import appearance_of
 from alight.settings import Settings, settings_of_run
+from alight_sim.campaign import campaign_worlds
 
 log = logging.getLogger(__name__)
 
@@ -52,10 +55,12 @@ class Campaign:
         """A campaign over scenes by name, files, or `all`.
 
         Raises:
-            InputError: no such scene, or too few or too many landings.
+            InputError: no such scene, too few or too many landings, or a seed that is too large.
         """
         if not 1 <= landings <= MOST_LANDINGS:
             raise InputError(f"a campaign of {landings} landings; give 1 to {MOST_LANDINGS}")
+        if not 0 <= seed <= LARGEST_SEED:
+            raise InputError(f"a campaign of seed {seed}; give 0 to {LARGEST_SEED}")
         return cls(scenes_of(scenes), landings, seed, settings)
 
     @property
@@ -63,8 +68,21 @@ class Campaign:
         """The head of campaign.json, which tells one campaign from another."""
         settings = self.settings.model_dump(mode="json")
         return CampaignHead(
-            alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings
-        )
+            alight=__version__, seed=self.seed, scenes=self.scenes, landings=self.landings, settings=settings,
+            sources=sources_digest(), files=file_digests(self.scenes, self.settings),
+        )  # fmt: skip
+
+    def check(self) -> None:
+        """See that landings can begin: one in each scene file, and one at least.
+
+        Raises:
+            InputError: they cannot; the scene, the lander or the model of appearance is named.
+        """
+        known = campaign_worlds()
+        appearance_of(self.settings)
+        for k, scene in enumerate(self.scenes):
+            if k == 0 or scene not in known:
+                checked_vehicle(conditions_of(self.scenes, self.seed, k), self.settings)
 
 
 def continued(out: Path, landings: int | None = None) -> Campaign:
@@ -110,13 +128,31 @@ def fly_campaign(
 
     Raises:
         OutputError: the folder is another campaign's, or cannot be written.
-        InputError: its lines are damaged, or no scheduler answers.
+        InputError: its lines are damaged, no scheduler answers, or landings cannot begin.
     """
     if beside is not None:
         numbers_in(beside)  # a wrong name is told before hours of work
-    folder = CampaignFolder(out)
-    folder.begin(campaign.head)
-    done = folder.read()
+    campaign.check()
+    head, folder = campaign.head, CampaignFolder(out)
+    folder.begin(head)
+    try:
+        return _go_on(campaign, head, folder, jobs, scheduler, beside, tell, fly)
+    finally:
+        folder.end()
+
+
+def _go_on(
+    campaign: Campaign,
+    head: CampaignHead,
+    folder: CampaignFolder,
+    jobs: int,
+    scheduler: str | None,
+    beside: Path | None,
+    tell: Callable[[Ended], None],
+    fly: FlyLanding,
+) -> CampaignNumbers:
+    """Fly what is open; the report is written however that ends."""
+    done = {k for k, r in folder.read().items() if not r.was_lost}
     open_ = [k for k in range(campaign.landings) if k not in done]
     job = partial(fly_conditions, settings=campaign.settings, fly=fly)
     begun, before = time.monotonic(), campaign.landings - len(open_)
@@ -126,10 +162,10 @@ def fly_campaign(
             folder.append(record, picture)
             each = (time.monotonic() - begun) / n
             tell(Ended(record, before + n, campaign.landings, each * (len(open_) - n)))
-    except KeyboardInterrupt:
-        _report(folder, campaign.head, beside)
+    except (KeyboardInterrupt, InputError):
+        _report(folder, head, beside)
         raise
-    return _report(folder, campaign.head, beside)
+    return _report(folder, head, beside)
 
 
 def _report(folder: CampaignFolder, head: CampaignHead, beside: Path | None) -> CampaignNumbers:
@@ -164,25 +200,31 @@ def numbers_in(out: Path) -> CampaignNumbers:
     return campaign_numbers(list(folder.read().values()))
 
 
-def again(
-    campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing
-) -> tuple[LandingRecord, list[str]]:
-    """Fly one landing once more, and say in what it differs from its line in the folder; nothing is written.
+class Again(NamedTuple):
+    """A landing that was flown again, beside its line."""
 
-    Returns:
-        the landing, and the names of the fields that differ: none where it is the same or has no line.
+    record: LandingRecord
+    differing: list[str]  # names of the fields that are not the same
+    not_compared: str | None  # why there was no line to compare with; None: there was
+
+
+def again(campaign: Campaign, out: Path, landing: int, fly: FlyLanding = fly_landing) -> Again:
+    """Fly one landing once more, and say in what it differs from its line in the folder; nothing is written.
 
     Raises:
         InputError: the folder's campaign is damaged; that is said before the flight.
     """
     folder = CampaignFolder(out)
-    there = folder.head()
-    old = folder.read().get(landing) if there is not None and there.differing(campaign.head) is None else None
+    there, why, old = folder.head(), "holds no campaign", None
+    if there is not None:
+        other = there.differing(campaign.head)
+        old = folder.read().get(landing) if other is None else None
+        why = f"holds a campaign with {other}" if other is not None else f"holds no line of landing {landing}"
     record = fly_conditions(conditions_of(campaign.scenes, campaign.seed, landing), campaign.settings, fly).record
     if old is None:
-        return record, []
+        return Again(record, [], f"{out}: {why}")
     one, two = record.repeatable(), old.repeatable()
-    return record, [name for name in one if one[name] != two[name]]
+    return Again(record, [name for name in one if one[name] != two[name]], None)
 
 
 def outcome_lines(numbers: CampaignNumbers) -> list[str]:

@@ -7,18 +7,20 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from typing import Any
 
 from alight import compiled
+from alight.records import InputError
 from alight.records.campaign import Conditions
 from alight.runner.campaign.flying import Flown, failed
-from alight.runner.dask_client import dask_client
+from alight.runner.dask_client import dask_workers
 
 Job = Callable[[Conditions], Flown]
 TRIES = 2  # of a landing whose process died
 
 
 class WorkerLostError(Exception):
-    """The process of a landing died."""
+    """The process of a landing died; `records.campaign.LOST` is its name."""
 
 
 def fly_all(conditions: Sequence[Conditions], job: Job, jobs: int, scheduler: str | None) -> Iterator[Flown]:
@@ -32,7 +34,8 @@ def fly_all(conditions: Sequence[Conditions], job: Job, jobs: int, scheduler: st
 
     Raises:
         MissingExtraError: Dask is not installed.
-        InputError: no scheduler answers there.
+        InputError: no scheduler answers there, its workers have another Alight or are lost time and again; or no
+            process starts on this machine, or a landing cannot begin.
     """
     if scheduler is not None:
         yield from _on_cluster(conditions, job, scheduler)
@@ -59,6 +62,7 @@ def _in_processes(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iter
                 continue
             died[landing] += 1
             if died[landing] >= TRIES:
+                _see_that_processes_start()
                 yield failed(left.pop(landing), WorkerLostError("the process that flew it died"))
 
 
@@ -86,13 +90,50 @@ def _pooled(conditions: Sequence[Conditions], job: Job, jobs: int) -> Iterator[t
             process.terminate()  # or an interrupted campaign waits for what it does not want any more
 
 
+def _see_that_processes_start() -> None:
+    """Tell a landing whose process died from a machine on which every process does.
+
+    Raises:
+        InputError: a process that has nothing to do dies, too.
+    """
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        try:
+            pool.submit(int).result()
+        except BrokenProcessPool as e:
+            raise InputError(
+                "the processes that fly landings die at their start; a Python script that asks for several jobs needs "
+                'its call below `if __name__ == "__main__":`'
+            ) from e
+
+
+def _alone(job: Job, conditions: Conditions) -> Flown:
+    """Fly a landing on a worker: on one thread, as a process of this machine does."""
+    _one_thread()
+    return job(conditions)
+
+
 def _on_cluster(conditions: Sequence[Conditions], job: Job, scheduler: str) -> Iterator[Flown]:
     """Dask flies a landing again, elsewhere, when its worker is lost."""
-    with dask_client(scheduler) as client:
+    with dask_workers(scheduler) as client:
         import distributed
+        from distributed.client import FutureCancelledError
 
-        flying = {client.submit(job, c, pure=False): c for c in conditions}
-        for future in distributed.as_completed(list(flying), loop=client.loop):
-            error = future.exception()
-            yield future.result() if error is None else failed(flying[future], WorkerLostError(str(error)))
+        def sent(c: Conditions) -> Any:
+            return client.submit(_alone, job, c, pure=False)
+
+        flying, tries = {sent(c): c for c in conditions}, Counter[int]()
+        ended = distributed.as_completed(list(flying), loop=client.loop)
+        for future in ended:
+            c = flying.pop(future)
+            try:
+                yield future.result()
+            except (distributed.KilledWorker, FutureCancelledError) as e:
+                tries[c.landing] += 1
+                if tries[c.landing] >= TRIES:
+                    raise InputError(
+                        f"landing {c.landing}: the workers that had it were lost {TRIES} times; see their logs"
+                    ) from e
+                again = sent(c)
+                flying[again] = c
+                ended.add(again)
             future.release()

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from alight import __version__, compiled
+from alight import compiled
 from alight.jobs import InTurn, Jobs, KeptHere, Sent, Task, resolved
 from alight.records import InputError
-from alight.runner.dask_client import WAIT, dask_client
+from alight.runner.dask_client import dask_workers
 
 log = logging.getLogger(__name__)
 
@@ -40,20 +40,8 @@ def cluster_jobs(scheduler: str | None) -> Iterator[Jobs]:
     if scheduler is None:
         yield InTurn()
         return
-    with dask_client(scheduler) as client:
-        try:
-            client.wait_for_workers(1, timeout=WAIT)
-        except TimeoutError as e:
-            raise InputError(f"--scheduler {scheduler}: has no worker; start one with 'dask worker {scheduler}'") from e
-        for worker, version in client.run(alight_version).items():
-            if version != __version__:
-                raise InputError(f"{worker}: has Alight {version}, this is {__version__}; install the same everywhere")
+    with dask_workers(scheduler) as client:
         yield ClusterJobs(client)
-
-
-def alight_version() -> str:
-    """Return the version of Alight where this runs: on a worker."""
-    return __version__
 
 
 class ClusterJobs:

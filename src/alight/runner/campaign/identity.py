@@ -1,0 +1,55 @@
+"""What the landings of a campaign depend on besides its seed and settings: the program, and the files that it reads."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import alight
+import alight_sim
+from alight.records import InputError
+from alight.settings import Settings
+from alight_sim.campaign import campaign_worlds
+from alight_sim.scene import built_in, read_scene
+
+DIGITS = 16
+PARTS = (".py", ".npz", ".yaml")  # of the program: code, fitted tables, built-in scenes
+
+
+@cache
+def sources_digest() -> str:
+    """Digest of the program, so that landings of two states of it are not mixed."""
+    digest = hashlib.sha256()
+    for package in (alight, alight_sim):
+        root = Path(package.__file__ or "").parent
+        for path in sorted(p for p in root.rglob("*") if p.suffix in PARTS):
+            digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()[:DIGITS]
+
+
+def file_digests(scenes: Sequence[str], settings: Settings) -> dict[str, str]:
+    """Digests of scene files with their rasters, and of the model of appearance, by name.
+
+    Raises:
+        InputError: one cannot be read.
+    """
+    files = [Path(s) for s in scenes if s not in campaign_worlds() and s not in built_in()]
+    named = [path for scene in files for path in (scene, *_paths(read_scene(scene).model_dump()))]
+    model = settings.terrain.model
+    if model is not None and model != "default" and settings.terrain.enabled:
+        named.append(Path(model))
+    try:
+        return {str(p): hashlib.sha256(p.read_bytes()).hexdigest()[:DIGITS] for p in named if p.is_file()}
+    except OSError as e:
+        raise InputError(f"{e.filename}: cannot be read ({e.strerror})") from e
+
+
+def _paths(tree: Any) -> Iterator[Path]:
+    """The paths in plain values."""
+    if isinstance(tree, Path):
+        yield tree
+    for part in tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list | tuple) else ():
+        yield from _paths(part)
