@@ -7,6 +7,7 @@ import os
 import pty
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -186,6 +187,87 @@ def test_reading_waits_no_longer_than_told() -> None:
     assert time.monotonic() - start < 1.0
     assert link.write(b"to nobody")
     link.close()
+
+
+def test_a_link_that_is_closed_under_its_reader_is_opened_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`select` says ValueError of a socket that another thread has closed, pyserial says TypeError of a port."""
+    from alight.autopilot import links
+
+    monkeypatch.setattr(links, "_AGAIN", 0.02)
+    link: Any = open_link(f"udp:{LOCAL}:0")
+    link._socket.close()
+    assert link.read(0.01) == []
+    assert link.broken
+    time.sleep(0.03)
+    assert link.read(0.01) == []
+    assert not link.broken
+
+    def gone(*_: Any) -> Any:
+        raise TypeError("an integer is required (got type NoneType)")
+
+    with monkeypatch.context() as m:
+        m.setattr(link, "_read", gone)
+        assert link.read(0.01) == []
+    time.sleep(0.03)
+    link.read(0.01)
+    with monkeypatch.context() as m:
+        m.setattr(link, "_write", gone)
+        assert not link.write(b"lost")
+    link.close()
+
+
+def test_only_the_reader_closes_and_opens(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A write that fails leaves the socket to the thread that may be waiting on it."""
+    from alight.autopilot import links
+
+    monkeypatch.setattr(links, "_AGAIN", 0.02)
+    link: Any = open_link(f"udp:{LOCAL}:0")
+    before = link._socket
+
+    def unplugged(data: bytes) -> None:
+        raise OSError("the device is gone")
+
+    with monkeypatch.context() as m:
+        m.setattr(link, "_write", unplugged)
+        assert not link.write(b"lost")
+    assert link.broken == "the device is gone"
+    assert before.fileno() >= 0
+    time.sleep(0.03)
+    assert not link.write(b"lost")
+    assert link._socket is before
+    link.read(0.01)
+    assert before.fileno() < 0
+    assert link.write(b"again")
+    link.close()
+
+
+def test_a_link_that_is_closed_and_written_by_others_never_raises(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One thread reads; the other breaks the link again and again, and closes it at the end."""
+    from alight.autopilot import links
+
+    monkeypatch.setattr(links, "_AGAIN", 0.0)
+    link: Any = open_link(f"udpout:{LOCAL}:9")
+    monkeypatch.setattr(link, "_write", lambda data: link._socket.sendto(data, None))  # TypeError
+    raised: list[BaseException] = []
+    over = threading.Event()
+
+    def listen() -> None:
+        try:
+            while not over.is_set():
+                link.read(0.005)
+        except BaseException as e:
+            raised.append(e)
+
+    reader = threading.Thread(target=listen)
+    reader.start()
+    end = time.monotonic() + 0.5
+    while time.monotonic() < end:
+        link.write(b"x")
+    link.close()
+    time.sleep(0.05)
+    over.set()
+    reader.join()
+    assert not raised
 
 
 def parameters(binary: Path, folder: Path) -> str:

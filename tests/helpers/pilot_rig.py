@@ -22,6 +22,7 @@ LATE = 0.15  # s from an exposure to its motion
 VERDICT = 0.4  # s from an exposure to its verdict
 HARMLESS = {"HEARTBEAT", "TIMESYNC"}
 SET_MESSAGE_INTERVAL = 511
+LATER = 1_000  # ns from what is heard to the tick that decides by it: no heartbeat is of this very instant
 
 See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
 
@@ -50,15 +51,18 @@ class PilotRig(Rig):
             put(data, t)
 
         self.up.put = listen  # type: ignore[method-assign]
+        tick, self._passed = self.ours.tick, 0
+        self.ours.tick = lambda now_ns: tick(now_ns + LATER)  # type: ignore[method-assign]
         self.each_step = self._fly
+        self.ticks = True  # False: somebody else ticks the pilot
 
-    def begin(self, hand: OrderTaker | None = None) -> None:
+    def begin(self, hand: OrderTaker | None = None, flying: bool = False) -> None:
         """The landing begins."""
         self.pilot = LandingPilot(self.settings, LOCAL, self.vehicle, hand or self.vehicle, self._judge, self)
         self._expose()
         self.run(1.0)
         self._begun = self.t
-        self.pilot.begin(self.now_ns)
+        self.pilot.begin(self.now_ns, flying)
 
     def fly(self, until: FlightState, seconds: float = 400.0) -> bool:
         """Until the executive is in a state."""
@@ -95,10 +99,11 @@ class PilotRig(Rig):
             do()
         if round(self.t / self.dt) % 4 == 0:
             self._expose()
-        if self._begun:
-            for notice in self.heard[-5:]:
-                self.pilot.noticed(notice)
-            self.view = self.pilot.tick(self.now_ns)
+        for notice in self.heard[self._passed :]:
+            self.pilot.noticed(notice)
+        self._passed = len(self.heard)
+        if self._begun and self.ticks:
+            self.view = self.pilot.tick(self.now_ns + LATER)
 
     def _expose(self) -> None:
         """An exposure now, with its motion a little later."""

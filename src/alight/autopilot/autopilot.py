@@ -106,6 +106,19 @@ class Autopilot:
         if self.vehicle is not None:
             self.vehicle.tick(self._now_ns)
 
+    def look(self, now_ns: int) -> bool:
+        """Look whether ticks still come, from a thread that gives orders while another one listens and ticks.
+
+        Args:
+            now_ns: of the clock that ticks.
+
+        Returns:
+            False: they have stopped for more than a second, and over several looks. The vehicle counts as lost, and no
+            order may be sent: what the vehicle does and who flies it is not heard.
+        """
+        self._now_ns = max(now_ns, self._now_ns)
+        return self.vehicle is None or self.vehicle.look(self._now_ns)
+
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take bytes as they came, in pieces of any length; nothing in them can raise."""
         self._now_ns = max(now_ns, self._now_ns)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 from alight.autopilot.firmware import Firmware
 from alight.records import FlightMode
 
 _REMEMBERED_NS = 6_000_000_000  # how long after our request a change of mode counts as its effect
+_UNDER_WAY_NS = 400_000_000  # after a request, a heartbeat may have left before it came, and copies may still be coming
 _MOVED = 150  # microseconds of a stick's 1000, from where it was when we took over
 
 
@@ -25,7 +28,7 @@ class ControlWatch:
         return "" if self._mode is None else self._mode[1]
 
     def ordered(self, mode: FlightMode, t_ns: int) -> None:
-        """Take control and note that a mode was asked for: a change to it within six seconds is ours."""
+        """Take control and note that a mode was asked for: a change to it within six seconds is ours, once."""
         if not self.in_control:
             self._neutral = None
         self.in_control = True
@@ -41,16 +44,39 @@ class ControlWatch:
         self.released()
         self._mode = self._neutral = None
 
-    def mode(self, mode: FlightMode, name: str, t_ns: int) -> str | None:
-        """Take a heartbeat's mode; return in words how it shows that somebody else has taken over, or None."""
+    def mode(
+        self, mode: FlightMode, name: str, t_ns: int, unanswered: Set[FlightMode] = frozenset(), on_ground: bool = False
+    ) -> str | None:
+        """Take a heartbeat's mode.
+
+        Args:
+            mode: of the heartbeat.
+            name: the autopilot's word for it.
+            t_ns: now.
+            unanswered: modes whose orders are still being sent; each try may bring the mode again.
+            on_ground: the vehicle stands.
+
+        Returns:
+            How it shows that somebody else has taken over, in words; None: it does not.
+        """
         before, self._mode = self._mode, (mode, name)
-        if before is None or before == self._mode or not self.in_control:
+        if before is None or not self.in_control:
             return None
-        if t_ns - self._asked.get(mode, -_REMEMBERED_NS) < _REMEMBERED_NS:
-            return None
-        if (before[0], mode) in self._firmware.natural:
+        ours = self._is_ours(mode, t_ns) or mode in unanswered
+        change = before[0], mode
+        natural = change in self._firmware.natural and (on_ground or change not in self._firmware.natural_on_ground)
+        if before == self._mode or ours or natural:
             return None
         return f"the mode went from {before[1]} to {name}, which we did not ask for"
+
+    def _is_ours(self, mode: FlightMode, t_ns: int) -> bool:
+        """Whether we have asked for this mode; once it is seen, that and all that was asked before it is used up."""
+        asked_ns = self._asked.get(mode, -_REMEMBERED_NS)
+        if t_ns - asked_ns >= _REMEMBERED_NS:
+            return False
+        if t_ns - asked_ns >= _UNDER_WAY_NS:
+            self._asked = {m: t for m, t in self._asked.items() if t > asked_ns}
+        return True
 
     def sticks(self, positions: tuple[int, ...]) -> str | None:
         """Take the positions of the sticks.

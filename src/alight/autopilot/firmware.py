@@ -44,6 +44,7 @@ class Firmware(Protocol):
     repeats_setpoints: bool  # whether a set-point must be sent again and again
     position_gain: float | None  # 1/s, speed per metre to a set-point; None: it takes speeds as commands
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
+    natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are somebody's switch
     home_items: int  # items of its missions that are not ours
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
@@ -79,6 +80,7 @@ class ArduPilotFirmware:
     repeats_setpoints = False
     position_gain: float | None = None
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
+    natural_on_ground = natural
     home_items = 1
     _names = tuple(_COPTER.split())
     _meanings: Mapping[str, FlightMode] = {
@@ -142,6 +144,7 @@ class Px4Firmware:
             (FlightMode.LAND, FlightMode.HOLD),
         }
     )
+    natural_on_ground = frozenset({(FlightMode.LAND, FlightMode.HOLD)})
     home_items = 0
     _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")

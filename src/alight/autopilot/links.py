@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import select
 import socket
+import threading
 import time
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -17,6 +18,7 @@ log = logging.getLogger(__name__)
 _CHUNK = 65_535
 _AGAIN = 1.0  # s between attempts to open a broken link
 _PEER = 10.0  # s for which a sender of datagrams is answered
+_BROKEN = (OSError, ValueError, TypeError)  # the last two: of a socket or a port that another thread has just closed
 NAMES = (
     "udp:HOST:PORT (listen, as a companion of a ground station), udpout:HOST:PORT (send to), tcp:HOST:PORT, "
     "serial:DEVICE:BAUD"
@@ -24,16 +26,21 @@ NAMES = (
 
 
 class Link(ABC):
-    """Bytes in and out. A link that breaks is opened again by itself; `broken` says why it is not open now."""
+    """Bytes in and out. A link that breaks is opened again by itself; `broken` says why it is not open now.
+
+    One thread reads, and it alone opens again what broke: nobody closes a socket that it waits on, but `close` at the
+    end. Any thread may write.
+    """
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.broken = ""  # why nothing goes through now
         self._again, self._closed = 0.0, False
+        self._lock = threading.Lock()  # of what is open, against its being closed or exchanged; not held for reading
 
     @abstractmethod
     def _open(self) -> None:
-        """Open; raises OSError."""
+        """Open; raises OSError. The lock is held."""
 
     @abstractmethod
     def _read(self, timeout: float) -> list[bytes]:
@@ -41,11 +48,11 @@ class Link(ABC):
 
     @abstractmethod
     def _write(self, data: bytes) -> None:
-        """Send without waiting; raises OSError."""
+        """Send without waiting; raises OSError. The lock is held."""
 
     @abstractmethod
     def _shut(self) -> None:
-        """Let go of what is open."""
+        """Let go of what is open, if anything is. The lock is held."""
 
     def open(self, patient: bool = False) -> None:
         """Open it for the first time; raises OSError. Patient: what refuses is waited for, as if it had broken off."""
@@ -63,49 +70,56 @@ class Link(ABC):
             return []
         try:
             return self._read(timeout)
-        except OSError as e:
+        except _BROKEN as e:
             self._break(e)
+            self._let_go()
             return []
 
     def write(self, data: bytes) -> bool:
         """Send; False: the link is broken or full, and the bytes are lost (the protocol sends again)."""
-        if self.broken and not self._reopened():
+        if self.broken:  # not waited for: to open it again may take a second
             return False
-        try:
-            self._write(data)
-        except BlockingIOError:
-            return False
-        except OSError as e:
-            self._break(e)
-            return False
+        with self._lock:
+            try:
+                self._write(data)
+            except BlockingIOError:
+                return False
+            except _BROKEN as e:
+                self._break(e)
+                return False
         return True
 
     def close(self) -> None:
         """Close the socket or the port for good."""
         self._closed = True
-        with suppress(OSError):
+        self._let_go()
+
+    def _let_go(self) -> None:
+        with self._lock, suppress(*_BROKEN):
             self._shut()
 
-    def _break(self, error: OSError) -> None:
+    def _break(self, error: Exception) -> None:
         if not self.broken and not self._closed:
             log.warning("%s: %s; trying again", self.name, error)
         self._wait(error)
-        with suppress(OSError):
-            self._shut()
 
-    def _wait(self, error: OSError) -> None:
+    def _wait(self, error: Exception) -> None:
         """Note why it is not open, and when to try again."""
         self.broken = str(error) or type(error).__name__
         self._again = time.monotonic() + _AGAIN
 
     def _reopened(self) -> bool:
-        if self._closed or time.monotonic() < self._again:
+        self._let_go()  # at once: a device that is still held comes back under another name
+        if time.monotonic() < self._again:
             return False
-        try:
-            self._open()
-        except OSError as e:
-            self._break(e)
-            return False
+        with self._lock:
+            if self._closed:
+                return False
+            try:
+                self._open()
+            except OSError as e:
+                self._break(e)
+                return False
         log.warning("%s: open again", self.name)
         self.broken = ""
         return True
@@ -144,7 +158,8 @@ class UdpLink(Link):
             while True:
                 data, sender = self._socket.recvfrom(_CHUNK)
                 if self._listen or sender == self._address:
-                    self._peers[sender] = time.monotonic()
+                    with self._lock:
+                        self._peers[sender] = time.monotonic()
                     out.append(data)
         return out
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from alight.autopilot.mission_item import MissionItem
+from alight.autopilot.part_removal import ACCEPTED, PartRemoval
 from alight.autopilot.pymavlink_dialect import message
 
 _AGAIN_NS = 1_000_000_000  # without a request, until the last message is sent again
 _TRIES = 8  # of one message
 _STARTS = 10  # of the whole transfer, longer than ArduPilot waits for an item: until then it refuses a deletion
-_ACCEPTED, _OUT_OF_TURN = 0, 13  # MAV_MISSION_RESULT
-_INTERRUPTED = {1, 15}  # ERROR and OPERATION_CANCELLED: what a copy of an item or a transfer that timed out brings
+_OUT_OF_TURN, _CANCELLED = 13, 15  # MAV_MISSION_RESULT
+_INTERRUPTED = {1, _CANCELLED}  # 1 is ERROR: what a copy of an item or a transfer that timed out brings
 REFUSALS = {
     1: "it reports an error",
     2: "the frame of an item is not supported",
@@ -36,40 +37,45 @@ class TransferResult:
     ok: bool
     text: str
     items: int
-    begun: bool = False  # items were asked for: an autopilot that stores them as they come may hold a part
+    late: bool = False  # nobody waits for it: the rest of an upload whose failure was told before
 
 
 class MissionTransfer:
-    """One upload (or, without items, one deletion) at a time."""
+    """One upload (or, without items, one deletion) at a time.
+
+    After an upload that has failed, the part that the autopilot may hold is deleted; its result follows then.
+    """
 
     def __init__(self, send: Callable[[Any], None]) -> None:
         self._send = send
         self._items: tuple[MissionItem, ...] = ()
         self.target = (0, 0)
         self.active = False
+        self.torn = False  # the newest upload failed: what the autopilot holds is no whole mission
+        self._removal = PartRemoval(self._clear)
         self._last: Callable[[], None] = self._announce
-        self._asked: set[int] = set()
+        self._asked: set[int] = set()  # since the newest announcement
+        self._begun, self._most = False, 0  # since `start`: it takes items, and has asked for so many
         self._interrupted: int | None = None  # a result after which the transfer may or may not go on
         self._deadline_ns = self._tries = self._starts = 0
 
+    @property
+    def holds_part(self) -> bool:
+        """Whether the autopilot may hold a part of a mission, until a deletion or a whole mission is confirmed."""
+        return self._removal.pending or (self.active and self._begun)
+
     def start(self, items: tuple[MissionItem, ...], t_ns: int) -> None:
         """Begin to upload the items; a transfer that is under way is given up."""
+        if self.active and self._begun:
+            self._removal.pending = True  # of the one that is given up
         self._items, self.active, self._starts = items, True, 1
+        self._begun, self._most = False, 0
         self._begin(t_ns)
 
     def rebooted(self, t_ns: int) -> None:
         """Begin a transfer that is under way anew: the vehicle has forgotten it."""
         if self.active:
             self._begin(t_ns)
-
-    def delete_part(self) -> None:
-        """Delete what a failed upload may have left; nobody waits for the answer."""
-        system, component = self.target
-        self._send(message("MISSION_CLEAR_ALL", target_system=system, target_component=component, mission_type=0))
-
-    def stop(self) -> None:
-        """Give up the transfer that is under way, without a result."""
-        self.active = False
 
     def request(self, sequence: int, t_ns: int) -> None:
         """MISSION_REQUEST or MISSION_REQUEST_INT: send that item, however often it is asked for."""
@@ -78,6 +84,7 @@ class MissionTransfer:
         if sequence not in self._asked:
             self._tries, self._interrupted = 0, None
         self._asked.add(sequence)
+        self._begun, self._most = True, max(self._most, len(self._asked))
         self._last = lambda: self._send(self._items[sequence].message(sequence, *self.target))
         self._transmit(t_ns)
 
@@ -91,20 +98,34 @@ class MissionTransfer:
         Returns:
             The end of the transfer; None: it goes on, and what was lost is sent again.
         """
-        if not self.active or result == _OUT_OF_TURN:  # an item came twice; the request for the next will come
+        if not self.active:
+            told = self._removal.acknowledge(result)
+            return None if told is None else TransferResult(told[0], told[1], 0, late=told[0])
+        if result == _OUT_OF_TURN:  # an item came twice; the request for the next will come
             return None
-        if result == _ACCEPTED:
+        if result == ACCEPTED:
             if self._items and len(self._asked) < len(self._items):
                 return None  # of an earlier transfer
-            return self._end(True, f"mission of {len(self._items)} items accepted")
+            self.active = self.torn = False
+            self._removal.done()
+            return TransferResult(True, f"mission of {len(self._items)} items accepted", len(self._items))
         if result in _INTERRUPTED:  # its acceptance or its next request may still be on the way
             self._interrupted = result
+            self._begun |= bool(self._items) and result == _CANCELLED  # it had begun to take them
             return None
-        return self._refused(result)
+        return self._refused(result, t_ns)
 
-    def tick(self, t_ns: int) -> TransferResult | None:
-        """Send again what was not answered in time; return the end of a transfer that nobody answers, else None."""
-        if not self.active or t_ns < self._deadline_ns:
+    def tick(self, t_ns: int, flown: bool = False) -> TransferResult | None:
+        """Send again what was not answered in time; return the end of a transfer that nobody answers, else None.
+
+        Args:
+            t_ns: now.
+            flown: the autopilot flies a mission.
+        """
+        if not self.active:
+            told = self._removal.tick(t_ns, flown)
+            return TransferResult(False, told, 0) if told else None
+        if t_ns < self._deadline_ns:
             return None
         if self._interrupted is None and self._tries < _TRIES:
             self._transmit(t_ns)
@@ -114,12 +135,20 @@ class MissionTransfer:
             self._begin(t_ns)
             return None
         if self._interrupted is not None:
-            return self._refused(self._interrupted)
-        return self._end(False, f"mission not accepted: no answer after {len(self._asked)} of {len(self._items)} items")
+            return self._refused(self._interrupted, t_ns)
+        return self._fail(f"mission not accepted: no answer after {self._most} of {len(self._items)} items", t_ns)
 
-    def _refused(self, result: int) -> TransferResult:
+    def _refused(self, result: int, t_ns: int) -> TransferResult | None:
         where = f" (after item {max(self._asked)})" if self._asked else ""
-        return self._end(False, f"mission refused: {REFUSALS.get(result, f'result {result}')}{where}")
+        return self._fail(f"mission refused: {REFUSALS.get(result, f'result {result}')}{where}", t_ns)
+
+    def _fail(self, text: str, t_ns: int) -> TransferResult | None:
+        """End it; where a part may be left, this one's or an older one's, the result waits for its deletion."""
+        self.active, self.torn = False, True
+        if not (self._begun or self._removal.pending):
+            return TransferResult(False, text, len(self._items))
+        self._removal.begin(text, t_ns)
+        return None
 
     def _begin(self, t_ns: int) -> None:
         self._asked, self._tries, self._last, self._interrupted = set(), 0, self._announce, None
@@ -138,8 +167,8 @@ class MissionTransfer:
                         mission_type=0)
             )  # fmt: skip
         else:
-            self.delete_part()
+            self._clear()
 
-    def _end(self, ok: bool, text: str) -> TransferResult:
-        self.active = False
-        return TransferResult(ok, text, len(self._items), bool(self._asked))
+    def _clear(self) -> None:
+        system, component = self.target
+        self._send(message("MISSION_CLEAR_ALL", target_system=system, target_component=component, mission_type=0))

@@ -12,6 +12,7 @@ from alight.autopilot.commands import CommandAnswer, CommandQueue
 from alight.autopilot.control import ControlWatch
 from alight.autopilot.firmware import Firmware
 from alight.autopilot.framing import Heard
+from alight.autopilot.link_watch import LinkWatch
 from alight.autopilot.mission_item import DO_CHANGE_SPEED, MissionItem, SpeedKind
 from alight.autopilot.mission_transfer import MissionTransfer, TransferResult
 from alight.autopilot.pymavlink_dialect import message
@@ -29,8 +30,6 @@ _SETPOINT_NS, _TIMESYNC_NS, _FIRST_TIMESYNC_NS = 200_000_000, 200_000_000, 100_0
 _FIRST_TIMESYNCS = 10
 _BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
 _HELICOPTER = 4  # MAV_TYPE
-_LINK_NS = 3_500_000_000  # without a heartbeat
-_LINK_PACE_NS = 1_900_000_000  # and of the autopilot's own time, in which a slow simulation sends one a second
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
 _BROADCAST = 0
 
@@ -62,13 +61,13 @@ class RemoteVehicle:
         self._commands.target = self._transfer.target = (system, AUTOPILOT)
         wanted = {name: rate for name, rate in {**firmware.rates, **rates}.items() if rate > 0}
         self._streams, self._speeds = StreamKeeper(wanted, self._commands), SpeedKeeper(self._commands)
-        self._texts = TextJoiner()
+        self._texts, self._link = TextJoiner(), LinkWatch()
+        self._ordered: dict[int, FlightMode] = {}  # by the newest command of each kind
         self._target: Target | None = None
+        self._ahead: Target | None = None  # on the way to it, as it was sent last
         self._target_ns = self._timesync_ns = self._now_ns = 0
-        self._timesyncs = self._uploads = self._heartbeat_pace_ns = 0
+        self._timesyncs = self._uploads = 0
         self._aiming_ns = 0  # since when set-points have been sent without a pause
-        self._torn = False  # the newest upload failed: what the autopilot holds is no whole mission
-        self.alive = True  # its heartbeat is heard
         self.starts = 1  # counted up by each reboot
         self._handshakes: dict[str, Callable[[Any], None]] = {
             "COMMAND_ACK": self._command_ack,
@@ -88,6 +87,11 @@ class RemoteVehicle:
         return self._state.telemetry(self._now_ns)
 
     @property
+    def alive(self) -> bool:
+        """Whether its heartbeat is heard, and somebody listens for it."""
+        return self._link.alive
+
+    @property
     def in_control(self) -> bool:
         """True from our first order to a takeover: we fly."""
         return self._control.in_control
@@ -96,6 +100,11 @@ class RemoteVehicle:
     def patience_ns(self) -> int:
         """The time that time-outs are counted in, ns: the autopilot's own, or ours while it is silent."""
         return self._pace.t_ns
+
+    @property
+    def holds_part(self) -> bool:
+        """Whether the autopilot may hold a part of a mission, until it has confirmed a whole one or its deletion."""
+        return self._transfer.holds_part
 
     def place_at(self, t_ns: int) -> Place | None:
         """Return where the autopilot believed to be.
@@ -136,7 +145,7 @@ class RemoteVehicle:
             self._target = None
         elif self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED and now.place is not None:
             self._aim(hold_at(now.place))  # the mode is refused without a set-point, and an old one must not be flown
-        self._control.ordered(mode, self._pace.t_ns)
+        self._take_control(_DO_SET_MODE, mode)
         wait_ns = 0
         if mode is FlightMode.GUIDED and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED:
             wait_ns = max(_BEFORE_GUIDED_NS - (self._now_ns - self._aiming_ns), 0)
@@ -153,7 +162,7 @@ class RemoteVehicle:
 
     def take_off(self, height: float) -> int:
         """Climb to a height in metres above the home (ArduPilot: in guided mode)."""
-        self._control.ordered(FlightMode.TAKE_OFF, self._pace.t_ns)
+        self._take_control(_TAKEOFF, FlightMode.TAKE_OFF)
         self._speeds.forget()
         self._target = None
         parameters = self.firmware.take_off_parameters(height, self.telemetry)
@@ -179,11 +188,11 @@ class RemoteVehicle:
 
     def start_mission(self) -> int:
         """Fly the mission; the command changes the mode by itself. One that did not arrive whole is not started."""
-        if self._torn or self._transfer.active:
+        if self._transfer.torn or self._transfer.active:
             ticket, why = self._commands.ticket(), "is under way" if self._transfer.active else "did not arrive whole"
             self._note(NoticeKind.COMMAND, f"start of the mission: not sent, the upload {why}", False, ticket=ticket)
             return ticket
-        self._control.ordered(FlightMode.MISSION, self._pace.t_ns)
+        self._take_control(_MISSION_START, FlightMode.MISSION)
         self._target = None
         return self._commands.submit("start of the mission", _MISSION_START, (0.0, 0.0), self._pace.t_ns)
 
@@ -218,15 +227,27 @@ class RemoteVehicle:
         self._send(sent)
         return True
 
+    def _take_control(self, number: int, mode: FlightMode) -> None:
+        self._control.ordered(mode, self._pace.t_ns)
+        self._ordered[number] = mode
+
     def _aim(self, target: Target) -> None:
         if self._target is None:
-            self._aiming_ns = self._now_ns
+            self._aiming_ns, self._ahead = self._now_ns, None
         self._target, self._target_ns = target, self._now_ns
-        gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
-        now = target if gain is None or here is None else target.ahead(here, gain)
-        self._send(now.message(self._now_ns, self.system, AUTOPILOT))
-        if gain is None and self._state.mode is FlightMode.GUIDED:
+        self._ahead = self._next_ahead(target)
+        self._send(self._ahead.message(self._now_ns, self.system, AUTOPILOT))
+        if self.firmware.position_gain is None and self._state.mode is FlightMode.GUIDED:
             self._speeds.keep(target.speed, target.sink, self._pace.t_ns)
+
+    def _next_ahead(self, target: Target) -> Target:
+        """The set-point of now; while the place is not known the last one again, as the whole way is flown too fast."""
+        gain, here = self.firmware.position_gain, self.place_at(self._now_ns) or self._state.place
+        if gain is None or target.place is None:
+            return target
+        if here is not None:
+            return target.ahead(here, gain)
+        return target if self._ahead is None or self._ahead.place is None else self._ahead
 
     # time
 
@@ -234,25 +255,28 @@ class RemoteVehicle:
         """Let time pass: requests, retries, set-points."""
         self._now_ns = now_ns
         self._pace.tick(now_ns)
-        self._watch_link()
+        self._lost(self._link.tick(now_ns, self._pace.t_ns))
         self._said(self._texts.overdue(now_ns))
         if not self.alive:
             return
         self._ask_time()
         self._streams.tick(self._pace.t_ns)
-        self._uploaded(self._transfer.tick(self._pace.t_ns))
+        self._uploaded(self._transfer.tick(self._pace.t_ns, self._state.mode is FlightMode.MISSION))
         for answer in self._commands.tick(self._pace.t_ns):
             self._answered(answer)
         repeats = self._target is not None and self.firmware.repeats_setpoints
         if repeats and now_ns - self._target_ns >= _SETPOINT_NS and self._target is not None:
             self._aim(self._target)
 
-    def _watch_link(self) -> None:
-        heard = self._state.heard_ns("HEARTBEAT")
-        late = heard is not None and self._now_ns - heard > _LINK_NS
-        if self.alive and late and self._pace.t_ns - self._heartbeat_pace_ns > _LINK_PACE_NS:
-            self.alive = False
-            self._note(NoticeKind.LINK_LOST, "no heartbeat of the vehicle any more", ok=False)
+    def look(self, now_ns: int) -> bool:
+        """As `Autopilot.look`."""
+        self._now_ns = max(now_ns, self._now_ns)  # what was heard grows old
+        self._lost(self._link.look(now_ns))
+        return not self._link.is_deaf(now_ns)
+
+    def _lost(self, why: str) -> None:
+        if why:
+            self._note(NoticeKind.LINK_LOST, why, ok=False)
 
     def _ask_time(self) -> None:
         period = _TIMESYNC_NS if self._timesyncs >= _FIRST_TIMESYNCS else _FIRST_TIMESYNC_NS
@@ -264,7 +288,7 @@ class RemoteVehicle:
     # hearing
 
     def hear(self, heard: Heard, now_ns: int) -> bool:
-        """Take a message of the vehicle; False: it is no telemetry, or was overtaken by a newer one."""
+        """Take a message of the vehicle; False: it is no telemetry, not believed, or overtaken by a newer one."""
         self._now_ns = max(now_ns, self._now_ns)
         m, name = heard.message, heard.name
         handshake = self._handshakes.get(name)
@@ -276,24 +300,24 @@ class RemoteVehicle:
         if boot_ns is not None and not heard.overtaken:
             self._keep_pace(boot_ns)
         self._streams.hear(name, self._pace.t_ns)
-        self._state.hear(name, m, self._now_ns)
+        believed = self._state.hear(name, m, self._now_ns)
         if name == "HEARTBEAT":
             self._heartbeat()
         elif name == "RC_CHANNELS" and self._state.sticks is not None:
             self._watch(self._control.sticks(self._state.sticks))
-        return True
+        return believed
 
     def _keep_pace(self, boot_ns: int) -> None:
         if self._pace.heard(boot_ns, self._now_ns):
             self._rebooted()
 
     def _heartbeat(self) -> None:
-        self._heartbeat_pace_ns = self._pace.t_ns
-        if not self.alive:
-            self.alive = True
+        if self._link.hear(self._now_ns, self._pace.t_ns):
             self._note(NoticeKind.LINK_BACK, "the vehicle is heard again")
         now, before = self._state.telemetry(self._now_ns), self._control.mode_name
-        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns)
+        unanswered = {mode for number, mode in self._ordered.items() if self._commands.waiting(number)}
+        on_ground = self._state.is_on_ground(self._now_ns)
+        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns, unanswered, on_ground)
         self._watch(reason)
         if before != now.mode_name:
             self._speeds.forget()
@@ -341,13 +365,9 @@ class RemoteVehicle:
             self._uploaded(self._transfer.acknowledge(m.type, self._pace.t_ns))
 
     def _uploaded(self, result: TransferResult | None) -> None:
-        if result is None:
-            return
-        self._torn, text = not result.ok, result.text
-        if self._torn and result.begun:  # ArduPilot stores items as they come, over those that it had
-            self._transfer.delete_part()
-            text += "; the part that it may hold is deleted"
-        self._note(NoticeKind.UPLOAD, text, result.ok, ticket=self._uploads)
+        if result is not None:
+            ticket = None if result.late else self._uploads
+            self._note(NoticeKind.UPLOAD, result.text, result.ok, ticket=ticket)
 
     def _timesync(self, m: Any) -> None:
         if m.tc1 == 0:  # a question; its stamp comes back with ours

@@ -11,6 +11,7 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import border
 from alight.autopilot.clock import VehicleClock
+from alight.autopilot.place_watch import report_of
 from alight.autopilot.vehicle_state import gps_quality
 from alight.geometry import LocalFrame, slerp, so3_exp
 from alight.records import FIX_3D, GpsQuality, ImuSample, NavSample, is_absolute
@@ -168,11 +169,10 @@ class TelemetryEvents:
         )
 
     def _position(self, m: Any) -> F64 | None:
-        separation = self._separation
-        off_earth = abs(m.lat) > 90e7 or abs(m.lon) > 180e7
-        if self.missing or separation is None or off_earth:
+        separation, report = self._separation, report_of(m)
+        if self.missing or separation is None or report is None:
             return None
-        at = (m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3 + separation)
+        at = (report.place.latitude, report.place.longitude, report.place.altitude_msl + separation)
         if self.local is None:
             self.local = LocalFrame(*at)
         return self.local.to_enu(*at)

@@ -12,13 +12,14 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import border
 from alight.autopilot.firmware import Firmware
+from alight.autopilot.place_watch import PlaceReport, PlaceWatch, place_of, report_of
 from alight.records import PRE_ARM, Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
 
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+_LANDED_NS = 2_000_000_000  # for which a report that it has landed holds
 _NAN = float("nan")
 _REMEMBERED = 300  # positions, to find the one of an instant
 _EXTRAPOLATED_NS = 400_000_000
-_DEGREES_PER_METRE = 1 / 111_132.0  # of latitude
 
 
 def boot_time_ns(message: Any) -> int | None:
@@ -50,7 +51,8 @@ class VehicleState:
         self.firmware = firmware
         self._now = Telemetry(firmware.name)
         self._heard: dict[str, int] = {}
-        self._places: deque[tuple[int, Place, F64]] = deque(maxlen=_REMEMBERED)  # autopilot's clock, place, NED m/s
+        self._places: deque[PlaceReport] = deque(maxlen=_REMEMBERED)
+        self._watch = PlaceWatch()
         self.sticks: tuple[int, ...] | None = None
 
     def telemetry(self, now_ns: int) -> Telemetry:
@@ -64,28 +66,34 @@ class VehicleState:
 
     @property
     def place(self) -> Place | None:
-        """The newest, of whatever age; None: none yet."""
+        """The newest, of whatever age; None: none yet, or it has jumped and is not known."""
         return self._now.place
 
     def heard_ns(self, name: str) -> int | None:
         """The instant of our clock at which a message was last heard; None: never."""
         return self._heard.get(name)
 
+    def is_on_ground(self, now_ns: int) -> bool:
+        """Whether it stands: disarmed, or by its own word of late."""
+        said_ns = self._heard.get("EXTENDED_SYS_STATE")
+        says_so = self._now.landed is Landed.GROUND and said_ns is not None and now_ns - said_ns < _LANDED_NS
+        return says_so or not self._now.armed
+
     def rebooted(self) -> None:
         """Forget everything but the mode; the vehicle counts as disarmed."""
         self._now = replace(Telemetry(self.firmware.name), armed=False, mode=self._now.mode)
         self._places.clear()
+        self._watch = PlaceWatch()
         self.sticks = None
 
-    def hear(self, name: str, m: Any, now_ns: int) -> None:
-        """Take a message of the vehicle that came at `now_ns` of our clock."""
+    def hear(self, name: str, m: Any, now_ns: int) -> bool:
+        """Take a message of the vehicle that came at `now_ns` of our clock; False: it is not believed."""
         self._heard[name] = now_ns
         boot_ns = boot_time_ns(m)
         if boot_ns is not None:
             self._now = replace(self._now, boot_ns=max(boot_ns, self._now.boot_ns))
         take = getattr(self, f"_{name.lower()}", None)
-        if take is not None:
-            take(m)
+        return take is None or take(m) is not False
 
     def place_at(self, boot_ns: int) -> Place | None:
         """Return where the autopilot believed to be, carried on from the nearest report by its velocity.
@@ -94,20 +102,13 @@ class VehicleState:
             boot_ns: instant of the autopilot's clock.
 
         Returns:
-            Degrees, and metres above sea level and above the home; None: too far from every report.
+            Degrees, and metres above sea level and above the home; None: too far from every report, or its reports
+            have jumped.
         """
-        if not self._places:
+        if not self._places or self._watch.doubts:
             return None
-        t, place, velocity = min(self._places, key=lambda entry: abs(entry[0] - boot_ns))
-        if abs(boot_ns - t) > _EXTRAPOLATED_NS:
-            return None
-        north, east, down = velocity * ((boot_ns - t) * 1e-9)
-        return Place(
-            place.latitude + north * _DEGREES_PER_METRE,
-            place.longitude + east * _DEGREES_PER_METRE / max(math.cos(math.radians(place.latitude)), 1e-6),
-            place.altitude_msl - down,
-            place.above_home - down,
-        )
+        nearest = min(self._places, key=lambda report: abs(report.boot_ns - boot_ns))
+        return nearest.at(boot_ns) if abs(boot_ns - nearest.boot_ns) <= _EXTRAPOLATED_NS else None
 
     def _heartbeat(self, m: Any) -> None:
         mode, name = self.firmware.mode(m.custom_mode)
@@ -117,11 +118,19 @@ class VehicleState:
         known = m.landed_state in {state.value for state in Landed}
         self._now = replace(self._now, landed=Landed(m.landed_state) if known else Landed.UNKNOWN)
 
-    def _global_position_int(self, m: Any) -> None:
-        place = Place(m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, m.relative_alt * 1e-3)
-        velocity_ned = np.array([m.vx, m.vy, m.vz]) * 1e-2
-        self._now = replace(self._now, place=place, velocity_world=border.enu(*velocity_ned))
-        self._places.append((m.time_boot_ms * 1_000_000, place, velocity_ned))
+    def _global_position_int(self, m: Any) -> bool:
+        """A report that cannot be true is passed over; after a jump nothing is known until reports agree."""
+        report, jumps = report_of(m), self._watch.jumps
+        if report is None:
+            return False
+        if not self._watch.believes(report):
+            self._now = replace(self._now, place=None, velocity_world=np.full(3, _NAN))
+            return False
+        if self._watch.jumps != jumps:
+            self._places.clear()  # they are of another estimate
+        self._now = replace(self._now, place=report.place, velocity_world=border.enu(*report.velocity_ned))
+        self._places.append(report)
+        return True
 
     def _attitude_quaternion(self, m: Any) -> None:
         self._turn(border.world_from_body_of_quaternion([m.q1, m.q2, m.q3, m.q4]), m)
@@ -149,7 +158,8 @@ class VehicleState:
         self._now = replace(self._now, sensors_healthy=bits, checks_off=off, battery=battery)
 
     def _home_position(self, m: Any) -> None:
-        self._now = replace(self._now, home=Place(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3, 0.0))
+        home = place_of(m.latitude, m.longitude, m.altitude, 0)
+        self._now = self._now if home is None else replace(self._now, home=home)
 
     def _wind(self, m: Any) -> None:
         """ArduPilot's: where the wind comes from, in degrees."""

@@ -24,7 +24,7 @@ def exceeded(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tu
 
 
 def patience(now: Situation, keys: ExecutiveSettings) -> float:
-    """Seconds to wait for what is lost: a vehicle that keeps its place may wait, one that drifts is handed over soon."""
+    """Seconds to wait for what is lost: longer where the vehicle keeps its place, for one that drifts cannot wait."""
     return keys.hold if now.holds else keys.wait
 
 

@@ -15,13 +15,13 @@ from alight.autopilot import RemoteVehicle
 from alight.checks import CheckResult, Judged
 from alight.checks.result import bad
 from alight.outputs import prepare_folder
-from alight.records import Event, FlightMode, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
+from alight.records import Event, Frame, Home, InputError, NoticeKind, RunResult, Telemetry
 from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runner.fly import preflight
 from alight.runner.fly.arrivals import Arrivals
+from alight.runner.fly.loop import STEP, TAKEN, FlightLoop
 from alight.runner.fly.orders import OrderTaker, SpokenVehicle
 from alight.runner.fly.pilot import LandingPilot, PilotView
-from alight.runner.fly.take_off import TakeOff
 from alight.runner.home import flown_home, with_home
 from alight.runner.live import FlightHealth, Listener
 from alight.runner.live.live import NAVIGATION
@@ -33,12 +33,10 @@ from alight.sources.capture import PREFIXES
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource, open_live
 
-STEP = 0.05  # s between two ticks
 PATIENCE = 90.0  # s that the checks may take until nothing is bad: an autopilot that was just started needs 40
 SETTLED = 8.0  # s after which warnings are taken as they are
 TELL_EVERY, TELEMETRY_EVERY = 0.2, 0.2  # s
 USUAL_RATE = 5.0  # exposures a second, to reckon with before the first has come
-HOLDS = 3.0  # s that the autopilot gets to hold when the user wants no more
 UNASKED = (NoticeKind.TAKEOVER, NoticeKind.REBOOT, NoticeKind.LINK_LOST, NoticeKind.LINK_BACK, NoticeKind.TEXT)
 REFUSED = "the checks before the flight found something bad"
 
@@ -130,16 +128,16 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
 
 
 def _until_well(
-    checks: Callable[[], list[CheckResult]], tell: Callable[[list[CheckResult]], None]
+    checks: Callable[[], list[CheckResult]], tell: Callable[[list[CheckResult]], None], over: Callable[[], bool]
 ) -> list[CheckResult]:
-    """Wait until nothing is bad, and a little longer for what is not as it should be; the last findings."""
+    """Wait until nothing is bad, and a little longer for what is not as it should be, or until it is over anyway."""
     begin = time.monotonic()
     while True:
         found = checks()
         tell(found)
         verdicts, waited = {c.verdict for c in found}, time.monotonic() - begin
         settled = waited > SETTLED or Judged.WARNING not in verdicts
-        if (Judged.BAD not in verdicts and settled) or waited > PATIENCE:
+        if (Judged.BAD not in verdicts and settled) or waited > PATIENCE or over():
             return found
         time.sleep(STEP)
 
@@ -200,12 +198,13 @@ class _Cabin:
         sites = plan.settings.sites.model_copy(update={"every": 0})  # judged when the executive asks
         settings = plan.settings.model_copy(update={"sites": sites})
         self._pilot = LandingPilot(settings, feed.events_of.local, self._vehicle, self._hand, self._judge, self)
+        self._loop = FlightLoop(feed, self._vehicle, self._hand, self._pilot, self._status)
         listener = Listener(self._pilot.moved, self._pilot.judged)
         self._run = LiveRun(opened.source, plan.out, settings, plan.record, True, plan.overwrite, listener)
         self._arrivals, self._failed = Arrivals(), list[BaseException]()
         self._told = self._recorded = -math.inf
         self._checks: list[CheckResult] = []
-        self._stopped = False
+        self._stopped = ""  # by the user, and what the vehicle does then
 
     def close(self) -> None:
         """End the lanes."""
@@ -218,9 +217,14 @@ class _Cabin:
         events = as_they_arrive(self._opened.events, self._feed.events())
         feeder = threading.Thread(target=self._pass_on, args=(events,), daemon=True)
         feeder.start()
-        if why := self._refusal():
-            return FlightOutcome(self._checks, why)
-        self._land()
+        try:
+            if why := self._refusal():
+                return FlightOutcome(self._checks, why)
+            self._land()
+        except BaseException:
+            if not self._loop.taken:
+                self._say(f"fly: {self._loop.hold()}")
+            raise
         self._over.set()
         feeder.join(12.0)  # as long as a camera may be silent
         return self._finished()
@@ -267,11 +271,9 @@ class _Cabin:
 
     def _hear(self) -> Telemetry:
         """Pass new notices to the pilot and record the telemetry; return it."""
-        now_ns = time.monotonic_ns()
+        now_ns, notices = time.monotonic_ns(), self._loop.listen()
         with self._feed.lock:
-            notices, heard = self._feed.autopilot.notices(), self._vehicle.telemetry
-            for notice in notices:
-                self._pilot.noticed(notice)
+            heard = self._vehicle.telemetry
         for notice in notices:
             if notice.kind in UNASKED or not notice.ok:
                 self.note("autopilot", notice.text)
@@ -295,19 +297,19 @@ class _Cabin:
             return REFUSED
         if height is None:
             return ""
-        if why := self._take_off(height):
+        if why := self._loop.take_off(height, lambda hint: self.note("take-off", hint)):
             return f"take-off: {why}"
-        if not self._well(lambda: [self._motion_check()]):
-            self._hold()
-            return "the motion is not known after the take-off; the vehicle was told to hold"
-        return ""
+        known = self._well(lambda: [self._motion_check()], lambda: self._loop.taken)
+        if self._loop.taken:  # a landing would take it from whoever flies
+            return TAKEN
+        return "" if known else f"the motion is not known after the take-off; {self._loop.hold()}"
 
-    def _well(self, checks: Callable[[], list[CheckResult]]) -> bool:
+    def _well(self, checks: Callable[[], list[CheckResult]], over: Callable[[], bool] = lambda: False) -> bool:
         def tell(found: list[CheckResult]) -> None:
             self._checks = found
             self._status("checks")
 
-        self._checks = _until_well(checks, tell)
+        self._checks = _until_well(checks, tell, over)
         return not any(c.verdict is Judged.BAD for c in self._checks)
 
     def _before(self, motion: bool) -> list[CheckResult]:
@@ -322,63 +324,22 @@ class _Cabin:
         m = self._pilot.motion
         return preflight.judge_motion(m, math.inf if m is None else (time.monotonic_ns() - m.t_ns) * 1e-9)
 
-    def _take_off(self, height: float) -> str:
-        """Climb to a height, metres above the home; return why it did not work, or an empty string."""
-        climb = TakeOff(self._vehicle, self._hand, height, time.monotonic_ns())
-        told = ""
-        while not climb.done and not climb.failed:
-            with self._feed.lock:
-                climb.tick(time.monotonic_ns())
-                hint = climb.hint
-            if hint and hint != told:
-                told = hint
-                self.note("take-off", hint)
-            self._feed.flush()
-            self._status("take-off")
-            time.sleep(STEP)
-        return climb.failed
-
     # -- the landing
 
     def _land(self) -> None:
-        self._pilot.begin(time.monotonic_ns())
-        due = time.monotonic()
         try:
-            while not self._ended():
-                with self._feed.lock:
-                    view = self._pilot.tick(time.monotonic_ns())
-                self._feed.flush()
-                self._status("landing", view)
-                due = max(due + STEP, time.monotonic())
-                time.sleep(max(due - time.monotonic(), 0.001))
+            self._loop.land(self._plan.take_off is not None, self._ended)
         except KeyboardInterrupt:
-            self._stopped = True
-            self._hold()
-            self._run.live.warnings.append("fly: ended by Ctrl-C; the vehicle was told to hold")
-        except BaseException:
-            self._hold()
-            raise
+            self._stopped = self._loop.hold()
+            self._run.live.warnings.append(f"fly: ended by Ctrl-C; {self._stopped}")
 
     def _ended(self) -> bool:
         return self._pilot.over or (self._plan.dry_run and self._pilot.state is FlightState.RETURN)
 
-    def _hold(self) -> None:
-        """The autopilot holds by itself, and control is given away."""
-        with self._feed.lock:
-            self._pilot.stop(time.monotonic_ns())
-        end = time.monotonic() + HOLDS
-        while time.monotonic() < end and self._hand.in_control and not self._plan.dry_run:
-            self._feed.flush()
-            if self._hear().mode is FlightMode.HOLD:
-                break
-            time.sleep(STEP)
-        with self._feed.lock:
-            self._hand.release()
-
     def _finished(self) -> FlightOutcome:
         pilot, plan = self._pilot, self._plan
         entries = pilot.diary.transitions
-        why = "ended by the user; the vehicle was told to hold" if self._stopped else entries[-1].reason
+        why = f"ended by the user; {self._stopped}" if self._stopped else entries[-1].reason
         times = {"image to way-point": list(pilot.way_point_times), "image to set-point": list(pilot.set_point_times)}
         found = self._run.finish()
         result = replace(

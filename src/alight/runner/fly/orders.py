@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -11,10 +12,15 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import EstimateTie, RemoteVehicle, Setpoint
 from alight.geometry import LocalFrame
-from alight.records import FlightMode, Motion, Place
+from alight.records import FlightMode, Landed, Motion, Place
 from alight.records.executive import FlightState, Order
+from alight.runner.fly.near import near_way, own_way
 
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
+OFTEN = 3  # refusals in a row, after which a person is told
+GRACE_NS = 2_000_000_000  # from the answer to a mode until heartbeats must show it
+HIGH_SITE = 8.0  # m above the autopilot's home, from which its LAND would come down fast
+TOUCH, BELOW = 1.0, 1.5  # m above such a site, where no sinking means contact; and below it, where guidance leads
 SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
 SAID_SPEED = 0.1  # m/s, the same of its speed
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
@@ -127,6 +133,16 @@ def _apart(a: Place, b: Place) -> float:
     return math.hypot(north, east, a.altitude_msl - b.altitude_msl)
 
 
+@dataclass(frozen=True, eq=False)
+class _Leg:
+    """The way to a target, in our frame and the autopilot's."""
+
+    tie: EstimateTie
+    here: F64  # (3,) metres in our frame, the vehicle now
+    way: F64  # (3,) metres, from it to the target
+    goal: Place  # the target
+
+
 class OrderSender:
     """Carries out the executive's orders, one call a tick.
 
@@ -136,12 +152,19 @@ class OrderSender:
         vehicle: what the autopilot reports.
         hand: takes the orders.
         local: the world, for degrees.
+        farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
+        tell: is told in words what a person must know.
     """
 
-    def __init__(self, vehicle: RemoteVehicle, hand: OrderTaker, local: LocalFrame) -> None:
-        self._vehicle, self.hand, self._local = vehicle, hand, local
+    def __init__(
+        self, vehicle: RemoteVehicle, hand: OrderTaker, local: LocalFrame,
+        farthest: tuple[float, float] = (math.inf, math.inf), tell: Callable[[str], None] = lambda words: None,
+    ) -> None:  # fmt: skip
+        self._vehicle, self.hand, self._local, self._farthest, self._tell = vehicle, hand, local, farthest, tell
+        self._next = near_way if hand is vehicle else _whole_way  # orders that are said are said with their goal
         self._mode: FlightMode | None = None  # asked for
-        self._ticket, self._refused_ns = -1, -AGAIN_NS
+        self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
+        self._accepted_ns: int | None = None  # when the mode was
         self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
         self._wanted: tuple[FlightMode, int] | None = None  # to be asked for, and since when
         self._held: Place | None = None
@@ -167,10 +190,41 @@ class OrderSender:
             return self._land(order.position, order, motion, now_ns)
         return self._go(order.position, order, motion, now_ns)
 
+    def stop(self, now_ns: int) -> bool:
+        """Have the autopilot hold by itself; False: it was not told yet, call it again."""
+        return self._fly_as(FlightMode.HOLD, now_ns)
+
     def answered(self, ticket: int | None, ok: bool, now_ns: int) -> None:
         """Take the answer to a command: a mode that was refused is asked for again, a little later."""
-        if ticket == self._ticket and not ok:
-            self._mode, self._refused_ns = None, now_ns
+        if ticket != self._ticket:
+            return
+        self._ticket = -1
+        if ok:
+            self._accepted_ns, self._refusals = now_ns, 0
+            return
+        self._refusals += 1
+        if self._refusals == OFTEN and self._mode is not None:
+            self._tell(f"{self._mode.value} was refused {OFTEN} times: be ready to take over")
+        self._mode, self._refused_ns = None, now_ns
+
+    def strayed(self, now_ns: int) -> str:
+        """Return in words that another mode is flown than the one that was ordered and accepted; empty: it is that one.
+
+        A change of mode within seconds of our own order looks like its effect: this tells them apart later.
+        """
+        heard = self._vehicle.telemetry
+        if self._mode is None or self._accepted_ns is None or not (self.hand.in_control and heard.armed):
+            return ""
+        if heard.mode is self._mode or self._heartbeat_ns(now_ns) < self._accepted_ns + GRACE_NS:
+            return ""
+        ends = heard.landed in (Landed.GROUND, Landed.UNKNOWN)  # what it does by itself at the end of a task
+        if ends and (self._mode, heard.mode) in self._vehicle.firmware.natural:
+            return ""
+        return f"{heard.mode_name} is flown, and {self._mode.value} was ordered: somebody else has changed it"
+
+    def _heartbeat_ns(self, now_ns: int) -> int:
+        """When the newest one came."""
+        return now_ns - round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3))
 
     def _fly_as(self, mode: FlightMode, now_ns: int) -> bool:
         """Ask for a mode, once; False: not yet.
@@ -178,13 +232,14 @@ class OrderSender:
         Once we fly, the next heartbeat is waited for: a pilot who has switched since the last one is not switched back.
         """
         if self._mode is mode:
+            self._wanted = None  # of another mode: it is not to be asked for by an old heartbeat later
             return True
         if self._wanted is None or self._wanted[0] is not mode:
             self._wanted = mode, now_ns
-        age_ns = round(1e9 * self._vehicle.telemetry.ages.get("HEARTBEAT", 1e3) if self.hand.in_control else 0)
-        if now_ns - age_ns < self._wanted[1] or now_ns - self._refused_ns < AGAIN_NS:
+        stale = self.hand.in_control and self._heartbeat_ns(now_ns) < self._wanted[1]
+        if stale or now_ns - self._refused_ns < AGAIN_NS:
             return False
-        self._wanted = self._heading = None
+        self._wanted = self._heading = self._accepted_ns = None
         self._mode = mode
         self._ticket = self.hand.set_mode(mode)
         return True
@@ -193,6 +248,7 @@ class OrderSender:
         """Between two way-points it stays under guidance; while something is missing the autopilot holds by itself."""
         here = self._vehicle.telemetry.place
         if state in (FlightState.HOLD, FlightState.ABORT) or here is None:
+            self._held = None  # a place of an estimate that has jumped since would be flown to
             self._fly_as(FlightMode.HOLD, now_ns)
             return "hold"
         self._fly_as(FlightMode.GUIDED, now_ns)
@@ -209,36 +265,76 @@ class OrderSender:
         return self._heading
 
     def _go(self, to: F64, order: Order, motion: Motion, now_ns: int) -> str:
-        tie = self._tie(motion)
-        if tie is None:
-            return "stay: the autopilot's place at the last exposure is not known"
+        leg = self._leg(to, motion, now_ns)
+        if leg is None:
+            return self._lost(now_ns)
         self._fly_as(FlightMode.GUIDED, now_ns)
+        return self._guide(leg, order)
+
+    def _lost(self, now_ns: int) -> str:
+        return f"{self._hold(FlightState.HOLD, now_ns)}: the autopilot's place is not known, or has jumped"
+
+    def _guide(self, leg: _Leg, order: Order) -> str:
+        """Send the next target on the way, whatever mode is flown."""
         self._held = None
-        speeds = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
-        self.hand.guide(Setpoint(to, None, self._nose(), *speeds), tie)
-        return f"fly to {words_of(tie.place_of(to))}"
+        speed, sink = (max(v, LEAST_SPEED) for v in (order.speed, order.sink))
+        to = leg.here + self._next(leg.way, speed, sink)
+        self.hand.guide(Setpoint(to, None, self._nose(), speed, sink), leg.tie)
+        return f"fly to {words_of(leg.goal)}"
 
     def _land(self, place: F64, order: Order, motion: Motion, now_ns: int) -> str:
         """Over the place, or down with the target reported: where that is not used it goes straight down."""
-        goal = self._report(place, motion, now_ns)
-        if not order.down or not self._fly_as(FlightMode.LAND, now_ns):
-            height = motion.world_from_body.translation[2]
-            return self._go(np.array([*place[:2], height]), order, motion, now_ns)
+        site = self._leg(place, motion, now_ns)
+        goal = self._report(site, now_ns)
+        over = np.array([*place[:2], motion.world_from_body.translation[2]])
+        lands = self._mode is FlightMode.LAND
+        if site is None:
+            stays = lands and order.down and self._fly_as(FlightMode.LAND, now_ns)
+            return "land" if stays else self._lost(now_ns)
+        if not order.down:
+            return self._go(over, order, motion, now_ns)
+        if site.goal.above_home > HIGH_SITE and not lands:
+            over = np.array([*place[:2], place[2] - BELOW])
+            if not self._touches(site, order.sink):
+                return self._go(over, order, motion, now_ns)
+            over[:2] = site.here[:2]  # no push to the side on the ground
+        if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be asked for, again
+            leg = self._leg(over, motion, now_ns)
+            return "land: not yet" if leg is None else self._guide(leg, order)
         return "land" if goal is None else f"land on {words_of(goal)}"
 
-    def _report(self, place: F64, motion: Motion, now_ns: int) -> Place | None:
+    def _touches(self, site: _Leg, sink: float) -> bool:
+        """Whether the vehicle stands on a high site: guided down to it, for LAND sinks fast as high above home.
+
+        LAND would reach 1.1 m/s from 0.7 m above it (ArduPilot, 1 m/s^2; PX4 more).
+        """
+        heard = self._vehicle.telemetry
+        stopped = -site.way[2] < TOUCH and not heard.velocity_world[2] < -0.4 * sink
+        return stopped or heard.landed is Landed.GROUND
+
+    def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
         """Report the target; return its place, None: not known now.
 
         Before the landing, too: ArduPilot needs two seconds of it, and stops where it lands without.
         """
-        tie = self._tie(motion)
-        own, attitude = self._vehicle.place_at(now_ns), self._vehicle.telemetry.world_from_body
-        if tie is None or own is None or attitude is None:
+        attitude = self._vehicle.telemetry.world_from_body
+        if site is None or attitude is None:
             return None
-        goal = tie.place_of(place)
-        there = self._local.to_enu(goal.latitude, goal.longitude, goal.altitude_msl)
-        way = there - self._local.to_enu(own.latitude, own.longitude, own.altitude_msl)
-        return goal if self.hand.land_on(now_ns, way, attitude) else None
+        return site.goal if self.hand.land_on(now_ns, site.way, attitude) else None
 
-    def _tie(self, motion: Motion) -> EstimateTie | None:
-        return self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
+    def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
+        """The way to a target; None: the autopilot's place is not known, or one of the positions cannot be true."""
+        tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
+        flown = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
+        if tie is None or flown is None:
+            return None
+        here = motion.world_from_body.translation + flown
+        way = np.asarray(to - here)
+        over, up = self._farthest
+        if not (np.isfinite(way).all() and math.hypot(way[0], way[1]) <= over and way[2] <= up):
+            return None
+        return _Leg(tie, here, way, tie.place_of(to))
+
+
+def _whole_way(way: F64, speed: float, sink: float) -> F64:
+    return way

@@ -16,7 +16,8 @@ from alight.geometry import LocalFrame
 from alight.landing.executive import Executive
 from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
-from alight.records.executive import FlightDiary, FlightState, LookRecord, Order, Seen, Situation, Transition
+from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
+from alight.runner.fly.near import own_way
 from alight.runner.fly.orders import OrderSender, OrderTaker
 from alight.runner.landing import as_seen, judged_every, look_picture
 from alight.runner.pictures import PictureWatch
@@ -25,6 +26,7 @@ from alight.settings import Settings
 TICK_NS = 100_000_000  # between two decisions of the executive
 ENDS = (FlightState.LANDED, FlightState.HANDED_OVER)
 KEPT = 20_000  # times that are kept for the summary
+FAR, FAR_UP = 2.0, 60.0  # of the searched side, and m above the height of the search: no target lies beyond
 
 
 class LandingLog(Protocol):
@@ -73,8 +75,10 @@ class LandingPilot:
         self._vehicle, self._local, self._judge, self._log = vehicle, local, judge, log
         self._begin_ns: int | None = None
         stages = settings.stages()
-        self.executive, self._stale = Executive(stages), stages.executive.stale
-        self._sender = OrderSender(vehicle, hand, local)
+        self.executive, k = Executive(stages), stages.executive
+        self._stale = k.stale
+        farthest = FAR * k.search_side, k.search_height + FAR_UP
+        self._sender = OrderSender(vehicle, hand, local, farthest, lambda words: log.note("autopilot", words))
         self.pictures = PictureWatch()
         self.motion: Motion | None = None
         self._seen: Seen | None = None
@@ -142,9 +146,14 @@ class LandingPilot:
 
     # -- the step
 
-    def begin(self, now_ns: int) -> None:
-        """Begin the landing: the seconds of its diary count from `now_ns`."""
-        self._begin_ns, self._starts = now_ns, self._vehicle.starts
+    def begin(self, now_ns: int, flying: bool = False) -> None:
+        """Begin the landing.
+
+        Args:
+            now_ns: the seconds of its diary count from here.
+            flying: we have taken off: if we are in control no more, somebody else is, and keeps it.
+        """
+        self._begin_ns, self._starts, self._flying = now_ns, self._vehicle.starts, flying
 
     def tick(self, now_ns: int) -> PilotView:
         """Decide ten times a second; on the last metres, and after a new verdict, at every call."""
@@ -156,10 +165,9 @@ class LandingPilot:
             self._decide(now, now_ns)
         return self._view(now)
 
-    def stop(self, now_ns: int) -> None:
-        """Tell the autopilot to hold by itself: the user wants no more."""
-        if self._sender.hand.in_control:
-            self._sender.obey(Order("hold"), FlightState.HOLD, None, now_ns)
+    def stop(self, now_ns: int) -> bool:
+        """Tell the autopilot to hold by itself: the user wants no more. False: not told yet, call it again."""
+        return self._sender.hand.in_control and self._sender.stop(now_ns)
 
     def _situation(self, now_ns: int) -> Situation:
         assert self._begin_ns is not None
@@ -171,6 +179,9 @@ class LandingPilot:
         known = state in (MotionState.GOOD, MotionState.DEGRADED)
         share, wind = heard.battery.share, heard.wind_world
         self._flying |= self._sender.hand.in_control
+        if strayed := self._sender.strayed(now_ns):
+            self._log.note("autopilot", strayed)
+            self._sender.hand.release()
         rebooted = self._vehicle.starts != self._starts
         return Situation(
             (now_ns - self._begin_ns) * 1e-9,
@@ -195,11 +206,11 @@ class LandingPilot:
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
-        then, now = self._vehicle.place_at(motion.t_ns), self._vehicle.place_at(now_ns)
-        if then is None or now is None:
-            return motion.world_from_body.translation if (now_ns - motion.t_ns) * 1e-9 <= self._stale else None
-        a, b = (self._local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
-        return np.asarray(motion.world_from_body.translation + (b - a))
+        way = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
+        if way is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
+            return None
+        here = motion.world_from_body.translation + (0.0 if way is None else way)
+        return here if np.isfinite(here).all() else None
 
     def _note_position(self, known: bool) -> None:
         if known is not self._had_position:

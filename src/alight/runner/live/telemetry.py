@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import threading
 import time
@@ -13,6 +14,8 @@ from alight.records import Event, InputError, NavSample
 from alight.sources.arrival import as_they_arrive
 from alight.sources.flight_log import CalibratedFolder
 from alight.sources.live import LiveSource
+
+log = logging.getLogger(__name__)
 
 READ = 0.02  # s that a read may wait
 PATIENCE = 30.0  # s until the autopilot must give a position
@@ -43,6 +46,7 @@ class TelemetryFeed:
         self._samples: queue.Queue[Event] = queue.Queue()
         self._sending = threading.Lock()  # orders leave at once, and not only when the listener comes by
         self._ended, self._located = threading.Event(), False
+        self._trouble = ""  # the newest error of the listener
         threading.Thread(target=self._listen, daemon=True).start()
 
     def wait_for_position(self) -> LocalFrame:
@@ -68,7 +72,18 @@ class TelemetryFeed:
         return self._located and self.events_of.local is not None
 
     def flush(self) -> None:
-        """Send the datagrams that the protocol has ready."""
+        """Send what orders have made ready. Call it twenty times a second: it looks whether somebody still listens.
+
+        While nobody does, the vehicle counts as lost and nothing is sent: a pilot who has taken over is not seen.
+        """
+        with self.lock:
+            deaf = not self.autopilot.look(time.monotonic_ns())
+            if deaf:
+                self.autopilot.pending()
+        if not deaf:
+            self._send()
+
+    def _send(self) -> None:
         with self._sending:
             with self.lock:
                 out = self.autopilot.pending()
@@ -89,18 +104,36 @@ class TelemetryFeed:
         self._link.close()
 
     def _listen(self) -> None:
-        while not self._ended.is_set():
-            heard = self._link.read(READ)
-            with self.lock:
-                for data in heard:
-                    self.autopilot.receive(data, time.monotonic_ns())
-                self.autopilot.tick(time.monotonic_ns())
-                samples = self.autopilot.samples()
-            self.flush()
-            for sample in samples:
-                self._located |= isinstance(sample, NavSample) and sample.position_world is not None
-                if self._located:
-                    self._samples.put(sample)
+        """Listen until `close`, whatever happens: a flight must not go on without being heard."""
+        try:
+            while not self._ended.is_set():
+                try:
+                    self._hear()
+                except Exception as e:
+                    self._complain(e)
+        finally:
+            if not self._ended.is_set():
+                log.error("%s: the listener has ended; the autopilot is not heard any more", self.name)
+
+    def _complain(self, error: Exception) -> None:
+        """Log an error, one that comes again once, and wait a little for the next try."""
+        if repr(error) != self._trouble:
+            self._trouble = repr(error)
+            log.error("%s: %r while listening; going on", self.name, error, exc_info=error)
+        time.sleep(READ)
+
+    def _hear(self) -> None:
+        heard = self._link.read(READ)
+        with self.lock:
+            for data in heard:
+                self.autopilot.receive(data, time.monotonic_ns())
+            self.autopilot.tick(time.monotonic_ns())
+            samples = self.autopilot.samples()
+        self._send()
+        for sample in samples:
+            self._located |= isinstance(sample, NavSample) and sample.position_world is not None
+            if self._located:
+                self._samples.put(sample)
 
 
 def with_telemetry(opened: LiveSource, link: str, separation: float | None = None) -> LiveSource:

@@ -1,0 +1,60 @@
+"""How far an order may lead: near targets on the way to far ones, and positions that cannot be true."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alight.arrays import F64
+from alight.autopilot import RemoteVehicle
+from alight.geometry import LocalFrame
+
+BRAKING, BRAKING_UP = 2.5, 1.0  # m/s^2, over the ground and upwards: ArduPilot's WPNAV_ACCEL and WPNAV_ACCEL_Z
+CLIMB = 3.0  # m/s upwards, which no order names
+AHEAD = 0.5  # s of flight until the autopilot has the next target, and a margin
+FASTEST, SLACK = 25.0, 5.0  # m/s, and metres on top: a way beyond that was not flown
+
+
+def near_way(way: F64, speed: float, sink: float) -> F64:
+    """Return as much of a way as the next target should lead along it: little, and the vehicle does not slow down.
+
+    ArduPilot has no time-out for positions. After a takeover by the sticks, a lost link or the end of this program it
+    flies on to the last one, so that one is near.
+
+    Args:
+        way: (3,) metres, from the vehicle to the far target.
+        speed: m/s over the ground.
+        sink: m/s downwards.
+    """
+    share = min(1.0, _reach(speed, BRAKING) / max(math.hypot(way[0], way[1]), 1e-9))
+    up = min(max(float(way[2]), -_reach(sink, BRAKING_UP)), _reach(CLIMB, BRAKING_UP))
+    return np.array([share * way[0], share * way[1], up])
+
+
+def _reach(speed: float, braking: float) -> float:
+    """Distance in metres at which ArduPilot still flies at a speed, with a margin.
+
+    Its position controller brakes by v = sqrt(2 a (d - a / 2)), and near the target by v = d (gain 1/s).
+    """
+    return speed**2 / (2 * braking) + braking / 2 + AHEAD * speed
+
+
+def own_way(vehicle: RemoteVehicle, local: LocalFrame, since_ns: int, now_ns: int) -> F64 | None:
+    """Return the way that the autopilot believes to have flown between two instants of our clock.
+
+    Args:
+        vehicle: what the autopilot reports.
+        local: the world, for the axes.
+        since_ns: the earlier instant.
+        now_ns: the later one.
+
+    Returns:
+        (3,) metres; None: its position is not known, or has jumped.
+    """
+    then, now = vehicle.place_at(since_ns), vehicle.place_at(now_ns)
+    if then is None or now is None:
+        return None
+    a, b = (local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
+    way = np.asarray(b - a)
+    return way if float(np.linalg.norm(way)) <= SLACK + FASTEST * (now_ns - since_ns) * 1e-9 else None

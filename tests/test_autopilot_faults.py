@@ -1,0 +1,364 @@
+"""Rare faults of a flight: half missions, a pilot's quiet switch, positions that cannot be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from autopilot_rig import LOCAL, Rig
+from pilot_rig import PilotRig
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from test_autopilot_protocol import long_mission, met, place, sent, stored
+from test_executive import Ground, clearer_from_below
+
+from alight.autopilot import Setpoint, TelemetryEvents
+from alight.autopilot.control import ControlWatch
+from alight.autopilot.firmware import ArduPilotFirmware
+from alight.autopilot.vehicle_state import VehicleState
+from alight.records import FlightMode, NoticeKind
+from alight.records.executive import FlightState
+from alight_sim.autopilot.dialects import Doing
+
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+S = 1_000_000_000
+
+
+# -- half missions
+
+
+def torn(dialect: str = "ardupilot") -> tuple[Rig, int]:
+    """An upload whose uplink dies after nine items, over a mission that was there."""
+    rig = met(Rig(dialect))
+    assert rig.answered(rig.vehicle.upload(long_mission(8)), 20, NoticeKind.UPLOAD).ok
+    ticket = rig.vehicle.upload(long_mission())
+    assert rig.run(5, lambda: len(rig.sim.missions._coming) == 9)
+    assert rig.vehicle.holds_part
+    rig.up.loss = 1.0
+    return rig, ticket
+
+
+@BOTH
+def test_an_upload_whose_uplink_dies_says_that_a_part_may_be_there(dialect: str) -> None:
+    rig, ticket = torn(dialect)
+    got = rig.answered(ticket, 120, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert " 11 of " in got.text  # two were under way
+    assert "may hold a part" in got.text
+    assert "not confirmed" in got.text
+    assert rig.vehicle.holds_part
+    assert "whole" in rig.answered(rig.vehicle.start_mission()).text
+    assert stored(rig)
+
+
+@BOTH
+def test_a_part_is_deleted_when_the_link_comes_back(dialect: str) -> None:
+    """However late: it is asked for until the autopilot confirms it, and said once."""
+    rig, ticket = torn(dialect)
+    rig.answered(ticket, 120, NoticeKind.UPLOAD)
+    rig.run(120)
+    assert rig.vehicle.holds_part
+    rig.up.loss = 0.0
+    assert rig.run(10, lambda: not rig.vehicle.holds_part)
+    rig.run(20)
+    assert not stored(rig)
+    failed, late = (n for n in rig.of(NoticeKind.UPLOAD) if n.ticket != 1)
+    assert (failed.ok, late.ok, late.ticket) == (False, True, None)
+    assert "deleted" in late.text
+    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
+    assert stored(rig)[rig.sim.dialect.first_item :]
+
+
+def test_a_part_is_not_taken_from_under_a_mission_that_somebody_flies() -> None:
+    """The pilot may have sent another one by now: it is not ours to delete while it is flown."""
+    rig, ticket = torn()
+    rig.answered(ticket, 120, NoticeKind.UPLOAD)
+    rig.sim.logic.doing = Doing.MISSION
+    rig.sim.logic.step = lambda t, here, stands: None  # type: ignore[assignment,method-assign,misc]
+    rig.run(3)
+    rig.up.loss = 0.0
+    rig.run(15)
+    assert stored(rig)
+    rig.sim.logic.doing = Doing.PILOT
+    assert rig.run(10, lambda: not rig.vehicle.holds_part)
+    assert not stored(rig)
+
+
+def test_a_deletion_of_a_part_that_is_lost_or_denied_is_sent_again() -> None:
+    rig = met(Rig())
+    clear, denied = rig.sim.missions.clear, [0]
+
+    def reluctant(sender: tuple[int, int]) -> None:
+        denied[0] += 1
+        if denied[0] == 2:
+            rig.sim.missions._acknowledge(14, sender)
+        elif denied[0] > 3:
+            clear(sender)
+
+    rig.sim.missions.clear = reluctant  # type: ignore[method-assign]
+    ticket = rig.vehicle.upload((*long_mission(4), *bad_item()))
+    got = rig.answered(ticket, 30, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert got.text.endswith("the part that it held is deleted")
+    assert denied[0] == 4
+    assert not stored(rig)
+    assert not rig.vehicle.holds_part
+
+
+def bad_item() -> tuple[Any, ...]:
+    from alight.autopilot import MissionItem
+
+    return (MissionItem(31_000),)
+
+
+def test_a_new_upload_takes_the_place_of_a_deletion() -> None:
+    """It is whole or it fails: a part of an older one is remembered over it."""
+    rig, ticket = torn()
+    rig.answered(ticket, 120, NoticeKind.UPLOAD)
+    again = rig.vehicle.upload(long_mission(3))
+    got = rig.answered(again, 60, NoticeKind.UPLOAD)
+    assert not got.ok
+    assert "may hold a part" in got.text  # nothing of this one came through, but the older part is still there
+    rig.up.loss = 0.0
+    items = long_mission(5)
+    assert rig.answered(rig.vehicle.upload(items), 60, NoticeKind.UPLOAD).ok
+    assert not rig.vehicle.holds_part
+    rig.run(20)
+    assert stored(rig)[1:] == sent(items)
+
+
+def test_a_mission_that_was_refused_at_once_leaves_the_old_one() -> None:
+    rig = met(Rig())
+    assert rig.answered(rig.vehicle.upload(long_mission(4)), 20, NoticeKind.UPLOAD).ok
+    got = rig.answered(rig.vehicle.upload(tuple(long_mission(4)) * 300), 20, NoticeKind.UPLOAD)
+    assert "space" in got.text
+    assert not rig.vehicle.holds_part
+    rig.run(20)
+    assert stored(rig)
+
+
+# -- a pilot's quiet switch
+
+
+def test_a_pilot_who_holds_during_our_landing_of_px4_takes_over() -> None:
+    """At the end of a landing PX4 goes to Hold by itself, but on the ground."""
+    rig = Rig("px4")
+    rig.up_and_flying(15.0)
+    assert rig.answered(rig.vehicle.set_mode(FlightMode.LAND)).ok
+    rig.run(4)
+    rig.sim.pilot(Doing.HOLD)
+    assert rig.run(2, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+    assert not rig.vehicle.in_control
+
+
+def test_px4_that_holds_after_its_landing_is_no_takeover() -> None:
+    rig = Rig("px4")
+    rig.up_and_flying(5.0)
+    rig.vehicle.set_mode(FlightMode.LAND)
+    assert rig.run(60, lambda: place(rig).is_down)
+    rig.sim.pilot(Doing.HOLD)
+    rig.run(3)
+    assert place(rig).mode is FlightMode.HOLD
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+@pytest.mark.parametrize("early", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_pilot_may_choose_the_mode_that_we_asked_for_before_the_last(seen: bool, early: float) -> None:
+    """BRAKE, GUIDED, and the pilot's BRAKE 1.5 s later; whether heartbeats showed our own BRAKE or not."""
+    rig = Rig()
+    rig.up_and_flying(15.0)
+    rig.run(3 + early)
+    rig.vehicle.set_mode(FlightMode.HOLD)
+    assert rig.run(3, lambda: rig.sim.logic.doing is Doing.HOLD)
+    if seen:
+        assert rig.run(3, lambda: place(rig).mode is FlightMode.HOLD)
+    rig.vehicle.set_mode(FlightMode.GUIDED)
+    rig.run(1.5)
+    assert rig.sim.logic.doing is Doing.GUIDED
+    assert not rig.of(NoticeKind.TAKEOVER)
+    rig.sim.pilot(Doing.HOLD)
+    assert rig.run(2, lambda: bool(rig.of(NoticeKind.TAKEOVER)))
+
+
+def watch() -> ControlWatch:
+    """In control of a Copter that is in GUIDED."""
+    found = ControlWatch(ArduPilotFirmware())
+    found.ordered(FlightMode.GUIDED, 0)
+    assert found.mode(FlightMode.GUIDED, "GUIDED", 1 * S) is None
+    return found
+
+
+def test_a_heartbeat_that_was_under_way_settles_nothing() -> None:
+    """It left before BRAKE was heard of; then the next order is lost, and the heartbeat shows our own BRAKE."""
+    control = watch()
+    control.ordered(FlightMode.HOLD, 10 * S)
+    control.ordered(FlightMode.GUIDED, 10 * S + 300_000_000)
+    assert control.mode(FlightMode.GUIDED, "GUIDED", 10 * S + 400_000_000) is None
+    assert control.mode(FlightMode.HOLD, "BRAKE", 11 * S) is None
+    assert control.mode(FlightMode.GUIDED, "GUIDED", 12 * S) is None
+    assert control.mode(FlightMode.HOLD, "BRAKE", 13 * S) is not None
+
+
+def test_an_order_that_waits_for_its_answer_may_take_effect_again() -> None:
+    """Its answer was lost: each try brings the mode again."""
+    control = watch()
+    control.ordered(FlightMode.HOLD, 10 * S)
+    assert control.mode(FlightMode.HOLD, "BRAKE", 11 * S) is None
+    assert control.mode(FlightMode.GUIDED, "GUIDED", 12 * S, unanswered={FlightMode.GUIDED}) is None
+    assert control.mode(FlightMode.HOLD, "BRAKE", 13 * S) is not None
+
+
+def test_a_lost_answer_makes_no_takeover_of_the_next_try() -> None:
+    rig = Rig("px4")
+    rig.up_and_flying(15.0)
+    rig.down.loss = 0.5
+    for mode in (FlightMode.HOLD, FlightMode.GUIDED, FlightMode.HOLD, FlightMode.GUIDED):
+        rig.vehicle.set_mode(mode)
+        rig.run(3)
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+# -- positions that cannot be
+
+MAX = 2**31 - 1
+WILD = {
+    "null": (0, 0, 530_000, 30_000),
+    "no value": (MAX, MAX, 530_000, 30_000),
+    "off the Earth": (910_000_000, 134_000_000, 530_000, 30_000),
+    "no height": (476_000_000, 134_000_000, MAX, 30_000),
+    "no height above home": (476_000_000, 134_000_000, 530_000, -MAX),
+    "another country": (486_000_000, 134_000_000, 530_000, 30_000),
+    "a street away": (476_012_000, 134_000_000, 530_000, 30_000),
+}
+
+
+def report(boot_ms: int, numbers: tuple[int, int, int, int], velocity: tuple[int, int, int] = (0, 0, 0)) -> Any:
+    return mavlink.MAVLink_global_position_int_message(boot_ms, *numbers, *velocity, 0)
+
+
+HERE = (476_000_000, 134_000_000, 530_000, 30_000)
+
+
+def told(state: VehicleState, *messages: Any) -> list[bool]:
+    return [state.hear(m.get_type(), m, 0) for m in messages]
+
+
+@pytest.mark.parametrize("wild", WILD.values(), ids=WILD)
+def test_one_report_that_cannot_be_changes_no_place(wild: tuple[int, int, int, int]) -> None:
+    state = VehicleState(ArduPilotFirmware())
+    assert told(state, report(1000, HERE), report(1100, wild), report(1200, HERE)) == [True, False, True]
+    found = state.place_at(1_150_000_000)
+    assert found is not None
+    assert (found.latitude, found.altitude_msl) == (pytest.approx(47.6), pytest.approx(530.0))
+
+
+@pytest.mark.parametrize("wild", list(WILD.values())[:5], ids=list(WILD)[:5])
+def test_a_first_report_off_the_earth_is_no_place(wild: tuple[int, int, int, int]) -> None:
+    state, events = VehicleState(ArduPilotFirmware()), TelemetryEvents()
+    assert told(state, *(report(1000 + 100 * k, wild) for k in range(30))) == [False] * 30
+    assert state.place is None
+    assert events._position(report(1000, wild)) is None
+
+
+def test_a_velocity_that_cannot_be_is_not_carried_on() -> None:
+    state = VehicleState(ArduPilotFirmware())
+    assert told(state, report(1000, HERE), report(1100, HERE, (32767, 0, 0))) == [True, False]
+
+
+def test_a_place_that_jumps_is_unknown_until_reports_agree() -> None:
+    """An estimator that has begun anew must not lock us out for ever."""
+    state, away = VehicleState(ArduPilotFirmware()), WILD["a street away"]
+    told(state, report(1000, HERE))
+    assert not any(told(state, *(report(1100 + 100 * k, away) for k in range(10))))
+    assert state.place is None
+    assert np.isnan(state.telemetry(0).velocity_world).all()
+    assert all(state.place_at(ms * 1_000_000) is None for ms in (1000, 1500, 2000))
+    assert told(state, report(2100, away)) == [True]
+    assert state.place is not None
+    assert state.place.latitude == pytest.approx(47.6012)
+    assert state.place_at(1_000_000_000) is None  # the old place is of another estimate
+
+
+def test_reports_that_agree_with_nothing_are_never_a_place() -> None:
+    state = VehicleState(ArduPilotFirmware())
+    told(state, report(1000, HERE))
+    wild = [report(1100 + 100 * k, (476_000_000 + 100_000 * (k % 7 + 1), *HERE[1:])) for k in range(50)]
+    assert not any(told(state, *wild))
+    assert state.place is None
+
+
+def test_a_vehicle_that_was_not_heard_for_a_while_may_have_flown_on() -> None:
+    state = VehicleState(ArduPilotFirmware())
+    there = (476_027_000, *HERE[1:])  # 300 m
+    assert told(state, report(1000, HERE, (1500, 0, 0)), report(21_000, there, (1500, 0, 0))) == [True, True]
+
+
+def flying(dialect: str) -> PilotRig:
+    r = PilotRig(Ground({(10.0, 5.0): clearer_from_below}).seen, dialect)
+    r.up_and_flying(30.0)
+    r.begin()
+    return r
+
+
+def farthest(r: PilotRig) -> float:
+    """Metres from the home to the farthest set-point that was sent."""
+    found = [0.0]
+    for _, m in r.wire:
+        if m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT":
+            found.append(float(np.linalg.norm(r.sim.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt))))
+    return max(found)
+
+
+def lie(r: Rig, numbers: tuple[int, int, int, int]) -> Callable[[], None]:
+    """Have the autopilot report this place; the call ends it."""
+    make = r.sim.reports._make
+    true = make[33]
+    make[33] = lambda now: report(now.boot_ms, numbers)
+    return lambda: make.__setitem__(33, true)
+
+
+@BOTH
+@pytest.mark.parametrize("wild", WILD.values(), ids=WILD)
+def test_no_setpoint_is_made_of_a_place_that_cannot_be(dialect: str, wild: tuple[int, int, int, int]) -> None:
+    r = flying(dialect)
+    assert r.fly(FlightState.APPROACH)
+    for _ in range(5):
+        r.run(1.0)
+        truth = lie(r, wild)
+        r.run(0.15)
+        truth()
+    assert farthest(r) < 100.0
+    assert not r.of(NoticeKind.TAKEOVER)
+    assert r.fly(FlightState.LANDED)
+
+
+@BOTH
+def test_an_estimate_that_jumps_and_stays_is_taken_after_a_second(dialect: str) -> None:
+    rig = Rig(dialect, step=0.05)
+    rig.up_and_flying(15.0)
+    rig.run(2)
+    rig.sim.estimate.error = np.array([200.0, 0.0, 0.0])
+    assert rig.run(0.5, lambda: place(rig).place is None)
+    assert rig.vehicle.tie(LOCAL, np.zeros(3), rig.now_ns) is None
+    assert rig.run(1.5, lambda: place(rig).place is not None)
+    rig.run(0.5)
+    assert rig.vehicle.tie(LOCAL, np.zeros(3), rig.now_ns) is not None
+
+
+def test_px4_gets_no_farther_setpoint_while_its_place_is_unknown() -> None:
+    """A set-point far away is flown to with all speed: it is moved closer by where the vehicle is."""
+    rig = Rig("px4")
+    rig.up_and_flying(15.0)
+    tie = rig.vehicle.tie(LOCAL, rig.truth(), rig.now_ns)
+    rig.vehicle.guide(Setpoint(np.array([90.0, 0.0, 15.0]), heading=0.0, speed=2.0), tie)
+    rig.run(3)
+    lie(rig, WILD["another country"])
+    fastest = 0.0
+    for _ in range(10):
+        rig.run(0.1)
+        fastest = max(fastest, math.hypot(*rig.sim.vehicle.velocity[:2]))
+    assert fastest < 2.2
+    assert rig.sim.logic.doing is Doing.GUIDED  # set-points go on

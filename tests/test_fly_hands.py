@@ -1,0 +1,400 @@
+"""Who flies, and how far: ends that nobody planned, takeovers, orders that are refused, targets that are near."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from pilot_rig import PilotRig, See
+from test_executive import Ground, clearer_from_below
+
+from alight.checks.result import bad
+from alight.geometry import Pose
+from alight.records import FlightMode, Motion
+from alight.records.executive import FlightEvent, FlightState, Order, Seen
+from alight.runner.fly import flight
+from alight.runner.fly.loop import TAKEN, UNCONFIRMED, FlightLoop
+from alight.runner.fly.near import near_way
+from alight.runner.live.live import NAVIGATION
+from alight_sim.autopilot.dialects import Doing
+from alight_sim.point_mass import PointMass, Wanted
+
+S, E = FlightState, FlightEvent
+PLACE = (10.0, 5.0)
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+SET_MODE = 176
+
+
+def rig(dialect: str = "ardupilot", *settings: str, see: See | None = None, **more: Any) -> PilotRig:
+    """A vehicle at 30 m, and a landing that has begun."""
+    found = PilotRig(see or Ground({PLACE: clearer_from_below}).seen, dialect, settings, **more)
+    found.up_and_flying(30.0)
+    found.begin()
+    return found
+
+
+def pilot_of(r: PilotRig) -> Any:
+    assert r.pilot is not None
+    return r.pilot
+
+
+def events(r: PilotRig) -> list[FlightEvent]:
+    return [t.event for t in pilot_of(r).diary.transitions]
+
+
+def speed_of(r: PilotRig) -> float:
+    return float(np.linalg.norm(r.sim.vehicle.velocity))
+
+
+def modes_asked(r: PilotRig, since: float) -> int:
+    return sum(t > since and m.get_type() == "COMMAND_LONG" and m.command == SET_MODE for t, m in r.wire)
+
+
+class Clock:
+    """Stands for the module `time`: whoever sleeps lets the rig go on."""
+
+    def __init__(self, r: PilotRig) -> None:
+        self._r = r
+
+    def monotonic(self) -> float:
+        return self._r.t
+
+    def monotonic_ns(self) -> int:
+        return self._r.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        for _ in range(max(1, round(seconds / self._r.dt))):
+            self._r.step()
+
+
+def loop_of(r: PilotRig, monkeypatch: pytest.MonkeyPatch, show: Any = lambda phase, view: None) -> FlightLoop:
+    """The loop of a real flight, in the rig's time."""
+    r.ticks = False
+    for module in ("loop", "flight"):
+        monkeypatch.setattr(f"alight.runner.fly.{module}.time", Clock(r))
+    feed: Any = SimpleNamespace(lock=nullcontext(), autopilot=r.ours, flush=lambda: None, events=lambda: iter(()))
+    return FlightLoop(feed, r.vehicle, r.vehicle, pilot_of(r), show)
+
+
+def cabin_of(r: PilotRig, loop: FlightLoop, said: list[str], **plan: Any) -> Any:
+    """The cabin of `alight fly` about the rig's vehicle, without lanes and files."""
+    found: Any = object.__new__(flight._Cabin)
+    live = SimpleNamespace(
+        posts={NAVIGATION: SimpleNamespace(worker=SimpleNamespace(wait_until_ready=lambda: None))}, warnings=[],
+        health=None,
+    )  # fmt: skip
+    found._run, found._loop, found._pilot = SimpleNamespace(live=live, recorder=None), loop, r.pilot
+    found._plan, found._feed = SimpleNamespace(take_off=None, dry_run=False, **plan), loop._feed
+    found._opened, found._vehicle, found._hand = SimpleNamespace(events=iter(())), r.vehicle, r.vehicle
+    found._over, found._say, found._tell = SimpleNamespace(is_set=lambda: False), said.append, lambda status: None
+    found._checks, found._stopped, found._told, found._recorded = [], "", -np.inf, -np.inf
+    found._before = lambda motion: []
+    return found
+
+
+# -- ends that nobody planned
+
+
+@BOTH
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_a_landing_that_ends_early_leaves_the_vehicle_holding(
+    dialect: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The order to hold waits for a heartbeat: it is given again until it was sent, and the mode is flown."""
+    r, said, ends = rig(dialect), list[str](), list[np.ndarray]()
+
+    def show(phase: str, view: Any) -> None:
+        if speed_of(r) > 3.0 and not ends:
+            ends.append(r.truth())
+            raise error
+
+    cabin = cabin_of(r, loop_of(r, monkeypatch, show), said)
+    if error is KeyboardInterrupt:
+        cabin._land()
+        assert cabin._stopped == "the vehicle holds its place"
+        assert cabin._run.live.warnings == ["fly: ended by Ctrl-C; the vehicle holds its place"]
+    else:
+        with pytest.raises(error):
+            cabin.fly()
+        assert said[-1] == "fly: the vehicle holds its place"
+    assert not r.vehicle.in_control
+    r.run(5.0)
+    assert r.sim.logic.doing is Doing.HOLD
+    assert speed_of(r) < 0.1
+    assert np.linalg.norm(r.truth() - ends[0]) < 15.0
+
+
+def test_a_hold_that_is_refused_is_asked_for_again_and_is_not_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig()
+    assert r.fly(S.APPROACH)
+    loop, t = loop_of(r, monkeypatch), r.t
+    r.sim.logic.enter = lambda doing, t: False  # type: ignore[method-assign]
+    assert loop.hold() == UNCONFIRMED
+    assert modes_asked(r, t) >= 2
+    assert not r.vehicle.in_control
+
+
+def test_a_pilot_who_takes_over_meanwhile_is_not_told_to_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    r = rig()
+    assert r.fly(S.APPROACH)
+    loop, t = loop_of(r, monkeypatch), r.t
+    r.sim.pilot(Doing.PILOT)
+    assert loop.hold() == TAKEN
+    assert modes_asked(r, t) == 0
+    assert r.sim.logic.doing is Doing.PILOT
+
+
+# -- takeovers
+
+
+@BOTH
+def test_a_pilot_who_takes_over_after_the_take_off_keeps_the_vehicle(dialect: str) -> None:
+    r = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect)
+    r.up_and_flying(30.0)
+    r.sim.pilot(Doing.PILOT)
+    assert r.run(2.0, lambda: not r.vehicle.in_control)
+    t = r.t
+    r.begin(flying=True)
+    r.run(5.0)
+    assert pilot_of(r).state is S.HANDED_OVER
+    assert events(r) == [E.PILOT]
+    assert not r.moving_since(t)
+    assert r.sim.logic.doing is Doing.PILOT
+
+
+def test_the_wait_for_the_motion_ends_when_a_pilot_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The take-off is done, the motion is not known, and the pilot switches: no landing is begun."""
+    r, said, phases = PilotRig(Ground({}).seen), list[str](), list[str]()
+    assert r.run(30, lambda: r.ours.telemetry is not None and r.ours.telemetry.ready)
+    r.begin()
+
+    def show(phase: str, view: Any) -> None:
+        phases.append(phase)
+        if phase == "checks" and phases.count("checks") == 60:
+            r.sim.pilot(Doing.PILOT)
+
+    cabin = cabin_of(r, loop_of(r, monkeypatch, show), said)
+    cabin._plan.take_off, cabin._status = 12.0, lambda phase, view=None: show(phase, view)
+    cabin._motion_check = lambda: bad("motion", "none is known yet", "wait")
+    begun = r.t
+    assert cabin._refusal() == TAKEN
+    assert "take-off" in phases
+    assert r.t - begun < 45.0
+    t = r.t
+    r.run(5.0)
+    assert not r.moving_since(t)
+    assert r.sim.logic.doing is Doing.PILOT
+
+
+@BOTH
+def test_a_mode_that_is_not_the_one_ordered_is_a_takeover(dialect: str) -> None:
+    """A pilot switches to Hold just after we have ordered it and left it again: it looks like our own order."""
+    r = rig(dialect)
+    assert r.fly(S.APPROACH)
+    r.freeze = True
+    assert r.run(6.0, lambda: r.sim.logic.doing is Doing.HOLD)
+    r.freeze = False
+    assert r.run(6.0, lambda: r.sim.logic.doing is Doing.GUIDED)
+    r.run(1.2)
+    r.sim.pilot(Doing.HOLD)
+    assert r.run(8.0, lambda: pilot_of(r).state is S.HANDED_OVER)
+    t = r.t
+    r.run(5.0)
+    assert not r.moving_since(t + 2 * r.dt)
+    assert r.sim.logic.doing is Doing.HOLD
+
+
+def test_every_order_of_a_mode_waits_for_a_heartbeat_of_its_own() -> None:
+    """LAND was wanted, then guidance again: LAND a second time must not go by the heartbeats of the first."""
+    r = rig()
+    assert r.fly(S.APPROACH)
+    r.ticks = False
+    sender = pilot_of(r)._sender
+    beat = lambda: r.vehicle.telemetry.ages["HEARTBEAT"] < 0.01  # noqa: E731
+    assert r.run(2.0, beat)
+    r.run(0.1)
+    assert not sender._fly_as(FlightMode.LAND, r.now_ns)
+    assert sender._fly_as(FlightMode.GUIDED, r.now_ns)
+    assert r.run(2.0, beat)
+    r.run(0.3)
+    assert not sender._fly_as(FlightMode.LAND, r.now_ns)
+    assert r.run(2.0, beat)
+    assert sender._fly_as(FlightMode.LAND, r.now_ns)
+
+
+# -- a landing that is refused
+
+
+@BOTH
+def test_a_landing_that_is_refused_is_asked_for_again(dialect: str) -> None:
+    r, refused = rig(dialect), list[float]()
+    enter = r.sim.logic.enter
+
+    def stubborn(doing: Doing, t: float) -> bool:
+        if doing is Doing.LAND and len(refused) < 3:
+            refused.append(t)
+            return False
+        return enter(doing, t)
+
+    r.sim.logic.enter = stubborn  # type: ignore[method-assign]
+    assert r.fly(S.LANDED)
+    assert len(refused) == 3
+    assert min(np.diff(refused)) > 1.5
+    assert any("land was refused 3 times" in line for line in r.orders)
+
+
+def test_a_landing_that_is_not_answered_is_asked_for_again() -> None:
+    r = rig()
+    assert r.fly(S.COMMIT)
+    hear, deaf = r.sim._on_command_long, r.t + 12.0
+
+    def dull(m: Any, sender: tuple[int, int]) -> None:
+        if m.command != SET_MODE or r.t > deaf:
+            hear(m, sender)
+
+    r.sim._on_command_long = dull  # type: ignore[method-assign]
+    assert r.fly(S.LANDED, 60.0)
+
+
+# -- high sites
+
+
+def raised(ground: Ground, up: float) -> See:
+    """The same ground, higher."""
+
+    def see(number: int, t: float, at: np.ndarray) -> Seen:
+        low = ground.seen(number, t, at - [0.0, 0.0, up])
+        sites, rest = (tuple(replace(s, up=up) for s in some) for some in (low.sites.sites, low.sites.candidates))
+        elevation = replace(low.elevation, height=low.elevation.height + np.float32(up))
+        return replace(low, sites=replace(low.sites, sites=sites, candidates=rest), elevation=elevation, ground=up)
+
+    return see
+
+
+@BOTH
+def test_a_site_high_above_home_is_met_slowly(dialect: str) -> None:
+    """LAND comes down at 1.5 m/s wherever it is more than 10 m above the autopilot's home."""
+    up = 15.0
+    hill = PointMass(ground=lambda east, north: up if np.hypot(east - PLACE[0], north - PLACE[1]) < 4.0 else 0.0)
+    r = rig(dialect, see=raised(Ground({PLACE: clearer_from_below}), up), vehicle=hill)
+    landing = r.sim.logic._landing
+
+    def by_height_above_home(place: np.ndarray, t: float) -> Wanted:
+        wanted = landing(place, t)
+        if wanted.velocity is not None and wanted.velocity[2] < 0.0 and r.sim.estimated[2] > 10.0:
+            wanted.velocity[2] = -1.5
+        return wanted
+
+    r.sim.logic._landing = by_height_above_home  # type: ignore[method-assign]
+    assert r.fly(S.COMMIT)
+    each, sinks = r.each_step, [0.0]
+    r.each_step = lambda: (each(), sinks.append(-hill.velocity[2]))  # type: ignore[func-returns-value]
+    assert r.run(60.0, lambda: r.sim.logic.doing is Doing.LAND)
+    assert hill.position[2] - up < 0.05  # guided to the ground: within 1 m LAND is fast again
+    assert r.fly(S.LANDED)
+    assert 0.3 < max(sinks) < 0.6
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.4
+
+
+# -- near targets
+
+
+def test_ardupilot_stops_soon_after_a_takeover_by_the_sticks() -> None:
+    """Its mode stays GUIDED, and it flies on to the last target that it was given."""
+    r = rig("ardupilot", "executive.search_side=300", see=Ground({}).seen)
+    executive = pilot_of(r).executive
+    left = lambda: 0.0 if executive._way is None else float(np.linalg.norm(executive._way - r.truth()))  # noqa: E731
+    assert r.run(120.0, lambda: left() > 60.0 and speed_of(r) > 6.8)  # near targets do not slow it down
+    r.run(2.0)
+    assert speed_of(r) > 6.8
+    r.sim.reports.sticks = [1500, 1900, 1100, 1500]
+    assert r.run(2.0, lambda: pilot_of(r).state is S.HANDED_OVER)
+    at = r.truth()
+    r.run(15.0)
+    assert r.sim.logic.doing is Doing.GUIDED
+    assert speed_of(r) < 0.1
+    assert np.linalg.norm(r.truth() - at) < 15.0
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.5, 2.0, 5.0, 7.0, 12.0])
+def test_a_near_target_is_beyond_where_the_vehicle_brakes(speed: float) -> None:
+    """By ArduPilot's law of speed over distance, gain 1/s, at its usual accelerations, half a second later."""
+
+    def law(distance: float, braking: float) -> float:
+        return distance if distance < braking else (2 * braking * (distance - braking / 2)) ** 0.5
+
+    far = np.array([300.0, -400.0, -200.0])
+    way = near_way(far, speed, speed)
+    assert law(np.hypot(*way[:2]) - 0.49 * speed, 2.5) >= speed
+    assert law(-way[2] - 0.49 * speed, 1.0) >= speed
+    assert np.hypot(*way[:2]) < 1.8 + 2.0 * speed + max(speed - 7.0, 0.0) * 3.0
+    assert way[0] / way[1] == pytest.approx(far[0] / far[1])
+    near = np.array([0.3, 0.2, 0.2])
+    np.testing.assert_array_equal(near_way(near, speed, speed), near)
+    np.testing.assert_array_equal(near_way(np.zeros(3), speed, speed), np.zeros(3))
+
+
+# -- positions that cannot be true
+
+
+def targets_since(r: PilotRig, t: float) -> list[np.ndarray]:
+    """(3,) metres from the simulated home, each target that was sent."""
+    sent = [m for then, m in r.wire if then > t and m.get_type() == "SET_POSITION_TARGET_GLOBAL_INT"]
+    return [r.sim.home.metres(m.lat_int * 1e-7, m.lon_int * 1e-7, m.alt) for m in sent]
+
+
+@BOTH
+@pytest.mark.parametrize("jump", [[1000.0, 0.0, 0.0], [0.0, 0.0, 400.0], [-30.0, 20.0, 0.0]])
+def test_a_jump_of_the_autopilots_position_makes_no_far_target(dialect: str, jump: list[float]) -> None:
+    r = rig(dialect)
+    assert r.fly(S.APPROACH)
+    assert r.run(10.0, lambda: speed_of(r) > 3.0)
+    before, t = r.sim.estimated, r.t
+    r.sim.estimate.error = r.sim.estimate.error + jump
+    after = r.sim.estimated
+    r.run(3.0)
+    sent = targets_since(r, t + r.dt)
+    assert max(min(np.linalg.norm(at - before), np.linalg.norm(at - after)) for at in sent) < 30.0
+    assert r.fly(S.LANDED)
+
+
+@pytest.mark.parametrize(
+    "to", [[500.0, 0.0, 30.0], [0.0, 0.0, 150.0], [np.nan, 0.0, 30.0], [np.inf, 0.0, 30.0], [0.0, 0.0, np.nan]]
+)
+@pytest.mark.parametrize("what", ["fly", "land"])
+def test_a_far_target_is_not_flown_to(to: list[float], what: str) -> None:
+    r = rig()
+    assert r.fly(S.APPROACH)
+    r.ticks = False
+    r.run(2.0)
+    t, sender = r.t, pilot_of(r)._sender
+    each = r.each_step
+
+    def obey() -> None:
+        each()
+        sender.obey(Order(what, np.array(to)), S.APPROACH, pilot_of(r).motion, r.now_ns)
+
+    r.each_step = obey
+    r.run(4.0)
+    assert r.sim.logic.doing is Doing.HOLD
+    at = r.sim.estimated
+    assert all(np.linalg.norm(target - at) < 40.0 for target in targets_since(r, t))
+    assert "LANDING_TARGET" not in {m.get_type() for then, m in r.wire if then > t}
+
+
+def test_a_motion_that_is_no_number_moves_nothing() -> None:
+    r = rig()
+    assert r.fly(S.APPROACH)
+    moved = pilot_of(r).moved
+    lost = Pose(np.eye(3), np.full(3, np.nan))
+    pilot_of(r).moved = lambda m: moved(Motion(m.t_ns, lost, (), np.eye(6)))
+    r.run(0.5)
+    t = r.t
+    r.run(6.0)
+    assert pilot_of(r).state is S.HOLD
+    assert r.sim.logic.doing is Doing.HOLD
+    assert not targets_since(r, t)
