@@ -117,6 +117,8 @@ class Flight:
         return self.executive.state
 
     def _obey(self, order: Order) -> None:
+        if order.what == "land" and order.position is None:
+            self.position[2] -= order.sink * STEP
         if order.position is None or order.what not in ("fly", "land"):
             return
         left = order.position - self.position
@@ -511,6 +513,62 @@ def test_who_comes_ends_a_landing_that_is_late_or_short_of_battery(limit: dict[s
     f = Flight(ground, Executive(settings()), comes)
     f.fly(200.0)
     assert f.states[f.states.index(S.COMMIT) + 1] is S.ABORT
+
+
+def test_a_place_that_is_not_seen_any_more_breaks_a_landing_off_while_it_is_high() -> None:
+    """What stands on it moves, say: that is unknown ground, and no verdict refuses it."""
+    for low, ends in ((0.0, S.ABORT), (9.0, S.LANDED)):  # the height below which that is no reason
+        ground = Ground({(10.0, 5.0): clearer_from_below})
+
+        def hide(now: Situation, executive: Executive, ground: Ground = ground) -> Situation:
+            if executive.state is S.COMMIT:
+                ground.places.clear()
+            return now
+
+        keys = settings(f"tuning.executive.degraded_height={low}")
+        f = Flight(ground, Executive(keys), hide)
+        f.fly(200.0)
+        k = f.states.index(S.COMMIT)
+        assert f.states[k + 1] is ends
+        assert ends is S.LANDED or "not seen whole" in f.executive.diary.transitions[k].reason
+
+
+def test_a_landing_without_verdicts_is_broken_off() -> None:
+    last: list[Seen | None] = []
+
+    def stall(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT:
+            last.append(now.seen)
+        return replace(now, seen=last[0]) if last else now
+
+    f = Flight(
+        Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("tuning.executive.landing_speed=0.2")), stall
+    )
+    f.fly(200.0)
+    k = f.states.index(S.COMMIT)
+    assert (f.events[k], f.states[k + 1]) == (E.WAITED, S.ABORT)
+    assert "no verdict for" in f.executive.diary.transitions[k].reason
+
+
+def test_who_is_down_has_landed_whatever_the_mode_is_then() -> None:
+    """PX4 changes its mode when its motors stop."""
+    down = in_state(S.COMMIT, lambda now: replace(now, pilot=True) if now.standing else now)
+    assert Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), down).fly() is S.LANDED
+
+
+@pytest.mark.parametrize("change", [{"frame_id": 1}, {"state": MotionState.LOST, "position": None}])
+def test_too_low_to_go_up_and_lost_it_sinks_straight_down(change: dict[str, Any]) -> None:
+    """Places of another frame would lead it aside."""
+
+    def lose(now: Situation, executive: Executive) -> Situation:
+        low = executive.state is S.COMMIT and now.position is not None and now.position[2] < 1.3
+        return replace(now, **change) if low else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), lose)
+    assert f.fly() is S.LANDED
+    blind = [o for s, o, p in f.orders if s is S.COMMIT and p[2] < 1.3]
+    assert blind
+    assert all(o.what == "land" and o.down and o.position is None for o in blind)
 
 
 def test_a_landing_that_does_not_come_down_is_broken_off() -> None:

@@ -94,7 +94,7 @@ class Order:
     """What the vehicle is to do now."""
 
     what: str  # fly | hold | land | return | nothing
-    position: F64 | None = None  # (3,) metres, to fly to or to land on
+    position: F64 | None = None  # (3,) metres, to fly to or to land on; None, to land: straight down where it is
     speed: float = 5.0  # m/s
     sink: float = 1.0  # m/s, downwards at most
     down: bool = True  # False: to land, and over the place at the present height first

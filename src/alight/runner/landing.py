@@ -209,6 +209,11 @@ class _Loop:
             target = to + self._tie.mean
             self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
             self._held = None
+        elif order.what == "land" and order.position is None and self._rows:
+            if self._held is None:
+                self._held = self._rows[-1][1].copy()
+            below = np.array([*self._held[:2], self._rows[-1][1][2] - BELOW])
+            self._wanted = Wanted(below, speed=order.speed, sink=order.sink)
         elif order.what != "nothing":
             if self._held is None and self._rows:
                 self._held = self._rows[-1][1].copy()

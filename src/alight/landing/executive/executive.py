@@ -16,6 +16,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
+from alight.landing.executive.descent import Descent
 from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.limits import exceeded, held_enough, is_too_weak, patience
 from alight.landing.executive.look_leg import LookLeg
@@ -64,7 +65,7 @@ class Executive:
         self._way: F64 | None = None  # where to fly in this state
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
-        self._descends = False  # the vehicle is over the place, and comes down
+        self._descent = Descent(settings)
         self._sound_at = -math.inf  # s, when the motion was not degraded
         self._across: F64 | None = None  # where the look leg leads
         self._leg_now: LookLeg | None = None  # planned last
@@ -114,12 +115,12 @@ class Executive:
         """The most urgent event with its reason in words; None: nothing has happened."""
         if self.state in (S.LANDED, S.HANDED_OVER):
             return None, ""
+        if now.standing and self.state in (S.COMMIT, S.RETURN):  # before the pilot: motors off, some change the mode
+            return E.TOUCHED_DOWN, "the autopilot says so"
         if now.pilot:
             return E.PILOT, "the mode was changed, or the sticks were moved"
         if not now.link:
             return E.LINK_LOST, "no heartbeat"
-        if now.standing and self.state in (S.COMMIT, S.RETURN):
-            return E.TOUCHED_DOWN, "the autopilot says so"
         if self.state is S.RETURN or (self.state is S.COMMIT and self._left < self._keys.abort_height):
             return None, ""
         if (trouble := self._trouble(now)) is not None:
@@ -143,8 +144,8 @@ class Executive:
         if now.frame_id != self._frame and now.position is not None:
             self._follow(now)
             return E.NEW_FRAME, f"frame {now.frame_id}"
-        if self.state is S.COMMIT and now.t - self._since > k.hold:
-            return E.WAITED, f"it does not come down: {now.t - self._since:.0f} s"
+        if self.state is S.COMMIT and (why := self._descent.too_long(now.t, self._left)):
+            return E.WAITED, why
         over = exceeded(now, self._begun, k)
         return over if over is not None and (self.state, over[0]) in TABLE else None  # else it goes on looking
 
@@ -197,7 +198,8 @@ class Executive:
         assert self.target is not None
         said = self._opinion(now) if self._keys.look_again else None
         if said is not None and self._refusals >= self._keys.sure:
-            fallen = f"P(safe) has fallen to {said.p_safe:.2f}: " if self.state is S.COMMIT else ""
+            judged = self.state is S.COMMIT and said.standing is not Standing.NOT_SEEN
+            fallen = f"P(safe) has fallen to {said.p_safe:.2f}: " if judged else ""
             return E.REFUSED, f"{fallen}{said.why}"
         if said is not None and said.standing in (Standing.SITE, Standing.CANDIDATE):
             landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
@@ -255,7 +257,9 @@ class Executive:
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         said = opinion(self.target, seen, self._limit, same, least, may)
-        if said.standing is not Standing.NOT_SEEN:
+        if low and self._descent.judged(now.t, said.standing, self._left):
+            self._refusals = self._keys.sure
+        elif said.standing is not Standing.NOT_SEEN:
             fallen = said.standing is Standing.REFUSED or (low and said.p_safe < least)
             self._refusals = self._refusals + 1 if fallen else 0
         return said
@@ -271,12 +275,14 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._across, self._leg_done, self._descends = None, None, None, False
+        self._way, self._across, self._leg_done = None, None, None
         if after is S.APPROACH:
             self._begin_place(now)
         elif after in (S.DESCEND, S.LOOK):
             self._height = self._looks.next_height(self._height) if after is S.DESCEND else self._height
             self._plan(self._leg(now))
+        elif after is S.COMMIT:
+            self._descent.begin(now.t)
         elif after is S.ABORT:
             self._climb(now)
         elif after in (S.SEARCH, S.HOLD, *ENDS) and before is not S.COMMIT:
@@ -318,7 +324,8 @@ class Executive:
         if self.state is S.RETURN:
             return Order("return")
         if self.state is S.COMMIT:
-            return self._come_down(now)
+            assert self.target is not None
+            return self._descent.order(now, self.target, self._left, now.frame_id == self._frame)
         if self.state is S.HOLD or now.position is None:
             return Order("hold")
         to = self._across if self.state is S.LOOK and self._across is not None else self._way
@@ -330,17 +337,6 @@ class Executive:
         speed = ground_speed(way, now.wind, speeds.get(self.state, r.cruise_speed), r.air_speed)
         sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
         return Order("fly", to, speed, sink)
-
-    def _come_down(self, now: Situation) -> Order:
-        """Over the place first, then slowly down; over it again from beside, while the landing may be broken off."""
-        assert self.target is not None
-        place = np.array([self.target.east, self.target.north, self.target.up])
-        if now.position is not None:
-            beside = math.dist(place[:2], now.position[:2])
-            within = self._keys.off_site if self._descends else self._keys.over_site
-            self._descends = beside <= within or self._left < self._keys.abort_height
-        speed = self._keys.aside_speed if self._descends else self._route.cruise_speed
-        return Order("land", place, speed, self._keys.landing_speed, self._descends)
 
     def _clear(self, now: Situation, to: F64) -> F64:
         """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""

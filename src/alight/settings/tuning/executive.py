@@ -50,6 +50,10 @@ class ExecutiveTuning(FrozenModel):
     degraded_height: NonNegative = Field(
         3.0, description="Height above the site below which it does not end a landing, where the autopilot holds, m"
     )
+    unseen: int = Field(
+        3, ge=1, description="Verdicts in a row that do not see the place whole and end a landing above that height"
+    )
+    unjudged: Positive = Field(5.0, description="Time without a verdict that breaks a landing off above that height, s")
     stale: Positive = Field(1.5, description="Age of the newest picture above which the camera counts as lost, s")
     landing_speed: Positive = Field(0.5, description="Speed of the touchdown, m/s")
     over_site: Positive = Field(0.4, description="Distance from the site within which it begins to come down, m")

@@ -1,0 +1,68 @@
+"""The way down on a place, and what breaks it off besides what a verdict says of the place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from alight.landing.executive.opinion import Standing
+from alight.records import Site
+from alight.records.executive import Order, Situation
+from alight.settings import StageSettings
+
+
+class Descent:
+    """Over the place first, then slowly down; over it again from beside, while the landing may be broken off.
+
+    Args:
+        settings: of all stages; `executive` and `route` are used.
+    """
+
+    def __init__(self, settings: StageSettings) -> None:
+        self._keys, self._cruise = settings.executive, settings.route.cruise_speed
+        self.begin(0.0)
+
+    def begin(self, t: float) -> None:
+        """Begin a landing, at a time in seconds."""
+        self._begun = self._judged = t
+        self._over = False  # it is over the place, and comes down
+        self._unseen = 0  # verdicts in a row that do not see the place whole
+
+    def judged(self, t: float, standing: Standing, left: float) -> bool:
+        """Take a new verdict; whether so many in a row see too little of the place that it counts as refused.
+
+        Near the ground that is no reason: of grass from 2 m the whole picture sways, and counts as moving.
+
+        Args:
+            t: s.
+            standing: of the place.
+            left: metres above it.
+        """
+        self._judged = t
+        seen = standing is not Standing.NOT_SEEN or left < self._keys.degraded_height
+        self._unseen = 0 if seen else self._unseen + 1
+        return self._unseen >= self._keys.unseen
+
+    def too_long(self, t: float, left: float) -> str:
+        """Say that it takes too long, or that no verdict has come for too long; empty: neither."""
+        if t - self._begun > self._keys.hold:
+            return f"it does not come down: {t - self._begun:.0f} s"
+        silent = t - self._judged
+        late = silent > self._keys.unjudged and left >= self._keys.degraded_height and self._keys.look_again
+        return f"no verdict for {silent:.1f} s" if late else ""
+
+    def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
+        """Return the order for now.
+
+        Where the vehicle is not known in the frame of the place it sinks straight down where it is: it is too low to
+        break the landing off.
+        """
+        speed, sink = self._keys.aside_speed, self._keys.landing_speed
+        if now.position is None or not same_frame:
+            return Order("land", None, speed, sink, down=True)
+        beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
+        within = self._keys.off_site if self._over else self._keys.over_site
+        self._over = beside <= within or left < self._keys.abort_height
+        at = np.array([place.east, place.north, place.up])
+        return Order("land", at, speed if self._over else self._cruise, sink, down=self._over)
