@@ -18,6 +18,7 @@ from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.evidence import ground_odds
 from alight.hazards.picture_spots import picture_spots
+from alight.hazards.usable_heights import measured_height
 from alight.raster import clearance_of
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -326,6 +327,30 @@ def test_a_stone_that_the_heights_do_not_show_costs_probability_where_they_are_m
     assert seen[np.hypot(r - 40, c - 41) <= 7].max() < clear[MID]
     assert_allclose(seen[40, 15], clear[40, 15], atol=1e-6)
     assert_allclose(assess(pictured(True), None, Lander(radius=1.0), EXACT).p_safe[MID], 1.0)  # heights that show all
+
+
+@pytest.mark.parametrize(
+    ("sigma", "high", "counts"), [(0.02, 0.3, True), (0.2, 0.3, True), (0.3, 1.5, True), (0.3, 0.3, False)]
+)
+def test_a_doubtful_height_tells_of_an_obstacle_unless_its_sigma_says_that_it_is_noise(
+    sigma: float, high: float, counts: bool
+) -> None:
+    """A stone of 0.4 m on level ground that was seen finely, 0.6 m from the middle of the footprint."""
+    r, c = np.mgrid[:81, :81]
+    stone = np.hypot(r - 40, c - 46) * 0.1 < 0.2
+    level = ground(flat(), sigma=0.005, cell=0.1)
+    fine = {"sampling": np.full_like(level.height, 0.02), "fine_sampling": np.full_like(level.height, 0.01)}
+    level = replace(level, **fine)
+    doubtful = replace(
+        level, height=np.where(stone, np.float32(high), level.height),
+        sigma=np.where(stone, np.float32(sigma), level.sigma),
+        flags=np.where(stone, np.uint16(Flag.UNSURE), level.flags),
+    )  # fmt: skip
+    clear, seen = (assess(e, None, Lander(radius=1.0), HazardsSettings()) for e in (level, doubtful))
+    measured = measured_height(doubtful, Lander(radius=1.0), HazardsSettings())
+    assert np.isfinite(measured[stone]).all() == counts
+    assert np.isfinite(measured[~stone]).all()
+    assert (seen.p_safe[MID] < 0.7 * clear.p_safe[MID]) == counts
 
 
 def test_rock_counts_as_ground_that_bears_where_the_classes_say_so() -> None:

@@ -150,3 +150,13 @@ def test_what_does_not_fit_the_heights_is_refused(
     given = value if value.startswith("-") else str(tmp_path / value)
     assert call(["hazards", str(dem), f"{option}={given}", "--out", str(tmp_path / "out")]) == 2
     assert says in capsys.readouterr().err
+
+
+def test_gear_on_cells_too_coarse_for_it_is_judged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    steep = np.add.outer(np.zeros(41), 0.577 * np.arange(41)).astype(np.float32)
+    dem, out = write(tmp_path / "dem.tif", steep, 1.0), str(tmp_path / "out")
+    for gear in ("lander.feet=[[0.4,0.4],[0.4,-0.4],[-0.4,0.4],[-0.4,-0.4]]", "lander.skids=[0.8,0.6]"):
+        assert call(["hazards", str(dem), "--sigma", "0.03", "--set", gear, "--out", out]) == 0
+        assert "too steep" in capsys.readouterr().out
+    assert call(["hazards", str(dem), "--set", "lander.radius=0.9", "--out", out]) == 0
+    assert "unknown ground within the footprint" in capsys.readouterr().out  # of one cell there is no slope

@@ -13,9 +13,10 @@ from alight.elevation import FIELDS, on_cells_up_to
 from alight.geometry import Camera, Grid, Pose
 from alight.hazards import assess
 from alight.parallax import orthophoto
-from alight.pipeline.judging import JudgingLane, Verdict, land_cover, observer
+from alight.pipeline.judging import JudgingLane, JudgingMemory, Verdict, land_cover, observer
 from alight.pipeline.map_frame import MapFrame
 from alight.pipeline.mapping import MapSnapshot, VehiclePosition
+from alight.pipeline.remembered import NOWHERE
 from alight.pipeline.timing import Timings
 from alight.raster import block_mean, cells_as_blocks
 from alight.records import ElevationMap, MissingVeto, NextView, Sites, Terrain, View
@@ -174,6 +175,14 @@ def test_a_roof_is_remembered_where_its_rim_is_not_seen_any_more() -> None:
         assert (cover.landable == 0).all()
 
 
+def test_a_roof_covers_what_is_not_known_of_its_place_in_another_frame() -> None:
+    frame, later = (MapFrame(k, np.zeros(3), np.diag([0.18, 0.08, 1.0])) for k in range(2))
+    memory = JudgingMemory(frame=frame, roofs=NOWHERE.with_seen(np.array([[4, 6]]), 7))
+    roofs = memory.tied(frame.tie(later), later).roofs  # known to 0.6 m: 1.2 m on each side
+    np.testing.assert_array_equal(np.ptp(roofs.cells, axis=0), [6, 6])
+    np.testing.assert_array_equal(roofs.cells.mean(axis=0), [4, 6])
+
+
 def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
     """The finest picture of a large map, of which few photos are taken from near by, took a sixth of the memory."""
     views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
@@ -188,3 +197,22 @@ def test_the_picture_of_a_large_map_is_coarser_and_its_pixels_say_so() -> None:
     mean = whole.reshape(coarse.shape[0], 2, coarse.shape[1], 2, 3).mean(axis=(1, 3))
     assert np.abs(coarse - mean).mean() < 0.5 * np.abs(mean - mean.mean(axis=(0, 1))).mean()
     np.testing.assert_allclose(wider, np.maximum(sampling, 0.1 / (n / 2)), rtol=1e-6)
+
+
+def test_no_pixel_that_a_camera_saw_is_black() -> None:
+    """Black is no picture: half of the ground is painted black, the other half red without any green."""
+    views = [look((0.3 * k, 0.0, 8.0), k) for k in range(5)]
+    painted = [replace(v, image=np.zeros((*v.image.shape[:2], 3), np.uint8)) for v in views]
+    for v in painted:
+        np.asarray(v.image)[:, :120, 0] = 200
+    grid = Grid(-1.5, 1.5, 0.1, 30, 60)
+    level = np.full(grid.shape, np.float32(surface(np.array(0.0), np.array(0.0))))
+    ground = replace(cells(grid.shape, 0.1, 1), grid=grid, height=level, rgb=np.zeros((*grid.shape, 3), np.uint8))
+    picture, _ = orthophoto(painted, ground)
+    shown = orthophoto(views, ground)[0].any(axis=2)
+    assert shown.mean() > 0.5
+    assert (picture[shown][:, 1] == 1).all()
+    assert set(np.unique(picture[shown][:, 2])) == {1}
+    assert picture[shown][:, 0].min() == 1
+    assert picture[shown][:, 0].max() > 100
+    assert not picture[~shown].any()

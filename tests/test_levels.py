@@ -15,6 +15,7 @@ from alight.geometry import Pose
 from alight.pipeline.mapping.batch_map import BatchMap
 from alight.pipeline.mapping.recursive_map import RecursiveMap
 from alight.pipeline.mapping.view_geometry import footprint, level_for
+from alight.pipeline.remembered import NOWHERE
 from alight.records import ElevationMap, View
 from alight.settings import Settings, load_settings
 from alight.settings.tuning import MappingTuning
@@ -319,6 +320,17 @@ def test_poses_of_another_frame_do_not_mix() -> None:
     mixed = steps(steps(lane_of(level()[:8]), level()), moved)  # the same without being told
     m = under(mixed, moved[-1], share=0.5)
     assert not m.trusted.any() or np.median(np.abs(errors(m) - 1.5)) > 0.0025 * UP
+
+
+def test_a_new_frame_remembers_what_moved_about_its_place() -> None:
+    """Known to 0.6 m, so within 1.2 m of it on the cells of 0.5 m that reach there."""
+    lane = steps(lane_of(level()[:8]), level())
+    lane.passed = lane.came = NOWHERE.with_seen(np.array([[4, 6]]), 7)
+    lane.begin_anew(np.array([1.0, -2.0, 0.3]), sigma=0.6)
+    for kept in (lane.passed, lane.came):
+        assert (kept.t_ns == 7).all()
+        np.testing.assert_array_equal(np.ptp(kept.cells, axis=0), [6, 6])
+        np.testing.assert_array_equal(kept.cells.mean(axis=0), [6, 2])
 
 
 def test_a_new_frame_leaves_no_tile_of_the_old_one_behind() -> None:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from some_run import elevation
 
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.pipeline.mapping.passing import traffic, what_moves, who_came
-from alight.pipeline.remembered import NOWHERE
+from alight.pipeline.remembered import CELL, NOWHERE
 from alight.records import ElevationMap, Flag, Hazard, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
@@ -63,6 +64,44 @@ def test_it_goes_with_the_frame() -> None:
     seen = NOWHERE.with_seen(cells((4.0, 8.0, 8.0, 10.0)), 0).moved(np.array([100.0, -50.0, 3.0]))
     assert seen.on(Grid(100.0, -30.0, 0.5, 40, 40)).sum() == 32
     assert not seen.on(road().grid).any()
+
+
+@pytest.mark.parametrize(("sigma", "wide"), [(0.0, 4.0), (0.6, 7.0), (50.0, 14.0)])
+def test_it_covers_what_is_not_known_of_the_way_between_two_frames(sigma: float, wide: float) -> None:
+    """A car of 4 x 2 m grows by 2 sigma on each side, 5 m at most, round at the corners; the latest time counts."""
+    shift, car = np.array([100.0, -50.0, 3.0]), (4.0, 8.0, 8.0, 10.0)
+    seen = NOWHERE.with_seen(cells(car), 0).with_seen(cells(car)[:1], SECOND).moved(shift, sigma)
+    on = seen.on(Grid(90.25, -20.25, 0.1, 400, 400))
+    assert_allclose([on.any(axis=0).sum() / 10, on.any(axis=1).sum() / 10], [wide, wide - 2.0], atol=0.11)
+    beside = 0.5 * (wide - 4.0)
+    assert (on.sum() < 100 * wide * (wide - 2.0)) == (beside > 0)
+    assert on.sum() / 100 >= 8.0 + 12.0 * beside + np.pi * beside**2 - 0.1
+    later = seen.since(SECOND).on(Grid(90.25, -20.25, 0.1, 400, 400))
+    assert_allclose(later.any(axis=0).sum() / 10, 0.5 + 2 * beside, atol=0.11)
+
+
+@pytest.mark.parametrize("cell", [0.25, 0.4, 0.55, 0.64, 0.8, 1.0, 1.28])
+def test_on_wide_cells_it_is_remembered_as_well(cell: float) -> None:
+    """A lorry of 6 x 10 m; as wide as the cells show it, and found again on cells of that size."""
+    e = road((4.0, 5.0, 10.0, 15.0), cell=cell)
+    shown = (e.flags & np.uint16(Flag.MOVING)) != 0
+    moves = what_moves(e.grid, e.flags)
+    rim = 2 * (shown.any(axis=0).sum() + shown.any(axis=1).sum()) * cell
+    assert abs(0.25 * len(moves) - shown.sum() * cell**2) <= 0.25 * rim + 0.25
+    seen = NOWHERE.with_seen(moves, 0)
+    assert (seen.on(e.grid) >= shown).all()
+    assert (NOWHERE.with_seen(who_came(e.grid, shown), 0).on(e.grid) >= shown).all()
+
+
+@pytest.mark.parametrize("cell", [0.3, 0.5, 0.56, 0.64, 0.7, 1.0])
+def test_no_remembered_cell_falls_between_wide_ones(cell: float) -> None:
+    rng, grid = np.random.default_rng(0), Grid(0.03, 30.03, cell, round(30 / cell), round(30 / cell))
+    for place in rng.uniform(5, 25, (100, 2)):
+        on = NOWHERE.with_seen(np.floor(place / CELL).astype(np.int64)[None], 0).on(grid)
+        x, y = (v[i] for v, i in zip(grid.xy(), np.nonzero(on)[::-1], strict=True))
+        assert len(x)
+        middle = (np.floor(place / CELL) + 0.5) * CELL
+        assert np.abs(np.r_[x - middle[0], y - middle[1]]).max() <= 0.5 * (cell + CELL)
 
 
 def test_specks_are_noise() -> None:

@@ -8,17 +8,31 @@ from functools import cache
 import numpy as np
 import pytest
 
+from alight.arrays import I64
 from alight.elevation import NullStore
 from alight.geometry import Camera, Pose
 from alight.jobs import InTurn
 from alight.pipeline import Decision, Pipeline
-from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper
+from alight.pipeline.mapping import BatchMapper, FinishedMap, RecursiveMapper, recursive_map
 from alight.pipeline.mapping.frame_store import FrameStore
 from alight.pipeline.mapping.ground_map import lone
 from alight.pipeline.mapping.view_geometry import nice_cell
 from alight.pipeline.navigation import FilterLane, GivenLane, Trajectory
+from alight.pipeline.remembered import CELL
 from alight.pipeline.timing import Timings
-from alight.records import ElevationMap, Event, Flag, Frame, ImuSample, Motion, MotionState, NavSample, Rig, RigCamera
+from alight.records import (
+    ElevationMap,
+    Event,
+    Flag,
+    Frame,
+    Hazard,
+    ImuSample,
+    Motion,
+    MotionState,
+    NavSample,
+    Rig,
+    RigCamera,
+)
 from alight.settings import Settings, StageSettings, load_settings
 from alight.settings.tuning import MappingTuning
 from alight_sim import SimulatedFlight, default_rig, fly
@@ -293,6 +307,27 @@ def test_in_flight_the_ground_is_judged_again_and_sites_stay_in_reserve() -> Non
     assert len(end.notes.get("sites in reserve", [])) == len(earlier)
     given_up = [why for r in [*reserves, p.reserve] for _, why in r.lost]
     assert [line.split(": ")[1] for line in end.notes.get("sites given up", [])] == given_up
+
+
+def test_the_end_of_a_flight_knows_what_moved_and_who_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best place of the flight lies on a street: a car passes it once, and the last verdict still refuses it."""
+    f, events = flight()
+    settings = settings_of("parallax.method=ring", "sites.every=0", "sites.margin=0", "terrain.enabled=false")
+
+    def end(moves: I64) -> Decision:
+        monkeypatch.setattr(recursive_map, "what_moves", lambda grid, flags: moves)
+        p = Pipeline(f.rig, "flight", settings, f.truth_trajectory)
+        for e in events:
+            p.feed(e)
+        return p.finish()
+
+    best = end(np.zeros((0, 2), np.int64)).sites.sites[0]
+    here = np.array([best.east, best.north])
+    passed = end(np.floor(here / CELL).astype(np.int64)[None])
+    assert passed.hazards is not None
+    r, c = (int(np.rint(v)) for v in passed.hazards.grid.index(best.east, best.north))
+    assert Hazard.TRAFFIC in Hazard(int(passed.hazards.reasons[r, c]))
+    assert all(np.hypot(s.east - best.east, s.north - best.north) > 1.0 for s in passed.sites.sites)
 
 
 def test_a_place_that_is_asked_about_is_judged_though_the_newest_keyframe_does_not_look_there() -> None:

@@ -13,7 +13,7 @@ from ground import ground
 from numpy.testing import assert_allclose
 
 from alight.landing import route
-from alight.records import ElevationMap, Route, Site
+from alight.records import ElevationMap, Flag, Route, Site
 from alight.settings import RouteSettings, load_settings
 
 SETTINGS = RouteSettings(approach_height=10.0, clearance=3.0)
@@ -93,6 +93,38 @@ def test_unknown_ground_may_be_as_high_as_anything_known() -> None:
     got = route.plan_route(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
     assert any("not mapped" in w for w in got.warnings)
     assert max(w.position_world[2] for w in got.waypoints) >= 43.0
+
+
+@pytest.mark.parametrize("flag", [Flag.SATURATED, Flag.UNSEEN])
+def test_unknown_ground_beside_the_way_counts_as_well(flag: Flag) -> None:
+    """A tower of 2 x 2.5 m, 1 m beside the way, that no camera could measure; far off, something of 40 m."""
+    z = np.zeros((101, 141))
+    z[5:8, 5:8] = 40.0
+    e = ground(z, cell=0.5)
+    e.flags[43:48, 80:84] |= np.uint16(flag)
+    e.height[43:48, 80:84] = np.nan if flag == Flag.UNSEEN else 18.0
+    got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 14.0]), SETTINGS)
+    assert any("not mapped" in w for w in got.warnings)
+    assert max(w.position_world[2] for w in got.waypoints) >= 43.0
+
+
+@pytest.mark.parametrize("hole", [(slice(45, 46), slice(80, 84)), (slice(30, 43), slice(60, 100))])
+def test_small_holes_beside_the_way_and_holes_farther_off_change_nothing(hole: tuple[slice, slice]) -> None:
+    e = ground(np.zeros((101, 141)), cell=0.5)
+    e.flags[hole] |= np.uint16(Flag.UNSEEN)
+    e.height[hole] = np.nan
+    got = route.plan_route(site(60.0, 25.0), e, np.array([5.0, 25.0, 14.0]), SETTINGS)
+    assert got.warnings == ()
+    assert [w.name for w in got.waypoints] == ["start", "approach", "inspect", "touchdown"]
+
+
+def test_the_rim_of_the_map_beyond_both_ends_changes_nothing() -> None:
+    """The map ends 1 m behind the vehicle and 1 m behind the site; 1 m beside the way it does count."""
+    e = ground(np.zeros((101, 141)), cell=0.5)
+    beyond = route.plan_route(site(69.0, 25.0), e, np.array([1.0, 25.0, 14.0]), SETTINGS)
+    assert beyond.warnings == ()
+    beside = route.plan_route(site(60.0, 1.0), e, np.array([5.0, 1.0, 14.0]), SETTINGS)
+    assert any("not mapped" in w for w in beside.warnings)
 
 
 def test_a_vehicle_over_the_site_only_descends() -> None:

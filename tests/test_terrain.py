@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 from ground import BROWN, GREEN, GREY, POND, ground, textured
 from numpy.testing import assert_allclose
 
 from alight.geometry import Grid
+from alight.hazards import assess
 from alight.records import ElevationMap, Flag, Terrain, TerrainMap
-from alight.settings import TerrainSettings
+from alight.settings import HazardsSettings, Lander, TerrainSettings
 from alight.terrain import classify, open_water
 from alight.terrain.appearance import appearance
 from alight.terrain.relief import ground_under, open_to_rim, standing_water
@@ -140,6 +142,39 @@ def test_nothing_seen_is_unknown_and_no_evidence() -> None:
     off = classify(e, TerrainSettings(enabled=False))
     assert np.isnan(off.landable).all()
     assert not off.label.any()
+
+
+def pit(side: int, level: int, fine: bool, plain: Flag = Flag.SATURATED) -> ElevationMap:
+    """Lawn with a patch of `side` cells of one level; with a finest picture beside the map's colours, or without."""
+    rgb, inside = textured(GREEN, SHAPE, 0.05, 1), (slice(100, 100 + side),) * 2
+    rgb[inside] = level
+    e = ground(noise(0.02), rgb=rgb)
+    e.flags[inside] |= np.uint16(plain)
+    return replace(e, fine=np.maximum(rgb, 1).repeat(2, axis=0).repeat(2, axis=1)) if fine else e
+
+
+def test_black_ground_is_seen_ground() -> None:
+    """A dark pit of 0.5 m: it has a class, that of the darkest grey."""
+    black, dark = (classify(pit(5, level, fine=True), SETTINGS) for level in (0, 1))
+    assert_allclose(black.landable, dark.landable, atol=1e-3)
+    assert_allclose(black.novelty, dark.novelty, rtol=1e-2)
+    assert (black.label == dark.label).all()
+
+
+@pytest.mark.parametrize("side", [4, 5])
+def test_black_ground_of_which_no_picture_shows_more_is_like_nothing_known(side: int) -> None:
+    """No class, and no certainty, so no site. A gap in the map's colours is not black ground."""
+    e, gap = pit(side, 0, fine=False), pit(side, 0, fine=False, plain=Flag(0))
+    blank, inside = classify(e, SETTINGS), (slice(100, 100 + side),) * 2
+    assert (blank.label[inside] == Terrain.UNKNOWN).all()
+    assert blank.bears is not None
+    assert blank.novelty is not None
+    assert (blank.bears[inside] == 0.5).all()
+    assert (blank.landable[inside] == 0.5).all()
+    assert (blank.novelty[inside] == 20.0).all()
+    lander, settings = Lander(radius=1.0), HazardsSettings()
+    assert assess(e, blank, lander, settings).p_ground[102, 102] < settings.p_safe
+    assert np.isnan(classify(gap, SETTINGS).landable[inside]).all()
 
 
 def test_an_empty_map_is_classified_without_a_complaint() -> None:

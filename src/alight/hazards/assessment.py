@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from alight.arrays import F32, U16, Mask
-from alight.hazards.contact import (
-    Footprint,
-    footprint_of,
-    gear_contact,
-    rotor_rise,
-    step_of,
-)
+from alight.hazards.beside import ROUNDING, beside_of
+from alight.hazards.contact import Footprint, footprint_of, gear_contact, step_of
 from alight.hazards.evidence import FootprintShape
 from alight.hazards.factors import Evidence, evidence_of, factors_of
+from alight.hazards.footprint import is_coarse
 from alight.hazards.probability import TouchdownGeometry, margins_over_sigma
-from alight.hazards.usable_heights import smoothed_height, usable_height
+from alight.hazards.usable_heights import measured_height, smoothed_height, usable_height
 from alight.raster import (
     block_quantile,
     clearance_of,
@@ -33,8 +29,6 @@ from alight.raster import (
 from alight.records import NOTHING_MISSING, ElevationMap, Flag, Hazard, HazardMap, MissingVeto, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
-ROUNDING = 1e-4  # of a share
-
 
 @dataclass(frozen=True, eq=False)
 class _Findings:
@@ -46,11 +40,12 @@ class _Findings:
     edge: Mask
     unknown: Mask
     rise: F32 | None  # metres, of the ground under the belly above the worst contact plane
+    rotor: F32 | None  # sigmas, the least margin of what lies beside the footprint below the rotors
     blocked: Mask  # the ground reaches into the belly's or the rotor's clearance
     vetoed: Mask
     roughness_smooth: F32  # metres, largest deviation of heights smoothed by 0.2 m: less noise
     roughness_trend: F32  # metres, of heights smoothed by 0.45 m: bends of the ground, no noise
-    measured_roughness: F32  # metres, of all heights but vague ones, doubtful ones as well
+    measured_roughness: F32  # metres, of all measured heights, doubtful ones as well
     unmeasured: F32  # share of the footprint without any height
 
     @property
@@ -61,7 +56,8 @@ class _Findings:
 
     def margins(self, sigma: F32, elevation: ElevationMap, settings: HazardsSettings) -> TouchdownGeometry:
         """What the margins to the limits are computed from; `sigma` (R, C) metres, of the footprint."""
-        return TouchdownGeometry(self.footprint, self.slope, self.rise, sigma, common_tilt(elevation, settings))
+        tilt = common_tilt(elevation, settings)
+        return TouchdownGeometry(self.footprint, self.slope, self.rise, self.rotor, sigma, tilt)
 
 
 def _veto(terrain: TerrainMap | None, settings: HazardsSettings, shape: tuple[int, int]) -> Mask:
@@ -84,28 +80,30 @@ def _find(
     height: F32,
     measured: F32,
     unseen: Mask,
+    elevation: ElevationMap,
     terrain: TerrainMap | None,
     spare: float,
     lander: Lander,
     settings: HazardsSettings,
-    cell: float,
 ) -> _Findings:
+    cell = elevation.grid.cell
     fp = footprint_of(height, lander.radius, cell)
+    if lander.ground_reach > lander.radius:  # gear stands on the noise beside the footprint
+        fp = replace(fp, scatter=footprint_of(height, lander.ground_reach, cell).scatter)
     edge = disc_crosses_edge(height.shape, lander.radius, cell)
     doubtful = settings.doubtful_share if settings.smoothed else settings.unknown_share
     unknown = np.isnan(fp.level) | (fp.unknown > doubtful) | (unseen if settings.smoothed else np.isnan(height))
     unknown |= disc_share(unseen, lander.radius, cell) > settings.unknown_share + ROUNDING
-    blocked, slope, rise = np.zeros_like(edge), fp.slope, None
-    if lander.rotor_radius is not None and lander.rotor_radius > lander.radius:
-        blocked |= rotor_rise(height, fp, lander, cell) > lander.rotor_rise
-        unknown |= disc_share(np.isnan(height), lander.rotor_radius, cell) > doubtful + ROUNDING
-        edge |= disc_crosses_edge(height.shape, lander.rotor_radius, cell)
+    about = beside_of(height, unseen, elevation, terrain, fp, lander, settings)
+    edge, unknown, slope, rise = edge | about.edge, unknown | about.unknown, fp.slope, None
+    blocked = np.zeros_like(edge) if about.rotor is None else about.rotor < 0
     if lander.has_gear:
         slope, rise = gear_contact(height, fp, edge | unknown, lander, cell, spare)
         unknown |= np.isnan(slope) & ~edge
         blocked |= rise > (np.inf if lander.belly_clearance is None else lander.belly_clearance)
         rise = None if lander.belly_clearance is None else rise
-    vetoed = disc_any(_veto(terrain, settings, height.shape), lander.radius, cell)
+        slope = np.maximum(slope, fp.slope) if is_coarse(lander, cell) else slope
+    vetoed = about.standing | disc_any(_veto(terrain, settings, height.shape), lander.ground_reach, cell)
     smooth = trend = fp.roughness
     if settings.smoothed:
         smooth, trend = (
@@ -115,8 +113,9 @@ def _find(
     every = footprint_of(measured, lander.radius, cell) if settings.smoothed else fp
     step = step_of(height, lander.radius, cell)
     return _Findings(
-        fp, slope, step, edge, unknown, rise, blocked, vetoed, smooth, trend, every.roughness, every.unknown
-    )
+        fp, slope, step, edge, unknown, rise, about.rotor, blocked, vetoed, smooth, trend, every.roughness,
+        every.unknown,
+    )  # fmt: skip
 
 
 def _spare(sigma: F32) -> float:
@@ -198,11 +197,10 @@ def _measure(
     cell = elevation.grid.cell
     height = usable_height(elevation, lander, settings)
     variance = np.where(np.isfinite(height), elevation.sigma**2, np.float32(np.nan))
-    sigma = np.sqrt(disc_mean(variance, lander.radius, cell))
+    sigma = np.sqrt(disc_mean(variance, lander.ground_reach, cell))
     unseen = np.isnan(elevation.height) | ((elevation.flags & np.uint16(Flag.UNSEEN)) != 0)
-    vague = elevation.sigma > np.float32(settings.vague * lander.max_roughness)
-    measured = np.where(vague, np.float32(np.nan), elevation.height)
-    found = _find(height, measured, unseen, terrain, _spare(sigma), lander, settings, cell)
+    measured = measured_height(elevation, lander, settings)
+    found = _find(height, measured, unseen, elevation, terrain, _spare(sigma), lander, settings)
     reasons = _reasons(found, sigma, lander, settings)
     return found, sigma, reasons
 
@@ -212,8 +210,8 @@ def evidence(
 ) -> tuple[Evidence, U16]:
     """What P(safe) rests on, and the limits that every footprint breaks as bits of `Hazard`, (R, C): for the fit."""
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
-    tilt, _ = margins_over_sigma(found.margins(sigma, elevation, settings), lander, settings, elevation.grid.cell)
-    return evidence_of(elevation, terrain, tilt, found.shape, lander), reasons
+    margins = margins_over_sigma(found.margins(sigma, elevation, settings), lander, settings, elevation.grid.cell)
+    return evidence_of(elevation, terrain, margins.tilt, found.shape, lander), reasons
 
 
 def assess(
@@ -227,7 +225,8 @@ def assess(
 ) -> HazardMap:
     """Judge each cell as the centre of a touchdown, at the worst heading.
 
-    The footprint is every cell whose centre lies within the lander's radius. Unknown ground is never safe.
+    The footprint is every cell whose centre lies within the lander's radius. Gear and rotors may reach beyond it, and
+    what lies there counts as well (G6, G6a). Unknown ground is never safe.
 
     Args:
         elevation: heights; cells that a flag refuses count as unknown.
@@ -246,8 +245,8 @@ def assess(
     found, sigma, reasons = _measure(elevation, terrain, lander, settings)
     for where, margin in ((passed, settings.traffic_margin), (came, 0.0)):
         if where is not None and where.any():
-            beside = disc_any(where, lander.radius + margin, elevation.grid.cell)
-            reasons |= np.where(beside, np.uint16(Hazard.TRAFFIC), np.uint16(0))
+            near = disc_any(where, lander.reach + margin, elevation.grid.cell)
+            reasons |= np.where(near, np.uint16(Hazard.TRAFFIC), np.uint16(0))
     quality = _quality(found, elevation, terrain, sigma, lander, settings)
     f = factors_of(
         elevation, terrain, found.margins(sigma, elevation, settings), found.shape, lander, settings, missing

@@ -18,6 +18,8 @@ from alight.raster import disc_mask, disc_spans
 from alight.settings import Lander
 
 STRIP = 512  # rows of which running sums are held at once
+CERTAIN = np.float32(40.0)  # sigmas; a limit is kept, or broken, for sure
+NO_NOISE = 1e-9  # metres; a smaller sigma is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,14 +83,23 @@ def step_of(height: F32, radius: float, cell: float) -> F32:
     return np.where(worst >= 0, worst, np.float32(np.nan))
 
 
-def rotor_rise(height: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
-    """Largest rise above the touchdown plane between the footprint's rim and the rotor's, metres (G6)."""
+def rotor_margin(height: F32, sigma: F32, footprint: Footprint, lander: Lander, cell: float) -> F32:
+    """Least margin below the rotor between the footprint's rim and its own, (R, C) in sigmas of the heights (G6, G8c).
+
+    Args:
+        height: (R, C) metres, NaN = unknown.
+        sigma: (R, C) metres, of each height.
+        footprint: its planes, above which the rotor may meet nothing higher than `rotor_rise`.
+        lander: its rotor.
+        cell: metres.
+    """
     assert lander.rotor_radius is not None
     outer = disc_spans(lander.rotor_radius / cell)
     inner = padded_spans(disc_spans(lander.radius / cell), outer.size // 2)
-    rise = np.empty_like(height)
-    kernels.highest_above(height, footprint.level, footprint.grad_c, footprint.grad_r, inner, outer, rise)
-    return rise
+    margin, weight = np.empty_like(height), 1 / np.fmax(sigma, np.float32(NO_NOISE))
+    limit = footprint.level + np.float32(lander.rotor_rise)
+    kernels.least_margin(height, weight, limit, footprint.grad_c, footprint.grad_r, inner, outer, margin)
+    return margin.clip(-CERTAIN, CERTAIN)
 
 
 @dataclass(frozen=True, eq=False)

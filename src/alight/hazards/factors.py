@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from alight.arrays import F32
 from alight.hazards.detection import Detection, read_detection
@@ -21,7 +21,7 @@ from alight.hazards.evidence import (
     pictured,
     sampled,
 )
-from alight.hazards.probability import TouchdownGeometry, margins_over_sigma, safe_probability
+from alight.hazards.probability import TouchdownGeometry, kept, margins_over_sigma, safe_probability
 from alight.learned import read_rate
 from alight.learned.terms import NearTerm
 from alight.raster import log_at_least
@@ -68,7 +68,7 @@ def evidence_of(
     elevation: ElevationMap, terrain: TerrainMap | None, tilt: F32, shape: FootprintShape, lander: Lander
 ) -> Evidence:
     """Gather the evidence; `tilt`: margin of the tilt in sigmas, (R, C)."""
-    discs = Discs(elevation, lander.radius)
+    discs = Discs(elevation, lander.ground_reach)
     sampling, pixel = (discs.mean(discs.coarse(v)) for v in (sampled(elevation), pictured(elevation)))
     obstacle = obstacle_terms(elevation, shape, lander, discs, sampling, pixel)
     ground = ground_terms(elevation, terrain, discs)
@@ -90,18 +90,19 @@ def factors_of(
 ) -> SafetyFactors:
     """From the margins alone, or from all evidence where image matching may have smoothed obstacles away."""
     cell = elevation.grid.cell
-    tilt, rise = margins_over_sigma(margins, lander, settings, cell)
+    found = margins_over_sigma(margins, lander, settings, cell)
+    tilt, vehicle = found.tilt, found.of_the_vehicle
     if not settings.smoothed:
         certain, never = np.ones_like(tilt), np.full_like(tilt, np.nan)
-        p = safe_probability(tilt, rise, margins.footprint.unknown, settings)
+        p = safe_probability(found, margins.footprint.unknown, settings)
         return SafetyFactors(p, certain, certain, np.full_like(tilt, cell), never)
-    del rise
+    del found  # the deviation is among the evidence
     obstacle, ground = _chances(elevation, terrain, tilt, shape, lander, settings, missing)
-    tilt_kept = np.asarray(ndtr(tilt), np.float32)
+    relief, least = kept(vehicle), np.minimum.reduce(vehicle)
     sampling, pixel, curves = sampled(elevation), pictured(elevation), read_detection()
     enough = pixel_that_settles(curves, lander, settings)
-    settles_at = _settles_at((tilt_kept, obstacle, ground), tilt, pixel, enough, lander, settings)
-    return SafetyFactors(tilt_kept, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
+    settles_at = _settles_at((relief, obstacle, ground), least, pixel, enough, lander, settings)
+    return SafetyFactors(relief, obstacle, ground, curves.smallest_found(FOUND, sampling, pixel), settles_at)
 
 
 def _chances(
@@ -115,7 +116,8 @@ def _chances(
 ) -> tuple[F32, F32]:
     """(R, C) chances that no unseen obstacle lies in the footprint, and that the ground bears and is dry."""
     found = evidence_of(elevation, terrain, tilt, shape, lander)
-    usual = np.float32(math.pi * lander.radius**2) * _density(terrain, elevation.grid.shape, found.discs, settings)
+    area = np.float32(math.pi * lander.ground_reach**2)
+    usual = area * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
     expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * deviation_hazards(found.near))
@@ -180,24 +182,24 @@ def pixel_that_settles(curves: Detection, lander: Lander, settings: HazardsSetti
     pixels = np.geomspace(FINEST, 2.0, 60) * lander.tallest_obstacle
     at = [np.asarray(k * pixels, np.float32) for k in (PIXELS_A_SAMPLE, 1.0)]
     unseen = curves.unseen_share(lander.tallest_obstacle, *at)
-    expected = math.pi * lander.radius**2 * settings.unseen_bare * unseen
+    expected = math.pi * lander.ground_reach**2 * settings.unseen_bare * unseen
     good = np.flatnonzero(expected <= -SETTLED * math.log(settings.p_safe))
     return float(pixels[good[-1]]) if good.size else float(pixels[0])
 
 
 def _settles_at(
-    factors: tuple[F32, F32, F32], tilt: F32, pixel: F32, shows: float, lander: Lander, settings: HazardsSettings
+    factors: tuple[F32, F32, F32], least: F32, pixel: F32, shows: float, lander: Lander, settings: HazardsSettings
 ) -> F32:
     """The pixel by which the smallest factor would be settled, metres; NaN where a closer look would not tell more.
 
-    An obstacle: the pixel that `shows` it, or half of the present one where that is fine enough already. Relief: sigma
-    shrinks with the pixel. Ground: half of the present one.
+    An obstacle: the pixel that `shows` it, or half of the present one where that is fine enough already. Relief, by its
+    `least` margin, sigmas: sigma shrinks with the pixel. Ground: half of the present one.
     """
     (relief, obstacle, ground), fine = factors, np.float32(shows)
     half = np.float32(NEARER) * pixel
     closer = np.where(pixel > fine, np.minimum(fine, pixel), half)
     enough = np.float32(ndtri(1 - SETTLED * (1 - settings.p_safe)))
-    flatter = pixel * (tilt / enough).clip(0, 1)
+    flatter = pixel * (least / enough).clip(0, 1)
     out = np.where(relief < np.minimum(obstacle, ground), np.minimum(flatter, half), closer)
     out = np.where(ground < np.minimum(obstacle, relief), np.minimum(half, fine), out)
     return np.where(out >= np.float32(FINEST * lander.tallest_obstacle), out, np.float32(np.nan)).astype(np.float32)

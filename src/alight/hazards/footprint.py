@@ -12,6 +12,9 @@ from alight.arrays import F64, I64
 from alight.raster.disc import RIM
 from alight.settings import Lander
 
+COARSE = 3.0  # cells between the rails, or the ends of one, below which rounding to cells spoils the tilt
+COLLAPSED = 0.25  # of the area between three feet: with less between their cells, there is no plane through these
+
 
 def padded_spans(spans: I64, reach: int) -> I64:
     """Spans of a disc padded with -1 to the rows of a larger one, so that both fit the same loops."""
@@ -51,11 +54,12 @@ def block_starts(spans: I64, side: int) -> I64:
 class Feet:
     """The cells under each foot at each heading."""
 
-    xy: F64  # (headings, feet, 2) centroid of the cells under a foot: (column, row) offset in cells
+    xy: F64  # (headings, feet, 2) where a foot counts: (column, row) offset in cells, the centroid of those under it
     offsets: I64  # (n, 2) (row, column) of all those cells
     starts: I64  # (headings, feet + 1) where each foot's cells begin
     triples: I64  # (t, 3) feet that can carry the lander together
     solve: F64  # (headings, t, 3, 3) from the heights of those three to their plane (level, per column, per row)
+    coarse: bool  # at some heading the cells do not tell three of them apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +87,16 @@ def _holds_centre(corners: F64) -> bool:
     return bool((weights >= -1e-6).all())
 
 
+def _double_areas(points: F64, triples: I64) -> F64:
+    """(t,) twice the areas between every three of the points (n, 2)."""
+    u, v = (points[triples[:, k]] - points[triples[:, 0]] for k in (1, 2))
+    return np.asarray(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
+
+
 def _triples(feet: F64, any_three: bool) -> I64:
     """Every three feet that can carry: no thinner than a tenth of the largest triangle, the lander's centre within."""
     every = list(combinations(range(len(feet)), 3))
-    u, v = (np.array([feet[t[k]] - feet[t[0]] for t in every]) for k in (1, 2))
-    area = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    area = _double_areas(feet, np.array(every))
     thick = [t for t, a in zip(every, area, strict=True) if a >= 0.1 * area.max()]
     held = [t for t in thick if _holds_centre(feet[list(t)])]
     return np.array(thick if any_three or not held else held, dtype=np.int64)
@@ -99,24 +108,39 @@ def _solves(xy: F64, triples: I64) -> F64:
     return np.ascontiguousarray(np.linalg.inv(np.concatenate([np.ones((*corners.shape[:3], 1)), corners], axis=-1)))
 
 
+def is_coarse(lander: Lander, cell: float) -> bool:
+    """Whether cells of this size (metres) are too coarse to tell the contacts of the gear apart (G5a)."""
+    if lander.skids is not None:
+        return min(lander.skids) < COARSE * cell
+    return lander.feet is not None and feet_of(lander, cell).coarse
+
+
 def feet_of(lander: Lander, cell: float) -> Feet:
-    """Lay the lander's feet on the grid, every heading."""
+    """Lay the lander's feet on the grid, every heading.
+
+    Where the cells under three feet lie nearly in a line, all feet count where they are: so there is a plane.
+    """
     assert lander.feet is not None
     body = np.array(lander.feet) / cell  # forward, left
+    triples = _triples(body, lander.support == "any")
     xy: list[F64] = []
     offsets: list[I64] = []
     starts: list[I64] = []
-    begin = 0
+    begin, coarse = 0, False
     for ahead in unlike_directions(lander.headings, np.array(lander.feet)):
         left = np.array([ahead[1], -ahead[0]])
-        cells = [_cells_within(f * ahead + s * left, lander.foot_radius / cell) for f, s in body]
+        at = body[:, :1] * ahead + body[:, 1:] * left
+        cells = [_cells_within(foot, lander.foot_radius / cell) for foot in at]
         ends = np.cumsum([len(c) for c in cells])
         starts.append(begin + np.concatenate([[0], ends]))
         begin += int(ends[-1])
         offsets += cells
-        xy.append(np.array([c[:, ::-1].mean(axis=0) for c in cells]))
-    centres, triples = np.array(xy), _triples(body, lander.support == "any")
-    return Feet(centres, np.concatenate(offsets), np.array(starts, dtype=np.int64), triples, _solves(centres, triples))
+        centroids = np.array([c[:, ::-1].mean(axis=0) for c in cells])
+        apart = bool((_double_areas(centroids, triples) >= COLLAPSED * _double_areas(at, triples)).all())
+        xy.append(centroids if apart else at)
+        coarse |= not apart
+    centres, begins = np.array(xy), np.array(starts, dtype=np.int64)
+    return Feet(centres, np.concatenate(offsets), begins, triples, _solves(centres, triples), coarse)
 
 
 def skids_of(lander: Lander, cell: float) -> Skids:

@@ -140,12 +140,12 @@ def _widen_by_two(top: F32, low: F32, line: F32, after: F32, base: F32, grad: F3
 
 
 @kernel
-def _raise_to_rise(top: F32, line: F32, base: F32, grad: F32, x: float) -> None:
-    """Keep the larger of `top` and line - plane, cell by cell."""
-    for c in range(top.size):
-        e = line[c] - base[c] - x * grad[c]
-        t = top[c]
-        top[c] = e if e > t else t
+def _lower_to_margin(least: F32, line: F32, weight: F32, base: F32, grad: F32, x: float) -> None:
+    """Keep the smaller of `least` and the weighted margin below the plane, cell by cell."""
+    for c in range(least.size):
+        e = (base[c] + x * grad[c] - line[c]) * weight[c]
+        t = least[c]
+        least[c] = e if e < t else t
 
 
 @parallel_kernel
@@ -196,24 +196,26 @@ def neighbour_steps(height: F32, step: F32) -> None:
 
 
 @parallel_kernel
-def highest_above(height: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32) -> None:
-    """Fill out (R, C) with the largest rise above the plane in the ring between two discs; -inf if nothing is known.
+def least_margin(
+    height: F32, weight: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64, outer: I64, out: F32
+) -> None:
+    """Fill out (R, C) with the least of (plane - height) weight in the ring between two discs; inf if none is known.
 
-    `inner` has the length of `outer`, -1 in rows that the inner disc does not reach.
+    `weight` (R, C) 1/m is that of each height. `inner` has the length of `outer`, -1 in rows that the inner disc does
+    not reach.
     """
     rows, cols = height.shape
     reach = outer.size // 2
     for r in prange(rows):
         base = np.empty(cols, np.float32)
         gc = grad_c[r]
-        top = out[r]
-        for c in range(cols):
-            top[c] = -np.inf
+        least = out[r]
+        least[:] = np.float32(np.inf)
         for i in range(outer.size):
             q = r + i - reach
             if q < 0 or q >= rows:
                 continue
-            line = height[q]
+            line, heavy = height[q], weight[q]
             for c in range(cols):
                 base[c] = level[r, c] + np.float32(i - reach) * grad_r[r, c]
             for dc in range(-outer[i], outer[i] + 1):
@@ -221,7 +223,8 @@ def highest_above(height: F32, level: F32, grad_c: F32, grad_r: F32, inner: I64,
                     continue
                 lo, hi = max(0, -dc), min(cols, cols - dc)
                 if hi > lo:
-                    _raise_to_rise(top[lo:hi], line[lo + dc : hi + dc], base[lo:hi], gc[lo:hi], np.float32(dc))
+                    there, its = line[lo + dc : hi + dc], heavy[lo + dc : hi + dc]
+                    _lower_to_margin(least[lo:hi], there, its, base[lo:hi], gc[lo:hi], np.float32(dc))
 
 
 @parallel_kernel

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
 
 from alight.arrays import F32
-from alight.hazards.contact import Footprint
+from alight.hazards.contact import CERTAIN, Footprint
 from alight.hazards.footprint import feet_of
 from alight.settings import HazardsSettings, Lander
-
-CERTAIN = 40.0  # sigmas; the limit is kept, or broken, for sure
 
 
 def _over(margin: F32, sigma: F32) -> F32:
     """The margin in sigmas; +-`CERTAIN` without noise."""
-    sure = np.where(margin >= 0, np.float32(CERTAIN), np.float32(-CERTAIN))
+    sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
     out = np.where(sigma > 1e-9, margin / np.maximum(sigma, np.float32(1e-9)), sure)
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
@@ -66,12 +66,27 @@ class TouchdownGeometry:
     footprint: Footprint
     slope: F32  # rad, of the footprint or the worst tilt of feet or skids
     rise: F32 | None  # metres, of the ground above the worst contact plane; None: no belly to keep clear
+    rotor: F32 | None  # sigmas, least margin of what lies beside the footprint below the rotors; None: nothing may
     sigma: F32  # metres, root mean square height sigma in the footprint
     common_tilt: float  # rad, 1-sigma of the tilt that the whole map shares
 
 
-def margins_over_sigma(m: TouchdownGeometry, lander: Lander, settings: HazardsSettings, cell: float) -> tuple[F32, F32]:
-    """Margins to the limits of tilt, and of rise or deviation, in sigmas (G7 to G9)."""
+class Margins(NamedTuple):
+    """Margins to the limits of every footprint, (R, C) sigmas each."""
+
+    tilt: F32
+    belly: F32 | None  # None: not judged
+    deviation: F32 | None  # of the ground from the plane; None: the belly's says more
+    rotor: F32 | None  # None: the rotors lie within the footprint
+
+    @property
+    def of_the_vehicle(self) -> list[F32]:
+        """Those of its attitude and of its parts: all but the deviation."""
+        return [m for m in (self.tilt, self.belly, self.rotor) if m is not None]
+
+
+def margins_over_sigma(m: TouchdownGeometry, lander: Lander, settings: HazardsSettings, cell: float) -> Margins:
+    """Margins to the limits of tilt, of rise or deviation, and of the rotors, in sigmas (G7 to G9)."""
     local = np.fmin(m.sigma, m.footprint.scatter)  # the part of the noise that the footprint does not share
     if lander.has_gear:
         tilt_sigma = gear_sigma(local, m.common_tilt, lander, cell, settings)
@@ -80,11 +95,20 @@ def margins_over_sigma(m: TouchdownGeometry, lander: Lander, settings: HazardsSe
     tilt = _over(lander.max_slope - m.slope, tilt_sigma)
     if m.rise is not None and lander.belly_clearance is not None:
         rise_sigma = np.float32(math.sqrt(1 + 1 / _independent_heights(lander, cell, settings))) * local
-        return tilt, _over(lander.belly_clearance - m.rise, rise_sigma)
-    return tilt, _over(lander.max_roughness - m.footprint.roughness, local)
+        return Margins(tilt, _over(lander.belly_clearance - m.rise, rise_sigma), None, m.rotor)
+    return Margins(tilt, None, _over(lander.max_roughness - m.footprint.roughness, local), m.rotor)
 
 
-def safe_probability(tilt: F32, rise: F32, unknown: F32, settings: HazardsSettings) -> F32:
-    """P(a touchdown keeps every limit) for heights that show every obstacle: tilt, ground below, unseen share."""
-    p: F32 = ndtr(tilt) * ndtr(rise) * (1 - np.float32(settings.hidden_hazard) * unknown)
+def kept(margins: Sequence[F32]) -> F32:
+    """(R, C) probability that all of some limits are kept; their margins in sigmas."""
+    p = ndtr(margins[0])
+    for margin in margins[1:]:
+        p = p * ndtr(margin)
+    return np.asarray(p, np.float32)
+
+
+def safe_probability(m: Margins, unknown: F32, settings: HazardsSettings) -> F32:
+    """P(a touchdown keeps every limit) for heights that show every obstacle: the margins, and the unseen share."""
+    deviation = [] if m.deviation is None else [m.deviation]
+    p: F32 = kept([*m.of_the_vehicle, *deviation]) * (1 - np.float32(settings.hidden_hazard) * unknown)
     return np.asarray(p, np.float32)

@@ -11,6 +11,7 @@ from alight.records import ElevationMap, Flag
 from alight.settings import HazardsSettings, Lander
 
 _NEVER = np.uint16(Flag.UNSEEN | Flag.MOVING | Flag.RANGE)  # no height, or one that cannot be right
+ABOUT = 0.5  # metres, 1-sigma of the window of the trusted ground about a height
 _PLAIN = np.uint16(Flag.TEXTURE | Flag.SATURATED)  # no texture: an obstacle would stand out against it
 
 
@@ -48,6 +49,21 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
             agrees = np.abs(height - neighbours) <= 0.5 * lander.max_roughness
             known = known | (gap & agrees)
     return np.where(known, height, np.float32(np.nan))
+
+
+def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
+    """Heights (R, C) that tell of an obstacle, doubtful ones as well, metres; NaN where a height is too vague (G7f).
+
+    A vague one counts all the same where it stands out by several of its sigmas from the trusted ground about it.
+    """
+    vague = elevation.sigma > np.float32(settings.vague * lander.max_roughness)
+    known = elevation.trusted
+    if vague.any() and known.any():
+        height = elevation.height - np.float32(np.median(elevation.height[known]))
+        ground = weighted_gaussian(height, known.astype(np.float32), ABOUT / elevation.grid.cell)
+        off = np.abs(height - ground.mean) > np.float32(settings.stands_out) * elevation.sigma
+        vague &= ~(off & (ground.share > LEAST_SHARE))
+    return np.where(vague, np.float32(np.nan), elevation.height)
 
 
 def smoothed_height(height: F32, cell: float, sigma: float) -> F32:

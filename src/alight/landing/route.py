@@ -18,6 +18,7 @@ from alight.records import ElevationMap, Route, Site, Waypoint, is_measured
 from alight.settings import RouteSettings
 
 BLOCK = 0.5  # metres: doubtful heights are believed by blocks of this size
+UNMAPPED = 0.05  # share of the ground beside the way that may be unmapped, as `executive.unmapped`
 ABOUT = 2.0  # metres: side of the blocks whose lowest heights, with those of their neighbours, are the ground
 
 
@@ -27,7 +28,7 @@ class _Corridor:
 
     share: F64  # (n,) how far along the way each cell is, 0 to 1
     top: F64  # (n,) metres, its height and two sigma
-    unknown: bool  # part of the way is not mapped
+    unknown: bool  # part of the way is not mapped, or of what lies beside it
     ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
 
 
@@ -45,6 +46,8 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
     top = Obstructions.of(elevation).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
+    if not unknown:  # both ends lie on the map
+        unknown = _beside_unmapped(start, np.array([site.east, site.north]), elevation.grid, known, width)
     return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
 
 
@@ -79,6 +82,32 @@ def _track_unknown(start: F64, site: Site, elevation: ElevationMap, known: Mask)
     steps = 2 + int(math.hypot(site.east - start[0], site.north - start[1]) / grid.cell)
     east, north = np.linspace(start[0], site.east, steps), np.linspace(start[1], site.north, steps)
     return not bool(grid.nearest_at(known, east, north).all())
+
+
+def _beside_unmapped(start: F64, to: F64, grid: Grid, mapped: Mask, width: float) -> bool:
+    """True if more than `UNMAPPED` of a stretch of the way is not mapped, twice as long as `width` and as wide.
+
+    Ground beyond both ends does not count: the way does not pass it.
+
+    Args:
+        start, to: (2,) metres or more, the ends of the way.
+        grid: of the map.
+        mapped: (R, C), cells that say what stands on them, be it in doubt; off the map there are none.
+        width: metres on either side.
+    """
+    rows, cols = grid.index(*np.array([start[:2], to[:2]]).T)
+    reach, corner = math.ceil(width / grid.cell) + 1, (math.floor(rows.min()), math.floor(cols.min()))
+    shape = (math.ceil(v.max()) - low + 2 * reach for v, low in zip((rows, cols), corner, strict=True))
+    about = grid.window(corner[0] - reach, corner[1] - reach, *(n + 1 for n in shape))
+    share, near = along_way(start, to, about, width)
+    near &= (share > 0) & (share < 1)
+    if not near.any():
+        return False
+    steps = (share[near] * math.hypot(to[0] - start[0], to[1] - start[1]) / grid.cell).astype(np.int64)
+    stretch = np.ones(min(round(2 * width / grid.cell), int(steps.max()) + 1))
+    unknown = ~grid.nearest_on(about, mapped)[near]
+    lost, cells = (np.convolve(np.bincount(steps, w), stretch, "valid") for w in (unknown, None))
+    return bool((lost > UNMAPPED * cells).any())
 
 
 def _heights(start: F64, site: Site, way: _Corridor, settings: RouteSettings, wind: F64 | None) -> tuple[float, float]:
@@ -187,7 +216,7 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
-        Warnings say where the line climbs, or crosses ground that is not mapped.
+        Warnings say where the line climbs, or crosses or passes ground that is not mapped.
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
     way = _corridor(start, site, elevation, settings.clearance)

@@ -114,6 +114,13 @@ def _block(
     return np.asarray(mean, np.float32), sums.number, sums.finest
 
 
+def _without_black(mean: F32) -> U8:
+    """Colours (R, C, 3) as levels; the darkest is 1, because 0 stands for no picture (`block_light` looks at green)."""
+    out = np.rint(mean).clip(0, 255).astype(np.uint8)
+    np.maximum(out, 1, out=out, where=out[..., 1:2] == 0)
+    return out
+
+
 def pixels_a_cell(views: Sequence[View], elevation: ElevationMap) -> int:
     """Fine pixels a cell, each way, that show all that the views show: a power of two, `MOST` at most."""
     level = float(np.nanmedian(elevation.height)) if np.isfinite(elevation.height).any() else 0.0
@@ -138,7 +145,8 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
         most: pixels of the picture.
 
     Returns:
-        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black where nothing was seen.
+        The picture, (f R, f C, 3): the map's own colours where none of the views looks, black where nothing was seen,
+        and there only: what a view shows as black is one level brighter.
         Metres of ground that a pixel of its views covers, (R, C): where none looks, the sampling of the heights.
     """
     grid, wanted = elevation.grid, pixels_a_cell(views, elevation)
@@ -157,7 +165,7 @@ def orthophoto(views: Sequence[View], elevation: ElevationMap, count: int = 5, m
             wants = ~upsample(unseen[rows, cols], factor)
             mean, number, pixel = _block([views[k] for k in near], [rays[k] for k in near], fine, up, wants, count)
             seen = number > 0
-            np.copyto(out[to], np.rint(mean).clip(0, 255).astype(np.uint8), where=seen[..., None])
+            np.copyto(out[to], _without_black(mean), where=seen[..., None])
             middle = (slice(factor // 2, None, factor),) * 2
             np.copyto(sampling[rows, cols], np.maximum(pixel[middle], narrowest), where=seen[middle])
     return out, sampling

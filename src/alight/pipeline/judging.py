@@ -88,7 +88,8 @@ class JudgingMemory:
 
     def tied(self, tie: Tie, frame: MapFrame) -> JudgingMemory:
         """The memory in another frame of the map; how many sites that leaves is warned of."""
-        moved, before = replace(self, roofs=self.roofs.moved(tie.shift)), len(self.kept.sites)
+        roofs, before = self.roofs.moved(tie.shift, tie.sigma_horizontal), len(self.kept.sites)
+        moved = replace(self, roofs=roofs)
         if not before:
             return moved
         moved = moved.with_reserve(self.kept.tied(tie.shift, tie.sigma_horizontal, frame.frame_id), frame)

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from alight.arrays import F64, I64, Mask
 from alight.geometry import Grid
+from alight.landing.reserve import SIGMAS_OF_TIE
+from alight.raster import cells_as_blocks, upsample
 
 CELL = 0.5  # metres, of what is remembered
 SHARE = 0.5  # of such a cell that must show it
+MOST_GROWN = 5.0  # metres: a place that is known worse in another frame grows no further
+NEARLY = 1e-6  # metres: a cell that ends where another begins does not reach into it
+CROSS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+SQUARE = np.array([(east, north) for east in (-1, 0, 1) for north in (-1, 0, 1)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +38,26 @@ class Remembered:
         kept = self.t_ns >= t_ns
         return Remembered(self.cells[kept], self.t_ns[kept])
 
-    def moved(self, shift: F64) -> Remembered:
-        """The same in a frame where positions are larger by `shift`, metres."""
-        return Remembered(self.cells + np.rint(shift[:2] / CELL).astype(np.int64), self.t_ns)
+    def moved(self, shift: F64, sigma: float = 0.0) -> Remembered:
+        """The same in a frame where positions are larger by `shift`, metres, known to `sigma` metres on the ground.
+
+        Cells grow by 2 sigma, as far as the clearance of a site must reach there, but not beyond `MOST_GROWN`.
+        """
+        out = Remembered(self.cells + np.rint(shift[:2] / CELL).astype(np.int64), self.t_ns)
+        for k in range(math.ceil(min(MOST_GROWN, SIGMAS_OF_TIE * sigma) / CELL)):
+            out = out._spread(CROSS if k % 2 else SQUARE)  # in turn: an octagon about the disc
+        return out
+
+    def _spread(self, beside: I64) -> Remembered:
+        """These and the cells beside them, (K, 2) cells away; the latest time counts."""
+        cells = (self.cells[:, None] + beside).reshape(-1, 2)
+        t_ns = np.repeat(self.t_ns, len(beside))
+        latest = np.argsort(-t_ns, kind="stable")
+        at = latest[np.unique(_keys(cells[latest]), return_index=True)[1]]
+        return Remembered(cells[at], t_ns[at])
 
     def on(self, grid: Grid) -> Mask:
-        """The cells (R, C) of a grid where it was seen."""
+        """The cells (R, C) of a grid into which places reach where it was seen."""
         if not len(self.cells):
             return np.zeros(grid.shape, np.bool_)
         columns, rows = _numbers(grid)
@@ -44,7 +65,8 @@ class Remembered:
         high = np.maximum(self.cells.max(axis=0), [columns.max(), rows.max()])
         seen = np.zeros(high - low + 1, np.bool_)
         seen[tuple((self.cells - low).T)] = True
-        return np.asarray(seen[np.ix_(columns - low[0], rows - low[1])].T)
+        touched = seen[np.ix_(columns - low[0], rows - low[1])].T
+        return np.asarray(cells_as_blocks(touched, _across(grid)).any(axis=(1, 3)))
 
 
 NOWHERE = Remembered()
@@ -57,6 +79,7 @@ def shown(grid: Grid, where: Mask) -> tuple[Mask, I64]:
         (E, N) by east and north, and the number (2,) of its first cell.
     """
     columns, rows = _numbers(grid)
+    where = upsample(where, _across(grid))
     low = np.array([columns.min(), rows.min()])
     shape = columns.max() - low[0] + 1, rows.max() - low[1] + 1
     at = ((columns - low[0])[None, :] * shape[1] + (rows - low[1])[:, None]).ravel()
@@ -73,13 +96,26 @@ def shown_at(grid: Grid, where: Mask) -> I64:
 def cells_at(grid: Grid, where: Mask) -> I64:
     """Numbers (N, 2) of the cells of `CELL` that a mask (R, C) of a grid reaches into."""
     columns, rows = _numbers(grid)
-    row, column = np.nonzero(where)
+    row, column = np.nonzero(upsample(where, _across(grid)))
     return np.unique(np.column_stack([columns[column], rows[row]]), axis=0)
 
 
+def _across(grid: Grid) -> int:
+    """Points across a cell of a grid, each way, that meet every cell of `CELL` it covers; its centre where it is small.
+
+    By its centre alone, a cell of 0.8 m would leave gaps between those of `CELL`.
+    """
+    return 1 if grid.cell <= CELL else math.ceil(grid.cell / CELL) + 1
+
+
 def _numbers(grid: Grid) -> tuple[I64, I64]:
-    """East of the columns (C,) and north of the rows (R,) of a grid, in cells of `CELL`."""
-    east, north = (np.floor(v / CELL).astype(np.int64).ravel() for v in grid.xy())
+    """East of columns (k C,) and north of rows (k R,) of a grid in cells of `CELL`, at k = `_across` points of each."""
+    k = _across(grid)
+    inner = 0.5 * grid.cell - NEARLY if k > 1 else 0.0
+    beside = np.linspace(-inner, inner, k)
+    x, y = grid.xy()
+    points = (x[:, None] + beside, y[:, None] - beside)
+    east, north = (np.floor(v / CELL).astype(np.int64).ravel() for v in points)
     return east, north
 
 

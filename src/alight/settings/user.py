@@ -152,7 +152,9 @@ class Lander(FrozenModel):
     max_slope: Incline = Field(math.radians(10.0), description="Steepest slope of the ground, rad")
     max_roughness: Vehicle = Field(0.15, description="Largest deviation of the ground from the footprint's plane, m")
     belly_clearance: Vehicle | None = Field(
-        None, description="Clearance between the contact plane of the feet and the belly, m; null: not judged"
+        None,
+        description="Clearance between the contact plane of feet or skids and the belly, m; null, or without gear: "
+        "not judged",
     )
     feet: tuple[tuple[Offset, Offset], ...] | None = Field(
         None, description="Position (forward, left) of each foot from the centre, m; null: no feet"
@@ -186,9 +188,21 @@ class Lander(FrozenModel):
         return self.feet is not None or self.skids is not None
 
     @property
+    def ground_reach(self) -> float:
+        """Distance from the centre within which it may touch the ground, metres: the radius, or gear beyond it."""
+        feet = max((math.hypot(*f) + self.foot_radius for f in self.feet or ()), default=0.0)
+        skids = 0.5 * math.hypot(*self.skids) if self.skids else 0.0
+        return max(self.radius, feet, skids)
+
+    @property
+    def reach(self) -> float:
+        """Distance from the centre within which anything may touch the lander, metres: its rotors count as well."""
+        return max(self.ground_reach, self.rotor_radius or 0.0)
+
+    @property
     def tallest_obstacle(self) -> float:
-        """Height of an obstacle that the lander just stands, metres: the limit of roughness or of the belly."""
-        return self.max_roughness if self.belly_clearance is None else self.belly_clearance
+        """Height of an obstacle that the lander just stands, metres: the limit of roughness, or of a belly on gear."""
+        return self.belly_clearance if self.has_gear and self.belly_clearance is not None else self.max_roughness
 
     @property
     def judging_cell(self) -> float:

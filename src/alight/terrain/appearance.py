@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.raster import block_mean, masked_gaussian, upsample
-from alight.records import ElevationMap
+from alight.raster import block_mean, cells_as_blocks, masked_gaussian, upsample
+from alight.records import ElevationMap, Flag
 
 PIXEL = 0.1  # metres: the finest detail that is looked at
 
@@ -24,12 +24,21 @@ class Appearance:
 
 
 def seen(elevation: ElevationMap) -> Mask:
-    """Cells that any camera saw."""
-    return np.asarray((elevation.views > 0) & lit(elevation.rgb))
+    """Cells that any camera saw, and that the map or, of black ground, its finest picture shows."""
+    pictured, black = lit(elevation.rgb), black_ground(elevation)
+    if elevation.fine is not None and black.any():
+        pictured |= black & cells_as_blocks(lit(elevation.fine), elevation.finest[1]).any(axis=(1, 3))
+    return np.asarray((elevation.views > 0) & pictured)
+
+
+def black_ground(elevation: ElevationMap) -> Mask:
+    """Cells that are black in the map, and plain in every view: others have no colour yet."""
+    plain = (elevation.flags & np.uint16(Flag.SATURATED | Flag.TEXTURE)) != 0
+    return np.asarray((elevation.views > 0) & ~lit(elevation.rgb) & plain)
 
 
 def lit(picture: U8) -> Mask:
-    """Pixels that are not black."""
+    """Pixels that show something: black is no picture, and the orthophoto has no black where a camera looked."""
     return np.asarray((picture[..., 0] | picture[..., 1] | picture[..., 2]) > 0)
 
 

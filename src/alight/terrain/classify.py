@@ -13,7 +13,7 @@ from alight.learned import KnownGround, Net, read_known, read_net, relu_net
 from alight.raster import close_mask, fill_pits, grow, upsample, without_specks
 from alight.records import LANDABLE, ElevationMap, Terrain, TerrainMap, is_measured
 from alight.settings import TerrainSettings
-from alight.terrain.appearance import PIXEL, Appearance, appearance, seen
+from alight.terrain.appearance import PIXEL, Appearance, appearance, black_ground, seen
 from alight.terrain.enclosed import LevelSurfaces
 from alight.terrain.evidence import land_cover_terms
 from alight.terrain.features import level_of
@@ -25,6 +25,8 @@ KINDS = tuple(k for k in Terrain if k != Terrain.UNKNOWN)  # the first axis of l
 SPECK = 0.1  # square metres: a smaller patch is left to the geometry
 TUFT_GAP = 0.5  # metres: a gap between two tufts of less than twice this gives no place to stand
 APART = 3  # cells between those whose likeness to known ground is judged
+ANYTHING = 0.5  # probability of black ground that no finer picture shows
+UNLIKE = 20.0  # its novelty: 1 % of a footprint refuses it
 PIT = 0.15  # metres: what is refused and narrower than twice this is left to the geometry
 ROWS_AT_A_TIME = 64
 WATER = Terrain.WATER - 1
@@ -213,22 +215,28 @@ def classify(
 
     Returns:
         Classes and their probabilities, UNKNOWN and NaN where nothing was seen; `landable` is a reason to refuse and
-        never one to permit.
+        never one to permit. Black ground of which no finer picture shows more is UNKNOWN too, but may be anything,
+        as a pit, and is unlike all that is known.
     """
     shape, nothing = elevation.grid.shape, np.float32(np.nan)
     if not settings.enabled:
         return TerrainMap(elevation.grid, np.zeros(shape, dtype=np.uint8), np.full(shape, nothing))
     found = _classified(elevation, settings, model, tables or package_tables())
     known = seen(elevation)
+    blank = black_ground(elevation) & ~known
     surfaces = LevelSurfaces.of(elevation, settings)
+
+    def of_ground(values: F32, where_blank: float) -> F32:
+        return np.where(known, values, np.where(blank, np.float32(where_blank), nothing))
+
     cover = TerrainMap(
         elevation.grid,
         np.where(known, found.label, np.uint8(Terrain.UNKNOWN)).astype(np.uint8),
-        np.where(known, found.landable, nothing),
+        of_ground(found.landable, ANYTHING),
         water=np.where(known, found.water, nothing),
         enclosed=surfaces.enclosed(),
-        novelty=np.where(known, found.novelty, nothing),
-        bears=np.where(known, found.bears, nothing),
+        novelty=of_ground(found.novelty, UNLIKE),
+        bears=of_ground(found.bears, ANYTHING),
         coloured=found.coloured,
     )
     return cover.with_roofs(surfaces.raised())

@@ -76,7 +76,7 @@ class RecursiveMapper:
     def _drop_map(self, frame_id: int, tie: Tie) -> None:
         self.store.clear()
         self._newest = None
-        if self._map.begin_anew(tie.shift):
+        if self._map.begin_anew(tie.shift, tie.sigma_horizontal):
             warning = (
                 f"map: the motion began anew (frame {frame_id}), and the map of before is dropped: its place in the "
                 f"new frame is known to {tie.sigma_horizontal:.2f} m only"
@@ -142,7 +142,9 @@ class RecursiveMapper:
             return FinishedMap(None, NO_HEIGHT, tuple(self._warnings))
         vehicle = vehicle_at_end(trajectory, self._map.ground, self._frame)
         down, attitude = tuple(looking_down(views)), trajectory.attitude
-        seen = MapSnapshot(self._step, elevation, down, vehicle, self._frame, attitude)
+        seen = MapSnapshot(
+            self._step, elevation, down, vehicle, self._frame, attitude, self._map.passed, self._map.came
+        )
         return FinishedMap(seen, warnings=tuple(self._warnings))
 
 

@@ -46,10 +46,11 @@ class RecursiveMap(GroundMap):
             self._ring.look_anew()
         self.out_of_range = False
 
-    def begin_anew(self, shift: F64) -> bool:
+    def begin_anew(self, shift: F64, sigma: float = 0.0) -> bool:
         """Drop the heights: the poses to come have another frame, `shift` (3,) metres from that of the old ones.
 
-        Where the ground is goes on being known, as well as the search for heights needs it.
+        Where the ground is goes on being known, as well as the search for heights needs it. What moved and who came is
+        remembered about its place, because that is known to `sigma` metres on the ground.
 
         Returns:
             Whether there were any heights.
@@ -65,7 +66,7 @@ class RecursiveMap(GroundMap):
         self.ground, self._points = self.ground + float(shift[2]), self._points + shift
         self.ground_here = None if self.ground_here is None else self.ground_here + float(shift[2])
         self._ring, self.gauge, self.out_of_range = None, None, False
-        self.passed, self.came = self.passed.moved(shift), self.came.moved(shift)
+        self.passed, self.came = self.passed.moved(shift, sigma), self.came.moved(shift, sigma)
         return mapped
 
     def step(self, views: Sequence[View], poses: KeyframePosterior | None = None, effort: int = 0) -> bool:
