@@ -16,7 +16,7 @@ from test_executive import Ground, clearer_from_below
 
 from alight.autopilot import Setpoint, TelemetryEvents
 from alight.autopilot.control import ControlWatch
-from alight.autopilot.firmware import ArduPilotFirmware
+from alight.autopilot.firmware import ArduPilotFirmware, Px4Firmware
 from alight.autopilot.vehicle_state import VehicleState
 from alight.records import FlightMode, NoticeKind
 from alight.records.executive import FlightState
@@ -164,6 +164,30 @@ def test_px4_that_holds_after_its_landing_is_no_takeover() -> None:
     assert not rig.of(NoticeKind.TAKEOVER)
 
 
+@pytest.mark.parametrize("order", [FlightMode.LAND, FlightMode.RETURN])
+def test_px4_that_leaves_the_mode_of_its_landing_as_it_stops_the_motors_is_no_takeover(order: FlightMode) -> None:
+    """Since 1.14 it goes back to the last mode that may be armed in: the heartbeat that says disarmed says OFFBOARD."""
+    rig = Rig("px4")
+    rig.up_and_flying(5.0)
+    rig.vehicle.set_mode(order)
+    assert rig.run(60, lambda: place(rig).is_down)
+    assert rig.run(2, lambda: place(rig).mode_name == "OFFBOARD")
+    rig.run(2)
+    assert not rig.of(NoticeKind.TAKEOVER)
+
+
+def test_a_change_of_mode_at_the_end_of_a_landing_is_natural_on_the_ground_only() -> None:
+    control = ControlWatch(Px4Firmware())
+    for armed, natural in ((True, False), (False, True)):
+        control.ordered(FlightMode.LAND, 10 * S)
+        assert control.mode(FlightMode.LAND, "AUTO.LAND", 11 * S) is None
+        said = control.mode(FlightMode.PILOT, "POSCTL", 20 * S, on_ground=True, armed=armed)
+        assert (said is None) is natural
+    assert control.mode(FlightMode.HOLD, "AUTO.LOITER", 21 * S, on_ground=True, armed=False) is None
+    control.ordered(FlightMode.GUIDED, 30 * S)  # for the next flight: from here on a switch is a pilot's
+    assert control.mode(FlightMode.PILOT, "POSCTL", 40 * S, on_ground=True, armed=False) is not None
+
+
 @pytest.mark.parametrize("early", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("seen", [True, False])
 def test_a_pilot_may_choose_the_mode_that_we_asked_for_before_the_last(seen: bool, early: float) -> None:
@@ -209,6 +233,41 @@ def test_an_order_that_waits_for_its_answer_may_take_effect_again() -> None:
     assert control.mode(FlightMode.HOLD, "BRAKE", 11 * S) is None
     assert control.mode(FlightMode.GUIDED, "GUIDED", 12 * S, unanswered={FlightMode.GUIDED}) is None
     assert control.mode(FlightMode.HOLD, "BRAKE", 13 * S) is not None
+
+
+def test_an_order_that_is_accepted_late_is_ours() -> None:
+    """It was sent after a second of set-points, and five tries were lost."""
+    control = ControlWatch(Px4Firmware())
+    control.mode(FlightMode.HOLD, "AUTO.LOITER", 0)
+    control.ordered(FlightMode.GUIDED, 0)
+    for t in range(1, 6):
+        assert control.mode(FlightMode.HOLD, "AUTO.LOITER", t * S, unanswered={FlightMode.GUIDED}) is None
+    control.accepted(FlightMode.GUIDED, 6 * S)
+    assert control.mode(FlightMode.GUIDED, "OFFBOARD", 6 * S + 300_000_000) is None
+    assert control.mode(FlightMode.HOLD, "AUTO.LOITER", 8 * S) is not None
+    control.ordered(FlightMode.HOLD, 10 * S)
+    assert control.mode(FlightMode.HOLD, "AUTO.LOITER", 11 * S) is None
+    control.accepted(FlightMode.HOLD, 12 * S)  # it was seen already: that opens no new window
+    assert control.mode(FlightMode.GUIDED, "OFFBOARD", 13 * S) is not None
+
+
+def test_a_mode_whose_first_tries_are_lost_makes_no_takeover() -> None:
+    rig = Rig("px4")
+    rig.up_and_flying(15.0)
+    rig.answered(rig.vehicle.set_mode(FlightMode.HOLD))
+    rig.run(8)
+    hear, deaf = rig.sim._on_command_long, rig.t + 5.9
+
+    def dull(m: Any, sender: tuple[int, int]) -> None:
+        if m.command != 176 or rig.t > deaf:
+            hear(m, sender)
+
+    rig.sim._on_command_long = dull  # type: ignore[method-assign]
+    rig.vehicle.set_mode(FlightMode.GUIDED)
+    rig.each_step = lambda: rig.vehicle.guide(Setpoint(velocity_world=np.zeros(3)))  # type: ignore[assignment]
+    assert rig.run(10, lambda: place(rig).mode is FlightMode.GUIDED)
+    rig.run(2)
+    assert not rig.of(NoticeKind.TAKEOVER)
 
 
 def test_a_lost_answer_makes_no_takeover_of_the_next_try() -> None:

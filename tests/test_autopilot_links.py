@@ -140,6 +140,65 @@ def test_a_serial_port_is_read_and_written() -> None:
     os.close(theirs)
 
 
+def test_a_serial_port_that_nobody_reads_makes_nobody_wait() -> None:
+    """What is full loses whole messages: the rest of one that began goes first, and none is cut."""
+    ours, theirs = pty.openpty()
+    link: Any = open_link(f"serial:{os.ttyname(theirs)}:57600")
+    start, sent, full = time.monotonic(), 0, False
+    while time.monotonic() < start + 5.0 and not full:
+        full = not link.write(b"<" + b"x" * 278 + b">")
+        sent += not full
+    assert full
+    assert link._lock.acquire(timeout=0.5)
+    link._lock.release()
+    got = b""
+    while len(got) < 280 * sent:
+        got += os.read(ours, 65_536)
+        link.write(b"")
+    assert got == (b"<" + b"x" * 278 + b">") * sent
+    assert link.write(b"<new>")
+    assert os.read(ours, 10) == b"<new>"
+    while link.write(b"x" * 280):
+        pass
+    link.close()
+    assert time.monotonic() - start < 5.0
+    os.close(ours)
+    os.close(theirs)
+
+
+def test_tcp_is_resolved_once_and_opened_again_in_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the reader opens it nobody ticks: 1.2 s of that count as a vehicle that nobody listens to."""
+    from alight.autopilot import links
+
+    server, closed = (socket.create_server((LOCAL, 0)) for _ in range(2))
+    port, waits = server.getsockname()[1], list[float]()
+    other = closed.getsockname()  # of the same host, where nobody is
+    closed.close()
+    both = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", at) for at in (other, (LOCAL, port))]
+    real = socket.getaddrinfo
+    monkeypatch.setattr(links.socket, "getaddrinfo", lambda h, *a, **k: both if h == "host" else real(h, *a, **k))
+    link: Any = open_link(f"tcp:host:{port}")
+
+    def silent(address: Any, timeout: float) -> socket.socket:
+        waits.append(timeout)
+        assert address == (LOCAL, port)  # the one that answered
+        raise TimeoutError("timed out")
+
+    def asked(*_: Any, **__: Any) -> Any:
+        raise AssertionError("the name is resolved again")
+
+    monkeypatch.setattr(links, "_AGAIN", 0.0)
+    monkeypatch.setattr(links.socket, "create_connection", silent)
+    monkeypatch.setattr(links.socket, "getaddrinfo", asked)
+    link._socket.shutdown(socket.SHUT_RDWR)
+    for _ in range(3):
+        assert link.read(0.01) == []
+    assert waits
+    assert max(waits) <= 0.5
+    link.close()
+    server.close()
+
+
 @pytest.mark.parametrize(
     "name", ["", "udp", "udp:14550", "tcp:host:port", "tcp:h:70000", "serial:/dev/x", "can:1:2", "x"]
 )

@@ -13,7 +13,7 @@ from test_executive import Ground, clearer_from_below
 
 from alight.records import NoticeKind
 from alight.records.executive import FlightEvent, FlightState
-from alight.runner.fly.orders import SpokenVehicle
+from alight.runner.fly.order_taker import SpokenVehicle
 from alight.runner.fly.take_off import TakeOff
 from alight_sim.autopilot.dialects import Doing
 

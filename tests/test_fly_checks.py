@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pilot_rig import PilotRig
+from pilot_rig import PilotRig, seldom
 from test_executive import Ground
 
 from alight.checks import CheckResult, Judged
@@ -69,6 +69,23 @@ def test_each_fault_is_found() -> None:
     assert {n for n, c in found.items() if c.verdict is BAD} == {"position", "battery", "wind"}
     assert all(c.mend for c in found.values() if c.verdict is BAD)
     assert "no 3D fix" in found["position"].evidence
+
+
+@pytest.mark.parametrize("link", [{"delay": 0.55}, {"delay": 0.1, "jitter": 0.7}])
+def test_positions_that_are_late_are_told(link: dict[str, float]) -> None:
+    r = PilotRig(Ground({}).seen, link=link)
+    r.up_and_flying(20.0)
+    r.run(6.0)
+    found = vehicle_checks(r)["position"]
+    assert found.verdict is WARNING
+    assert "s old" in found.evidence
+
+
+def test_positions_that_are_rare_are_told() -> None:
+    r = hovering()
+    seldom(r, 1.0)
+    r.run(4.0)
+    assert vehicle_checks(r)["position"].verdict is WARNING
 
 
 def test_a_stream_that_dries_up_is_named() -> None:

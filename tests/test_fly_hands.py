@@ -317,21 +317,21 @@ def test_ardupilot_stops_soon_after_a_takeover_by_the_sticks() -> None:
     r.run(15.0)
     assert r.sim.logic.doing is Doing.GUIDED
     assert speed_of(r) < 0.1
-    assert np.linalg.norm(r.truth() - at) < 15.0
+    assert np.linalg.norm(r.truth() - at) < 26.0
 
 
 @pytest.mark.parametrize("speed", [0.2, 0.5, 2.0, 5.0, 7.0, 12.0])
 def test_a_near_target_is_beyond_where_the_vehicle_brakes(speed: float) -> None:
-    """By ArduPilot's law of speed over distance, gain 1/s, at its usual accelerations, half a second later."""
+    """By ArduPilot's law of speed over distance, with half of its usual accelerations, half a second later."""
 
     def law(distance: float, braking: float) -> float:
-        return distance if distance < braking else (2 * braking * (distance - braking / 2)) ** 0.5
+        return distance if distance < braking / 2 else (braking * (distance - braking / 4)) ** 0.5
 
     far = np.array([300.0, -400.0, -200.0])
     way = near_way(far, speed, speed)
     assert law(np.hypot(*way[:2]) - 0.49 * speed, 2.5) >= speed
     assert law(-way[2] - 0.49 * speed, 1.0) >= speed
-    assert np.hypot(*way[:2]) < 1.8 + 2.0 * speed + max(speed - 7.0, 0.0) * 3.0
+    assert np.hypot(*way[:2]) < 0.7 + 0.5 * speed + 0.4 * speed**2  # 24 m at 7 m/s
     assert way[0] / way[1] == pytest.approx(far[0] / far[1])
     near = np.array([0.3, 0.2, 0.2])
     np.testing.assert_array_equal(near_way(near, speed, speed), near)

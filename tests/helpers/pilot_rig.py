@@ -12,10 +12,11 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from alight.geometry import Pose
 from alight.records import Frame, Motion, MotionState
 from alight.records.executive import FlightState, LookRecord, Seen, Transition
-from alight.runner.fly.orders import OrderTaker
+from alight.runner.fly.order_taker import OrderTaker
 from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.settings import load_settings
 from alight_sim.autopilot import EstimateError
+from alight_sim.point_mass import FlightLimits, PointMass
 
 WRONG = (3.0, -2.0, 1.0)  # m, what the autopilot's estimate is off by
 LATE = 0.15  # s from an exposure to its motion
@@ -27,10 +28,26 @@ LATER = 1_000  # ns from what is heard to the tick that decides by it: no heartb
 See = Callable[[int, float, np.ndarray], Seen]  # number, second, place of the vehicle
 
 
+def seldom(r: PilotRig, period: float) -> None:
+    """Let a position through every so many seconds."""
+    hear, newest = r.vehicle._state.hear, [-np.inf]
+
+    def seldom_hear(name: str, m: Any, now_ns: int) -> bool:
+        if name == "GLOBAL_POSITION_INT":
+            if m.time_boot_ms * 1e-3 - newest[0] < period - 1e-3:
+                return False
+            newest[0] = m.time_boot_ms * 1e-3
+        return hear(name, m, now_ns)
+
+    r.vehicle._state.hear = seldom_hear  # type: ignore[method-assign]
+
+
 class PilotRig(Rig):
     """Both ends of a link, and a pilot at ours. `change` may change motions on their way."""
 
     def __init__(self, see: See, dialect: str = "ardupilot", settings: tuple[str, ...] = (), **more: Any) -> None:
+        # it leans in 0.1 s, as a real one: over a slow link targets are turned by the attitude of another moment
+        more = {"vehicle": PointMass(FlightLimits(lag=0.1)), **more}
         super().__init__(dialect, step=0.05, estimate=EstimateError(WRONG), **more)
         self.see, self.settings = see, load_settings("", ["executive.search_side=60", *settings])
         self.pilot: LandingPilot | None = None

@@ -44,6 +44,7 @@ class CommandAnswer:
     ok: bool
     text: str
     refused: bool = False  # by an answer of the autopilot that no second try will change
+    number: int = 0  # of the MAV_CMD
 
 
 class CommandQueue:
@@ -138,7 +139,7 @@ class CommandQueue:
         done = queue.popleft()
         if queue:
             self._transmit(queue[0], t_ns)
-        return CommandAnswer(done.ticket, done.name, ok, f"{done.name}: {text}", refused)
+        return CommandAnswer(done.ticket, done.name, ok, f"{done.name}: {text}", refused, done.number)
 
     def _transmit(self, command: _Command, t_ns: int) -> None:
         system, component = self.target

@@ -9,6 +9,7 @@ from alight.records import FlightMode
 
 _REMEMBERED_NS = 6_000_000_000  # how long after our request a change of mode counts as its effect
 _UNDER_WAY_NS = 400_000_000  # after a request, a heartbeat may have left before it came, and copies may still be coming
+_ENDS = (FlightMode.LAND, FlightMode.RETURN)
 _MOVED = 150  # microseconds of a stick's 1000, from where it was when we took over
 
 
@@ -20,6 +21,7 @@ class ControlWatch:
         self._asked: dict[FlightMode, int] = {}
         self._mode: tuple[FlightMode, str] | None = None
         self._neutral: tuple[int, ...] | None = None
+        self._flown: FlightMode | None = None  # of the newest heartbeat that said armed, since our newest order
         self.in_control = False
 
     @property
@@ -31,8 +33,13 @@ class ControlWatch:
         """Take control and note that a mode was asked for: a change to it within six seconds is ours, once."""
         if not self.in_control:
             self._neutral = None
-        self.in_control = True
+        self.in_control, self._flown = True, None
         self._asked[mode] = t_ns
+
+    def accepted(self, mode: FlightMode, t_ns: int) -> None:
+        """Note that an order was accepted only now: its effect counts from here, unless it was seen already."""
+        if mode in self._asked:
+            self._asked[mode] = t_ns
 
     def released(self) -> None:
         """Give control away; modes that were asked for are forgotten."""
@@ -42,11 +49,12 @@ class ControlWatch:
     def rebooted(self) -> None:
         """Give control away, and forget the mode and the neutral sticks."""
         self.released()
-        self._mode = self._neutral = None
+        self._mode = self._neutral = self._flown = None
 
     def mode(
-        self, mode: FlightMode, name: str, t_ns: int, unanswered: Set[FlightMode] = frozenset(), on_ground: bool = False
-    ) -> str | None:
+        self, mode: FlightMode, name: str, t_ns: int, unanswered: Set[FlightMode] = frozenset(),
+        on_ground: bool = False, armed: bool = True,
+    ) -> str | None:  # fmt: skip
         """Take a heartbeat's mode.
 
         Args:
@@ -55,16 +63,19 @@ class ControlWatch:
             t_ns: now.
             unanswered: modes whose orders are still being sent; each try may bring the mode again.
             on_ground: the vehicle stands.
+            armed: the motors run. PX4 leaves the mode of a landing as it stops them, for one that may be armed in.
 
         Returns:
             How it shows that somebody else has taken over, in words; None: it does not.
         """
         before, self._mode = self._mode, (mode, name)
+        self._flown = mode if armed else self._flown
         if before is None or not self.in_control:
             return None
         ours = self._is_ours(mode, t_ns) or mode in unanswered
         change = before[0], mode
         natural = change in self._firmware.natural and (on_ground or change not in self._firmware.natural_on_ground)
+        natural |= not armed and (self._flown in _ENDS or before[0] in _ENDS)
         if before == self._mode or ours or natural:
             return None
         return f"the mode went from {before[1]} to {name}, which we did not ask for"

@@ -46,6 +46,7 @@ class Firmware(Protocol):
     natural: frozenset[tuple[FlightMode, FlightMode]]  # changes of mode that it makes by itself at the end of a task
     natural_on_ground: frozenset[tuple[FlightMode, FlightMode]]  # those of them that in the air are somebody's switch
     home_items: int  # items of its missions that are not ours
+    high_site: float  # metres above its home, from which its LAND comes down fast
 
     def mode(self, custom_mode: int) -> tuple[FlightMode, str]:
         """Return the mode that a heartbeat's custom mode stands for, and the autopilot's own word for it."""
@@ -82,6 +83,7 @@ class ArduPilotFirmware:
     natural: frozenset[tuple[FlightMode, FlightMode]] = frozenset()
     natural_on_ground = natural
     home_items = 1
+    high_site = 8.0  # LAND_ALT_LOW is 10 m, and home may lie lower than it believes
     _names = tuple(_COPTER.split())
     _meanings: Mapping[str, FlightMode] = {
         "AUTO": FlightMode.MISSION,
@@ -146,6 +148,7 @@ class Px4Firmware:
     )
     natural_on_ground = frozenset({(FlightMode.LAND, FlightMode.HOLD)})
     home_items = 0
+    high_site = 4.0  # it slows down from MPC_LAND_ALT1, 10 m, to MPC_LAND_ALT2, 5 m
     _main = ("0", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
     _auto = ("0", "READY", "TAKEOFF", "LOITER", "MISSION", "RTL", "LAND", "7", "FOLLOW", "PRECLAND")
     _meanings: Mapping[str, FlightMode] = {

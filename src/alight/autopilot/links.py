@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import select
 import socket
 import threading
@@ -17,6 +18,7 @@ log = logging.getLogger(__name__)
 
 _CHUNK = 65_535
 _AGAIN = 1.0  # s between attempts to open a broken link
+_FIRST, _LATER = 2.0, 0.5  # s that a TCP server may take to answer, before a flight and in it: nobody listens meanwhile
 _PEER = 10.0  # s for which a sender of datagrams is answered
 _BROKEN = (OSError, ValueError, TypeError)  # the last two: of a socket or a port that another thread has just closed
 NAMES = (
@@ -174,20 +176,55 @@ class UdpLink(Link):
         self._socket.close()
 
 
-class TcpLink(Link):
+class _StreamLink(Link):
+    """Bytes in order. Half a message would spoil them: the rest of one goes first the next time, or nothing does."""
+
+    _unsent = b""
+
+    @abstractmethod
+    def _send(self, data: bytes) -> int:
+        """Send as much as fits now; return the number of bytes. Raises BlockingIOError where nothing fits."""
+
+    def _write(self, data: bytes) -> None:
+        """Raises BlockingIOError, and leaves the message out, while one before it is not through."""
+        if self._unsent:
+            self._unsent = self._unsent[self._send(self._unsent) :]
+        if self._unsent:
+            raise BlockingIOError
+        self._unsent = data[self._send(data) :]
+
+
+class TcpLink(_StreamLink):
     """A stream to a server (ArduPilot's SITL, a telemetry bridge)."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
         super().__init__(name)
         self._address = (host, port)
-        self._unsent = b""
+        self._resolved: list[tuple[str, int]] = []  # once: a name server that is lost with the link is not waited for
         self._socket: socket.socket | None = None  # not connected yet
 
     def _open(self) -> None:
-        self._socket = socket.create_connection(self._address, timeout=1.0)
+        first = not self._resolved
+        if first:
+            found = socket.getaddrinfo(*self._address, type=socket.SOCK_STREAM)
+            self._resolved = list(dict.fromkeys((str(a[4][0]), int(a[4][1])) for a in found))
+        self._socket = self._connected(_FIRST if first else _LATER)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
         self._unsent = b""
+
+    def _connected(self, timeout: float) -> socket.socket:
+        """The first address that answers, which is the only one from then on; all of them share the time-out."""
+        error: OSError | None = None
+        for address in self._resolved:
+            try:
+                found = socket.create_connection(address, timeout=timeout / len(self._resolved))
+            except OSError as e:
+                error = error or e
+            else:
+                self._resolved = [address]
+                return found
+        raise error or ConnectionRefusedError
 
     def _read(self, timeout: float) -> list[bytes]:
         assert self._socket is not None
@@ -200,19 +237,16 @@ class TcpLink(Link):
             return [data]
         return []
 
-    def _write(self, data: bytes) -> None:
-        """Half a message would spoil the stream: what does not fit now goes first the next time."""
+    def _send(self, data: bytes) -> int:
         assert self._socket is not None
-        whole = self._unsent + data if len(self._unsent) < _CHUNK else self._unsent
-        self._unsent = whole
-        self._unsent = whole[self._socket.send(whole) :]
+        return self._socket.send(data)
 
     def _shut(self) -> None:
         if self._socket is not None:
             self._socket.close()
 
 
-class SerialLink(Link):
+class SerialLink(_StreamLink):
     """A serial port, as a telemetry radio or the autopilot's own USB."""
 
     def __init__(self, name: str, device: str, baud: int) -> None:
@@ -228,6 +262,7 @@ class SerialLink(Link):
             self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
         except ValueError as e:  # a speed that the port cannot do
             raise OSError(str(e)) from e
+        self._unsent = b""
 
     def _read(self, timeout: float) -> list[bytes]:
         if not select.select([self._port.fileno()], [], [], timeout)[0]:
@@ -237,10 +272,13 @@ class SerialLink(Link):
             raise OSError("the device is gone")
         return [data]
 
-    def _write(self, data: bytes) -> None:
-        self._port.write(data)
+    def _send(self, data: bytes) -> int:
+        """Not by pyserial, whose write without a time-out tries again until there is room."""
+        return os.write(self._port.fileno(), data)
 
     def _shut(self) -> None:
+        with suppress(Exception):  # termios has an error of its own
+            self._port.reset_output_buffer()  # else to close it waits until all is sent
         self._port.close()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -31,7 +32,6 @@ _FIRST_TIMESYNCS = 10
 _BEFORE_GUIDED_NS = 1_000_000_000  # of set-points, until PX4 believes in them
 _HELICOPTER = 4  # MAV_TYPE
 _FRESH_NS = 800_000_000  # an answer to TIMESYNC that took longer says nothing about a new start
-_BROADCAST = 0
 
 
 class RemoteVehicle:
@@ -75,7 +75,7 @@ class RemoteVehicle:
             "MISSION_REQUEST_INT": self._mission_request,
             "MISSION_ACK": self._mission_ack,
             "TIMESYNC": self._timesync,
-            "STATUSTEXT": self._text,
+            "STATUSTEXT": lambda m: self._said(self._texts.take(m, self._now_ns)),
             "MISSION_ITEM_REACHED": self._reached,
         }
 
@@ -117,6 +117,21 @@ class RemoteVehicle:
         """
         return self._state.place_at(self.clock.theirs_ns(t_ns)) if self.clock.known else None
 
+    @property
+    def doubts_place(self) -> bool:
+        """Whether its newest positions contradict what was known: it has jumped."""
+        return self._state.places.doubted
+
+    @property
+    def place_age(self) -> float:
+        """Seconds since its newest position was true; inf: there is none."""
+        return self._state.places.age(self.clock.theirs_ns(self._now_ns)) if self.clock.known else math.inf
+
+    @property
+    def oldest_place(self) -> float:
+        """Seconds, the greatest age of its newest position in the last five; inf: there is none."""
+        return self._state.places.oldest(self._now_ns, self.clock) if self.clock.known else math.inf
+
     def tie(self, local: LocalFrame, position_world: F64, t_ns: int) -> EstimateTie | None:
         """Tie our position to the autopilot's of the same instant.
 
@@ -141,14 +156,13 @@ class RemoteVehicle:
     def set_mode(self, mode: FlightMode) -> int:
         """Fly in this mode from now on; the newest order counts. Guided flight begins where the vehicle is."""
         now = self.telemetry
+        begins = mode is FlightMode.GUIDED and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED
         if mode is not FlightMode.GUIDED:
             self._target = None
-        elif self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED and now.place is not None:
+        elif begins and now.place is not None:
             self._aim(hold_at(now.place))  # the mode is refused without a set-point, and an old one must not be flown
         self._take_control(_DO_SET_MODE, mode)
-        wait_ns = 0
-        if mode is FlightMode.GUIDED and self.firmware.repeats_setpoints and now.mode is not FlightMode.GUIDED:
-            wait_ns = max(_BEFORE_GUIDED_NS - (self._now_ns - self._aiming_ns), 0)
+        wait_ns = max(_BEFORE_GUIDED_NS - (self._now_ns - self._aiming_ns), 0) if begins else 0
         parameters = self.firmware.mode_parameters(mode)
         return self._commands.replace(f"mode {mode.value}", _DO_SET_MODE, parameters, self._pace.t_ns, wait_ns)
 
@@ -221,11 +235,10 @@ class RemoteVehicle:
         Returns:
             False: not sent; somebody else flies, or it is a PX4, whose landing uses none.
         """
-        sent = self.firmware.landing_target(t_ns, target_world, world_from_body)
-        if sent is None or not self._control.in_control:
-            return False
-        self._send(sent)
-        return True
+        sent = self.firmware.landing_target(t_ns, target_world, world_from_body) if self._control.in_control else None
+        if sent is not None:
+            self._send(sent)
+        return sent is not None
 
     def _take_control(self, number: int, mode: FlightMode) -> None:
         self._control.ordered(mode, self._pace.t_ns)
@@ -234,6 +247,8 @@ class RemoteVehicle:
     def _aim(self, target: Target) -> None:
         if self._target is None:
             self._aiming_ns, self._ahead = self._now_ns, None
+        elif (target.place is None) is not (self._target.place is None):
+            self._speeds.forget()  # ArduPilot changes its controller
         self._target, self._target_ns = target, self._now_ns
         self._ahead = self._next_ahead(target)
         self._send(self._ahead.message(self._now_ns, self.system, AUTOPILOT))
@@ -264,8 +279,7 @@ class RemoteVehicle:
         self._uploaded(self._transfer.tick(self._pace.t_ns, self._state.mode is FlightMode.MISSION))
         for answer in self._commands.tick(self._pace.t_ns):
             self._answered(answer)
-        repeats = self._target is not None and self.firmware.repeats_setpoints
-        if repeats and now_ns - self._target_ns >= _SETPOINT_NS and self._target is not None:
+        if self._target is not None and self.firmware.repeats_setpoints and now_ns - self._target_ns >= _SETPOINT_NS:
             self._aim(self._target)
 
     def look(self, now_ns: int) -> bool:
@@ -317,7 +331,7 @@ class RemoteVehicle:
         now, before = self._state.telemetry(self._now_ns), self._control.mode_name
         unanswered = {mode for number, mode in self._ordered.items() if self._commands.waiting(number)}
         on_ground = self._state.is_on_ground(self._now_ns)
-        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns, unanswered, on_ground)
+        reason = self._control.mode(now.mode, now.mode_name, self._pace.t_ns, unanswered, on_ground, now.armed)
         self._watch(reason)
         if before != now.mode_name:
             self._speeds.forget()
@@ -344,14 +358,15 @@ class RemoteVehicle:
 
     def _is_for_us(self, m: Any) -> bool:
         system, component = getattr(m, "target_system", 0), getattr(m, "target_component", 0)
-        return system in (_BROADCAST, self._us[0]) and component in (_BROADCAST, self._us[1])
+        return system in (0, self._us[0]) and component in (0, self._us[1])  # 0: all
 
     def _command_ack(self, m: Any) -> None:
-        answer = self._commands.hear(m.command, m.result, self._pace.t_ns) if self._is_for_us(m) else None
-        if answer is not None:
+        if self._is_for_us(m) and (answer := self._commands.hear(m.command, m.result, self._pace.t_ns)) is not None:
             self._answered(answer)
 
     def _answered(self, answer: CommandAnswer) -> None:
+        if answer.ok and answer.number in self._ordered:
+            self._control.accepted(self._ordered[answer.number], self._pace.t_ns)
         streams = self._streams.answered(answer.ticket, answer.refused)  # those that do not come are asked for again
         if not (streams or self._speeds.is_quiet(answer.ticket, answer.ok)):
             self._note(NoticeKind.COMMAND, answer.text, answer.ok, ticket=answer.ticket)
@@ -374,9 +389,6 @@ class RemoteVehicle:
             self._send(message("TIMESYNC", tc1=self._now_ns, ts1=m.ts1))
         elif self.clock.answer(m.ts1, m.tc1, self._now_ns) and self._now_ns - m.ts1 < _FRESH_NS:
             self._keep_pace(m.tc1)
-
-    def _text(self, m: Any) -> None:
-        self._said(self._texts.take(m, self._now_ns))
 
     def _said(self, texts: list[SpokenText]) -> None:
         for said in texts:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import replace
 from typing import Any
 
@@ -12,14 +11,13 @@ import numpy as np
 from alight.arrays import F64
 from alight.autopilot import border
 from alight.autopilot.firmware import Firmware
-from alight.autopilot.place_watch import PlaceReport, PlaceWatch, place_of, report_of
+from alight.autopilot.place_log import PlaceLog
+from alight.autopilot.place_watch import place_of, report_of
 from alight.records import PRE_ARM, Battery, FlightMode, GpsQuality, Landed, Place, Telemetry
 
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _LANDED_NS = 2_000_000_000  # for which a report that it has landed holds
 _NAN = float("nan")
-_REMEMBERED = 300  # positions, to find the one of an instant
-_EXTRAPOLATED_NS = 400_000_000
 
 
 def boot_time_ns(message: Any) -> int | None:
@@ -51,8 +49,7 @@ class VehicleState:
         self.firmware = firmware
         self._now = Telemetry(firmware.name)
         self._heard: dict[str, int] = {}
-        self._places: deque[PlaceReport] = deque(maxlen=_REMEMBERED)
-        self._watch = PlaceWatch()
+        self.places = PlaceLog()
         self.sticks: tuple[int, ...] | None = None
 
     def telemetry(self, now_ns: int) -> Telemetry:
@@ -82,8 +79,7 @@ class VehicleState:
     def rebooted(self) -> None:
         """Forget everything but the mode; the vehicle counts as disarmed."""
         self._now = replace(Telemetry(self.firmware.name), armed=False, mode=self._now.mode)
-        self._places.clear()
-        self._watch = PlaceWatch()
+        self.places = PlaceLog()
         self.sticks = None
 
     def hear(self, name: str, m: Any, now_ns: int) -> bool:
@@ -98,6 +94,8 @@ class VehicleState:
     def place_at(self, boot_ns: int) -> Place | None:
         """Return where the autopilot believed to be, carried on from the nearest report by its velocity.
 
+        A report may be a second and a half old: it is late, or one of few.
+
         Args:
             boot_ns: instant of the autopilot's clock.
 
@@ -105,10 +103,7 @@ class VehicleState:
             Degrees, and metres above sea level and above the home; None: too far from every report, or its reports
             have jumped.
         """
-        if not self._places or self._watch.doubts:
-            return None
-        nearest = min(self._places, key=lambda report: abs(report.boot_ns - boot_ns))
-        return nearest.at(boot_ns) if abs(boot_ns - nearest.boot_ns) <= _EXTRAPOLATED_NS else None
+        return self.places.at(boot_ns)
 
     def _heartbeat(self, m: Any) -> None:
         mode, name = self.firmware.mode(m.custom_mode)
@@ -120,16 +115,13 @@ class VehicleState:
 
     def _global_position_int(self, m: Any) -> bool:
         """A report that cannot be true is passed over; after a jump nothing is known until reports agree."""
-        report, jumps = report_of(m), self._watch.jumps
+        report = report_of(m)
         if report is None:
             return False
-        if not self._watch.believes(report):
+        if not self.places.take(report, self._heard["GLOBAL_POSITION_INT"]):
             self._now = replace(self._now, place=None, velocity_world=np.full(3, _NAN))
             return False
-        if self._watch.jumps != jumps:
-            self._places.clear()  # they are of another estimate
         self._now = replace(self._now, place=report.place, velocity_world=border.enu(*report.velocity_ned))
-        self._places.append(report)
         return True
 
     def _attitude_quaternion(self, m: Any) -> None:

@@ -33,6 +33,8 @@ class Dialect(Protocol):
     turns_to_course: bool  # turns the nose to where it flies where no heading is named
     speeds_by_command: bool  # guided flight keeps to DO_CHANGE_SPEED, until its controller starts anew
     stores_at_once: bool  # each item of a mission as it comes, over the one that was there
+    returns_at_disarm: bool  # goes back to the last mode that may be armed in, as the motors stop
+    lands_in_guided: bool  # says that it stands on the ground under positions, and not under velocities alone
     target_delay: float  # s of reports until LAND uses a target and waits for the first one; infinite: it uses none
 
     def number(self, doing: Doing) -> int:
@@ -55,6 +57,8 @@ class SpokenArduPilot:
     turns_to_course = True
     speeds_by_command = True
     stores_at_once = True
+    returns_at_disarm = False
+    lands_in_guided = True
     target_delay = 2.0
     _numbers: Mapping[Doing, int] = {
         Doing.PILOT: 5,  # LOITER
@@ -89,6 +93,8 @@ class SpokenPx4:
     turns_to_course = False
     speeds_by_command = False
     stores_at_once = False
+    returns_at_disarm = True  # since 1.14
+    lands_in_guided = False  # its land detector wants a set-point of the velocity
     target_delay = math.inf
     _numbers: Mapping[Doing, tuple[int, int]] = {
         Doing.PILOT: (3, 0),  # POSCTL

@@ -60,14 +60,21 @@ class FlightLogic:
         self._here = np.zeros(3)
         self._anchor = np.zeros(3)
         self._stands = True
+        self._armable = Doing.HOLD  # the last mode that may be armed in
 
     @property
     def landed_state(self) -> int:
         """MAV_LANDED_STATE."""
         landing = self.doing is Doing.LAND or (self.doing is Doing.MISSION and self._item_command == LAND)
-        if self._stands:
+        if self._stands and not self._is_blind:
             return 1
         return 4 if landing else 2
+
+    @property
+    def _is_blind(self) -> bool:
+        """Whether it flies to a position and does not notice the ground below it."""
+        guided = self.armed and self.doing is Doing.GUIDED and self._wanted.velocity is None
+        return guided and not self.dialect.lands_in_guided
 
     @property
     def _item_command(self) -> int:
@@ -93,6 +100,8 @@ class FlightLogic:
                 return False
         elif self.doing in (Doing.LAND, Doing.RETURN, Doing.HOLD) and not self.dialect.needs_setpoints:
             return False
+        if self.armed and not wanted:
+            self._disarm()
         self.armed = wanted
         self._stood_since = None
         return True
@@ -193,6 +202,7 @@ class FlightLogic:
 
     def _settle(self, doing: Doing) -> None:
         self.doing = doing
+        self._armable = self._armable if doing in (Doing.LAND, Doing.RETURN) else doing
         self._anchor = self._here.copy()
         self._wanted = Wanted(self._anchor)
         self._arrived_at = self._heading = self._landing_since = None
@@ -275,6 +285,8 @@ class FlightLogic:
         early = t - self._landing_since < _TARGET_WAIT
         waits = math.isfinite(self.dialect.target_delay) and early and not self._target_seen
         goal = self._target[1] if seen and self._target is not None else place
+        if seen and self.doing is Doing.LAND:
+            self._anchor = self._here.copy()  # where the target is lost it comes straight down
         fast = self._here[2] - goal[2] > _SLOW_BELOW and not seen
         sink = _RUSH if fast else _SINK
         near = not waits and bool(np.hypot(*(goal[:2] - self._here[:2])) < 2.0)
@@ -291,10 +303,15 @@ class FlightLogic:
         landing = self.landed_state == 4 or self.doing in (Doing.LAND, Doing.RETURN)
         landing |= self.doing is Doing.MISSION and self._item_command == LAND
         rises = self.doing is Doing.TAKE_OFF or (self._controller == "take-off" and self.interlock is not False)
-        if not (self.armed and self._stands) or (rises and not landing):
+        if not (self.armed and self._stands) or (rises and not landing) or self._is_blind:
             self._stood_since = None
         elif self._stood_since is None:
             self._stood_since = t
         elif t - self._stood_since > (_DISARM_AFTER if landing else _DISARM_IDLE):
-            self.armed = False
+            self._disarm()
             self.spoken.append("Disarming motors")
+
+    def _disarm(self) -> None:
+        self.armed = False
+        if self.dialect.returns_at_disarm:
+            self.doing = self._armable

@@ -20,7 +20,7 @@ from alight.records.executive import FlightState, LookRecord, Transition
 from alight.runner.fly import preflight
 from alight.runner.fly.arrivals import Arrivals
 from alight.runner.fly.loop import STEP, TAKEN, FlightLoop
-from alight.runner.fly.orders import OrderTaker, SpokenVehicle
+from alight.runner.fly.order_taker import OrderTaker, SpokenVehicle
 from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.runner.home import flown_home, with_home
 from alight.runner.live import FlightHealth, Listener

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from alight.autopilot import RemoteVehicle
 from alight.records import FlightMode, Notice
-from alight.runner.fly.orders import OrderTaker
+from alight.runner.fly.order_taker import OrderTaker
 from alight.runner.fly.pilot import LandingPilot, PilotView
 from alight.runner.fly.take_off import TakeOff
 from alight.runner.live.telemetry import TelemetryFeed

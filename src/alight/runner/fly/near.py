@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,13 @@ BRAKING, BRAKING_UP = 2.5, 1.0  # m/s^2, over the ground and upwards: ArduPilot'
 CLIMB = 3.0  # m/s upwards, which no order names
 AHEAD = 0.5  # s of flight until the autopilot has the next target, and a margin
 FASTEST, SLACK = 25.0, 5.0  # m/s, and metres on top: a way beyond that was not flown
+
+
+class OwnWay(NamedTuple):
+    """The way that the autopilot believes to have flown."""
+
+    way: F64 | None  # (3,) metres; None: not known, as its positions are late or have jumped
+    jumped: bool = False  # they contradict each other
 
 
 def near_way(way: F64, speed: float, sink: float) -> F64:
@@ -35,12 +43,13 @@ def near_way(way: F64, speed: float, sink: float) -> F64:
 def _reach(speed: float, braking: float) -> float:
     """Distance in metres at which ArduPilot still flies at a speed, with a margin.
 
-    Its position controller brakes by v = sqrt(2 a (d - a / 2)), and near the target by v = d (gain 1/s).
+    Its position controller (of all releases so far) brakes with half of the acceleration: v = sqrt(a (d - a / 4)), and
+    near the target by v = d (gain 1/s).
     """
-    return speed**2 / (2 * braking) + braking / 2 + AHEAD * speed
+    return speed**2 / braking + braking / 4 + AHEAD * speed
 
 
-def own_way(vehicle: RemoteVehicle, local: LocalFrame, since_ns: int, now_ns: int) -> F64 | None:
+def own_way(vehicle: RemoteVehicle, local: LocalFrame, since_ns: int, now_ns: int) -> OwnWay:
     """Return the way that the autopilot believes to have flown between two instants of our clock.
 
     Args:
@@ -48,13 +57,13 @@ def own_way(vehicle: RemoteVehicle, local: LocalFrame, since_ns: int, now_ns: in
         local: the world, for the axes.
         since_ns: the earlier instant.
         now_ns: the later one.
-
-    Returns:
-        (3,) metres; None: its position is not known, or has jumped.
     """
+    if vehicle.doubts_place:
+        return OwnWay(None, jumped=True)
     then, now = vehicle.place_at(since_ns), vehicle.place_at(now_ns)
     if then is None or now is None:
-        return None
+        return OwnWay(None)
     a, b = (local.to_enu(p.latitude, p.longitude, p.altitude_msl) for p in (then, now))
     way = np.asarray(b - a)
-    return way if float(np.linalg.norm(way)) <= SLACK + FASTEST * (now_ns - since_ns) * 1e-9 else None
+    jumped = not float(np.linalg.norm(way)) <= SLACK + FASTEST * (now_ns - since_ns) * 1e-9
+    return OwnWay(None if jumped else way, jumped)

@@ -1,11 +1,10 @@
-"""The executive's orders as an autopilot takes them: modes, guided set-points and landing targets, or words of them."""
+"""The executive's orders as an autopilot takes them: modes, guided set-points and landing targets."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -14,123 +13,16 @@ from alight.autopilot import EstimateTie, RemoteVehicle, Setpoint
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Landed, Motion, Place
 from alight.records.executive import FlightState, Order
+from alight.runner.fly.contact import Contact
 from alight.runner.fly.near import near_way, own_way
+from alight.runner.fly.order_taker import OrderTaker, metres_between, words_of
 
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
 OFTEN = 3  # refusals in a row, after which a person is told
 GRACE_NS = 2_000_000_000  # from the answer to a mode until heartbeats must show it
-HIGH_SITE = 8.0  # m above the autopilot's home, from which its LAND would come down fast
-TOUCH, BELOW = 1.0, 1.5  # m above such a site, where no sinking means contact; and below it, where guidance leads
-SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
-SAID_SPEED = 0.1  # m/s, the same of its speed
+BELOW = 1.5  # m below a high site, where guidance leads
+STAYS, STAY_SPEED, STAY_SINK = 5.0, 1.0, 0.5  # m and m/s: the way back to a place that is kept is short, and slow
 LEAST_SPEED = 0.2  # m/s: an autopilot refuses none at all
-
-
-class OrderTaker(Protocol):
-    """Takes orders: a `RemoteVehicle`, or a `SpokenVehicle`. An order returns the ticket of its answer."""
-
-    @property
-    def in_control(self) -> bool:
-        """Whether we fly: from our first order to a takeover."""
-
-    def set_mode(self, mode: FlightMode) -> int:
-        """Fly in this mode from now on; takes control."""
-
-    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Fly to a set-point, tied to the autopilot's estimate where it has a position; False: not sent."""
-
-    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Report the target of a landing.
-
-        Args:
-            t_ns: instant at which this held, our clock.
-            target_world: (3,) metres from the vehicle to the target, world axes.
-            world_from_body: (3, 3) attitude of that instant.
-
-        Returns:
-            False: not sent.
-        """
-
-    def arm(self) -> int:
-        """Start the motors."""
-
-    def take_off(self, height: float) -> int:
-        """Climb to a height in metres above the home; takes control."""
-
-    def release(self) -> None:
-        """Give control away: nothing is sent any more that moves the vehicle."""
-
-
-class SpokenVehicle:
-    """Takes orders and says them; nothing is sent.
-
-    Args:
-        say: is told each order in words; a set-point again when it has moved by half a metre.
-    """
-
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say, self._last = say, ""
-        self._place: Place | None = None
-        self._speed = math.inf
-        self.in_control = False
-
-    def set_mode(self, mode: FlightMode) -> int:
-        """Say the mode."""
-        self.in_control, self._place = True, None
-        return self._spoken(f"mode: {mode.value}")
-
-    def guide(self, setpoint: Setpoint, tie: EstimateTie | None = None) -> bool:
-        """Say the set-point, and its speed where it is a new one."""
-        assert tie is not None
-        assert setpoint.position_world is not None
-        if math.isfinite(setpoint.speed) and not abs(setpoint.speed - self._speed) < SAID_SPEED:
-            self._speed = setpoint.speed
-            self._spoken(f"speed: {setpoint.speed:.1f} m/s")
-        place = tie.place_of(setpoint.position_world)
-        if self._place is None or _apart(place, self._place) > SAID_AGAIN:
-            self._place = place
-            self._spoken(f"fly to {words_of(place)}")
-        return self.in_control
-
-    def land_on(self, t_ns: int, target_world: F64, world_from_body: F64) -> bool:
-        """Say where the target is, as often as it changes by half a metre."""
-        east, north, up = np.round(2 * target_world) / 2 + 0.0
-        words = f"landing target {-up:.1f} m below, {east:+.1f} m east, {north:+.1f} m north of the vehicle"
-        if words != self._last:
-            self._spoken(words)
-        return self.in_control
-
-    def arm(self) -> int:
-        """Say it."""
-        return self._spoken("arm")
-
-    def take_off(self, height: float) -> int:
-        """Say the height."""
-        return self._spoken(f"take off to {height:.0f} m above home")
-
-    def release(self) -> None:
-        """No more orders."""
-        if self.in_control:
-            self._spoken("control is given away")
-        self.in_control = False
-
-    def _spoken(self, words: str) -> int:
-        self._last = words
-        self._say(words)
-        return 0
-
-
-def words_of(place: Place) -> str:
-    """Return a place in words: degrees, metres above the sea, and above home where that is known."""
-    above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
-    return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"
-
-
-def _apart(a: Place, b: Place) -> float:
-    """Metres."""
-    north = (a.latitude - b.latitude) * 111_132.0
-    east = (a.longitude - b.longitude) * 111_132.0 * math.cos(math.radians(a.latitude))
-    return math.hypot(north, east, a.altitude_msl - b.altitude_msl)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,21 +45,26 @@ class OrderSender:
         hand: takes the orders.
         local: the world, for degrees.
         farthest: metres over the ground and upwards to a target: beyond that a position has jumped.
+        stale: s, age of the autopilot's position beyond which it is ordered to hold by itself.
         tell: is told in words what a person must know.
     """
 
     def __init__(
         self, vehicle: RemoteVehicle, hand: OrderTaker, local: LocalFrame,
-        farthest: tuple[float, float] = (math.inf, math.inf), tell: Callable[[str], None] = lambda words: None,
+        farthest: tuple[float, float] = (math.inf, math.inf), stale: float = 1.5,
+        tell: Callable[[str], None] = lambda words: None,
     ) -> None:  # fmt: skip
-        self._vehicle, self.hand, self._local, self._farthest, self._tell = vehicle, hand, local, farthest, tell
+        self._vehicle, self.hand, self._local, self._tell = vehicle, hand, local, tell
+        self._farthest, self._stale = farthest, stale
         self._next = near_way if hand is vehicle else _whole_way  # orders that are said are said with their goal
         self._mode: FlightMode | None = None  # asked for
         self._ticket, self._refused_ns, self._refusals = -1, -AGAIN_NS, 0
         self._accepted_ns: int | None = None  # when the mode was
         self._heading: float | None = None  # of the nose under guidance, rad clockwise from north
         self._wanted: tuple[FlightMode, int] | None = None  # to be asked for, and since when
-        self._held: Place | None = None
+        self._held: tuple[Place, int] | None = None  # where it stays, and when that was ordered last
+        self._contact = Contact()  # with a high site
+        self._site_above: float | None = None  # home, of the place of this landing, metres; None: not known
 
     def obey(self, order: Order, state: FlightState, motion: Motion | None, now_ns: int) -> str:
         """Carry out an order; return in words what was done.
@@ -175,7 +72,7 @@ class OrderSender:
         Args:
             order: in the frame of the motion.
             state: of the executive.
-            motion: the newest one; None: not known.
+            motion: the newest one; None: not known. It then comes straight down where it was to land.
             now_ns: our clock.
         """
         if order.what == "nothing":
@@ -184,10 +81,16 @@ class OrderSender:
         if order.what == "return":
             self._fly_as(FlightMode.RETURN, now_ns)
             return "return"
+        lands, known = order.what == "land", order.position is not None and motion is not None
+        if not (lands and order.down):
+            self._contact.forget()
+        if lands and order.down and not known:
+            return self._down(order, now_ns)
         if order.position is None or motion is None:
             return self._hold(state, now_ns)
-        if order.what == "land":
+        if lands:
             return self._land(order.position, order, motion, now_ns)
+        self._site_above = None
         return self._go(order.position, order, motion, now_ns)
 
     def stop(self, now_ns: int) -> bool:
@@ -246,16 +149,24 @@ class OrderSender:
 
     def _hold(self, state: FlightState, now_ns: int) -> str:
         """Between two way-points it stays under guidance; while something is missing the autopilot holds by itself."""
-        here = self._vehicle.telemetry.place
-        if state in (FlightState.HOLD, FlightState.ABORT) or here is None:
+        here = self._vehicle.place_at(now_ns) or self._vehicle.telemetry.place
+        if state in (FlightState.HOLD, FlightState.ABORT) or here is None or self._vehicle.place_age > self._stale:
             self._held = None  # a place of an estimate that has jumped since would be flown to
             self._fly_as(FlightMode.HOLD, now_ns)
             return "hold"
         self._fly_as(FlightMode.GUIDED, now_ns)
-        self._held = self._held or here
-        stay = Setpoint(np.zeros(3), heading=self._nose())
-        self.hand.guide(stay, EstimateTie(self._local, np.zeros(3), self._held))
+        kept = self._kept(here, now_ns)
+        self._held = kept, now_ns
+        stay = Setpoint(np.zeros(3), None, self._nose(), STAY_SPEED, STAY_SINK)
+        self.hand.guide(stay, EstimateTie(self._local, np.zeros(3), kept))
         return "stay"
+
+    def _kept(self, here: Place, now_ns: int) -> Place:
+        """The place that was kept so far, or this one after a jump of the autopilot's estimate."""
+        if self._held is None or metres_between(self._held[0], here) > STAYS:
+            return here
+        flown = own_way(self._vehicle, self._local, self._held[1], now_ns)
+        return here if flown.way is None else self._held[0]
 
     def _nose(self) -> float | None:
         """The heading at which guidance began: without one ArduPilot turns the nose, and the pictures, on every leg."""
@@ -267,11 +178,16 @@ class OrderSender:
     def _go(self, to: F64, order: Order, motion: Motion, now_ns: int) -> str:
         leg = self._leg(to, motion, now_ns)
         if leg is None:
-            return self._lost(now_ns)
+            return self._lost(motion, now_ns)
         self._fly_as(FlightMode.GUIDED, now_ns)
         return self._guide(leg, order)
 
-    def _lost(self, now_ns: int) -> str:
+    def _lost(self, motion: Motion, now_ns: int) -> str:
+        """No target can be made now. Positions that are only late are waited for a little: the last target is near."""
+        missing = self._vehicle.place_at(motion.t_ns) is None and not self._vehicle.doubts_place
+        if missing and self._vehicle.place_age <= self._stale:
+            return "wait: the autopilot's position is late"
+        self._contact.forget()
         return f"{self._hold(FlightState.HOLD, now_ns)}: the autopilot's place is not known, or has jumped"
 
     def _guide(self, leg: _Leg, order: Order) -> str:
@@ -290,12 +206,13 @@ class OrderSender:
         lands = self._mode is FlightMode.LAND
         if site is None:
             stays = lands and order.down and self._fly_as(FlightMode.LAND, now_ns)
-            return "land" if stays else self._lost(now_ns)
+            return "land" if stays else self._lost(motion, now_ns)
+        self._site_above = site.goal.above_home
         if not order.down:
             return self._go(over, order, motion, now_ns)
-        if site.goal.above_home > HIGH_SITE and not lands:
+        if self._is_high and not lands:
             over = np.array([*place[:2], place[2] - BELOW])
-            if not self._touches(site, order.sink):
+            if not self._contact.felt(-float(site.way[2]), order.sink, self._vehicle.telemetry, now_ns):
                 return self._go(over, order, motion, now_ns)
             over[:2] = site.here[:2]  # no push to the side on the ground
         if not self._fly_as(FlightMode.LAND, now_ns):  # it stays in its mode until LAND may be asked for, again
@@ -303,14 +220,31 @@ class OrderSender:
             return "land: not yet" if leg is None else self._guide(leg, order)
         return "land" if goal is None else f"land on {words_of(goal)}"
 
-    def _touches(self, site: _Leg, sink: float) -> bool:
-        """Whether the vehicle stands on a high site: guided down to it, for LAND sinks fast as high above home.
-
-        LAND would reach 1.1 m/s from 0.7 m above it (ArduPilot, 1 m/s^2; PX4 more).
-        """
+    def _down(self, order: Order, now_ns: int) -> str:
+        """Straight down where it is, with no target reported: it is low, and no place of ours is known any more."""
         heard = self._vehicle.telemetry
-        stopped = -site.way[2] < TOUCH and not heard.velocity_world[2] < -0.4 * sink
-        return stopped or heard.landed is Landed.GROUND
+        self._held = None
+        guided = self._is_high and self._mode is not FlightMode.LAND
+        if guided and not self._contact.felt(None, order.sink, heard, now_ns):
+            self._fly_as(FlightMode.GUIDED, now_ns)
+            return self._sink(order)
+        return "land: straight down" if self._fly_as(FlightMode.LAND, now_ns) else self._sink(order)
+
+    def _sink(self, order: Order) -> str:
+        """By velocity, whatever mode is flown."""
+        sink = max(order.sink, LEAST_SPEED)
+        self.hand.guide(Setpoint(None, np.array([0.0, 0.0, -sink]), self._nose()))
+        return f"straight down at {sink:.1f} m/s"
+
+    @property
+    def _is_high(self) -> bool:
+        """Whether the autopilot's LAND comes down fast here: it reckons heights from its home.
+
+        From 0.7 m above such a site it would reach 1.1 m/s (ArduPilot, 1 m/s^2; PX4 more).
+        """
+        here = self._vehicle.telemetry.place
+        above = self._site_above if self._site_above is not None else None if here is None else here.above_home
+        return above is not None and above > self._vehicle.firmware.high_site
 
     def _report(self, site: _Leg | None, now_ns: int) -> Place | None:
         """Report the target; return its place, None: not known now.
@@ -323,12 +257,16 @@ class OrderSender:
         return site.goal if self.hand.land_on(now_ns, site.way, attitude) else None
 
     def _leg(self, to: F64, motion: Motion, now_ns: int) -> _Leg | None:
-        """The way to a target; None: the autopilot's place is not known, or one of the positions cannot be true."""
+        """The way to a target; None: the autopilot's place is not known, or one of the positions cannot be true.
+
+        Where its newest positions are late, it is led from where it was at the exposure.
+        """
         tie = self._vehicle.tie(self._local, motion.world_from_body.translation, motion.t_ns)
         flown = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
-        if tie is None or flown is None:
+        late = flown.way is None and self._vehicle.place_age > self._stale
+        if tie is None or flown.jumped or late:
             return None
-        here = motion.world_from_body.translation + flown
+        here = motion.world_from_body.translation + (0.0 if flown.way is None else flown.way)
         way = np.asarray(to - here)
         over, up = self._farthest
         if not (np.isfinite(way).all() and math.hypot(way[0], way[1]) <= over and way[2] <= up):

@@ -18,7 +18,8 @@ from alight.pipeline import Verdict
 from alight.records import Frame, Motion, MotionState, Notice, NoticeKind
 from alight.records.executive import FlightDiary, FlightState, LookRecord, Seen, Situation, Transition
 from alight.runner.fly.near import own_way
-from alight.runner.fly.orders import OrderSender, OrderTaker
+from alight.runner.fly.order_taker import OrderTaker
+from alight.runner.fly.orders import OrderSender
 from alight.runner.landing import as_seen, judged_every, look_picture
 from alight.runner.pictures import PictureWatch
 from alight.settings import Settings
@@ -78,9 +79,10 @@ class LandingPilot:
         self.executive, k = Executive(stages), stages.executive
         self._stale = k.stale
         farthest = FAR * k.search_side, k.search_height + FAR_UP
-        self._sender = OrderSender(vehicle, hand, local, farthest, lambda words: log.note("autopilot", words))
+        self._sender = OrderSender(vehicle, hand, local, farthest, k.stale, lambda words: log.note("autopilot", words))
         self.pictures = PictureWatch()
         self.motion: Motion | None = None
+        self._known: Motion | None = None  # that the newest situation's position is of; None: it has none
         self._seen: Seen | None = None
         self._seen_ns = self._acted_ns = 0  # newest exposure of the newest verdict, and of the one acted upon
         self._guided_ns = 0  # newest motion that a set-point was made of
@@ -183,9 +185,11 @@ class LandingPilot:
             self._log.note("autopilot", strayed)
             self._sender.hand.release()
         rebooted = self._vehicle.starts != self._starts
+        position = self._position(m, now_ns) if m is not None and known else None
+        self._known = m if position is not None else None
         return Situation(
             (now_ns - self._begin_ns) * 1e-9,
-            self._position(m, now_ns) if m is not None and known else None,
+            position,
             state,
             0 if m is None else m.frame_id,
             self._seen,
@@ -206,7 +210,7 @@ class LandingPilot:
 
     def _position(self, motion: Motion, now_ns: int) -> F64 | None:
         """(3,) metres in the map's frame now: the newest motion, carried on by the autopilot's own way since then."""
-        way = own_way(self._vehicle, self._local, motion.t_ns, now_ns)
+        way = own_way(self._vehicle, self._local, motion.t_ns, now_ns).way
         if way is None and (now_ns - motion.t_ns) * 1e-9 > self._stale:
             return None
         here = motion.world_from_body.translation + (0.0 if way is None else way)
@@ -223,7 +227,7 @@ class LandingPilot:
             self._asked = now.t
             self._judge(self.executive.about)
         order = self.executive.tick(now)
-        self._order = self._sender.obey(order, self.state, self.motion, now_ns)
+        self._order = self._sender.obey(order, self.state, self._known, now_ns)
         if not self.over:
             self._log.order(now_ns, self.state.value, self._order)
         self._write_diary(now_ns)
@@ -234,9 +238,9 @@ class LandingPilot:
         if self._seen_ns > self._acted_ns:
             self._acted_ns = self._seen_ns
             self.way_point_times.append((now_ns - self._seen_ns) * 1e-9)
-        if moves and self.motion is not None and self.motion.t_ns > self._guided_ns:
-            self._guided_ns = self.motion.t_ns
-            self.set_point_times.append((now_ns - self.motion.t_ns) * 1e-9)
+        if moves and self._known is not None and self._known.t_ns > self._guided_ns:
+            self._guided_ns = self._known.t_ns
+            self.set_point_times.append((now_ns - self._known.t_ns) * 1e-9)
 
     def _write_diary(self, now_ns: int) -> None:
         first_look, first_transition = self._written

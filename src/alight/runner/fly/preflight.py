@@ -16,6 +16,7 @@ from alight.settings import Settings
 
 LEAST_RATE, GOOD_RATE = 2.0, 4.0  # exposures a second
 MOST_AGE = 1.0  # s between an exposure and its arrival
+OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
 MOST_SIGMA = 0.02  # s, of the autopilot's clock
 LEAST_MB, SPARE = 200.0, 1.5  # of the disk; and times what the recording is expected to need
 BATTERY_MARGIN = 0.1
@@ -72,7 +73,7 @@ def judge_vehicle(
     """
     heard = vehicle.telemetry
     return [
-        _clock(vehicle), _streams(vehicle.missing_streams), _estimator(heard, missing), _home(heard, home_given),
+        _clock(vehicle), _streams(vehicle.missing_streams), _estimator(vehicle, missing), _home(heard, home_given),
         _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
         _place(heard, take_off, dry),
     ]  # fmt: skip
@@ -99,12 +100,16 @@ def _streams(missing: Sequence[str]) -> CheckResult:
     return good("streams", "all come")
 
 
-def _estimator(heard: Telemetry, missing: str) -> CheckResult:
+def _estimator(vehicle: RemoteVehicle, missing: str) -> CheckResult:
+    heard = vehicle.telemetry
     if missing or not heard.has_position or heard.gps.fix < FIX_3D:
         why = missing or "the autopilot's estimator has no absolute position"
         return bad("position", why, "wait for GPS under an open sky, or mend what is named")
     if heard.gps.horizontal > 5.0:
         return warning("position", f"GPS is known to {heard.gps.horizontal:.1f} m", "wait for more satellites")
+    if (oldest := vehicle.oldest_place) > OLD_PLACE:
+        mend = "GLOBAL_POSITION_INT ten times a second, over a link with less delay; after 1.5 s the vehicle holds"
+        return warning("position", f"the newest is up to {oldest:.1f} s old", mend)
     sigma = "not reported" if math.isnan(heard.gps.horizontal) else f"{heard.gps.horizontal:.1f} m"
     return good("position", f"{heard.gps.satellites} satellites, 1-sigma {sigma}")
 

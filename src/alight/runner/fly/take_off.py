@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from alight.autopilot import RemoteVehicle
 from alight.records import FlightMode, Landed, Telemetry
-from alight.runner.fly.orders import OrderTaker
+from alight.runner.fly.order_taker import OrderTaker
 
 NEAR = 0.95  # share of the height that counts as all of it
 LIFTED = 1.0  # m above home, from which it is on its way

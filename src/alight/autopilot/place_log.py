@@ -1,0 +1,64 @@
+"""The autopilot's positions of the last half minute: where it was at an instant, and how old they are."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import pairwise
+
+from alight.autopilot.clock import VehicleClock
+from alight.autopilot.place_watch import PlaceReport, PlaceWatch
+from alight.records import Place
+
+_REMEMBERED = 300  # positions
+_CARRIED_NS = 1_500_000_000  # by its velocity, of a report that is late or one of few
+_BACK_NS = 400_000_000  # before a report
+_WINDOW_NS = 5_000_000_000  # in which the greatest age is looked for
+
+
+class PlaceLog:
+    """Believed reports in order of time."""
+
+    def __init__(self) -> None:
+        self._places: deque[PlaceReport] = deque(maxlen=_REMEMBERED)
+        self._arrivals: deque[tuple[int, int]] = deque(maxlen=_REMEMBERED)  # our clock, and the autopilot's stamp
+        self._watch = PlaceWatch()
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the newest reports contradict what was known."""
+        return self._watch.doubts
+
+    def take(self, report: PlaceReport, now_ns: int) -> bool:
+        """Take a report that came at `now_ns` of our clock; False: it is not believed."""
+        jumps = self._watch.jumps
+        if not self._watch.believes(report):
+            return False
+        if self._watch.jumps != jumps:
+            self._places.clear()  # they are of another estimate
+        self._places.append(report)
+        self._arrivals.append((now_ns, report.boot_ns))
+        return True
+
+    def at(self, boot_ns: int) -> Place | None:
+        """As `VehicleState.place_at`."""
+        near = [r for r in self._places if -_BACK_NS <= boot_ns - r.boot_ns <= _CARRIED_NS]
+        if not near or self.doubted:
+            return None
+        return min(near, key=lambda report: abs(report.boot_ns - boot_ns)).at(boot_ns)
+
+    def age(self, boot_ns: int) -> float:
+        """Seconds from the newest report to an instant of the autopilot's clock; inf: there is none."""
+        return (boot_ns - self._places[-1].boot_ns) * 1e-9 if self._places else math.inf
+
+    def oldest(self, now_ns: int, clock: VehicleClock) -> float:
+        """Seconds, the greatest age that the newest report has had in the last five; inf: there is none.
+
+        Args:
+            now_ns: our clock.
+            clock: the autopilot's, known.
+        """
+        recent = [a for a in self._arrivals if now_ns - a[0] <= _WINDOW_NS]
+        ends = [*(later[0] for _, later in pairwise(recent)), now_ns]
+        ages = [(end - clock.ours_ns(boot_ns)) * 1e-9 for end, (_, boot_ns) in zip(ends, recent, strict=False)]
+        return max(ages, default=math.inf)

@@ -1,0 +1,106 @@
+"""The autopilot's positions in a flight: late ones are carried on, jumps are held, and none is kept through a jump."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pilot_rig import PilotRig, seldom
+from test_autopilot_faults import HERE, report, told
+from test_executive import Ground, clearer_from_below
+
+from alight.autopilot.firmware import ArduPilotFirmware
+from alight.autopilot.vehicle_state import VehicleState
+from alight.records.executive import FlightState
+from alight_sim.autopilot.dialects import Doing
+
+S = FlightState
+PLACE = (10.0, 5.0)
+BOTH = pytest.mark.parametrize("dialect", ["ardupilot", "px4"])
+
+
+def rig(dialect: str, **more: Any) -> PilotRig:
+    """A vehicle at 30 m, and a landing that has begun."""
+    found = PilotRig(Ground({PLACE: clearer_from_below}).seen, dialect, **more)
+    found.up_and_flying(30.0)
+    found.begin()
+    return found
+
+
+def modes_of(r: PilotRig) -> list[Doing]:
+    """The modes that are flown from now on, each as often as it begins."""
+    each, found = r.each_step, [r.sim.logic.doing]
+
+    def note() -> None:
+        each()
+        if r.sim.logic.doing is not found[-1]:
+            found.append(r.sim.logic.doing)
+
+    r.each_step = note
+    return found
+
+
+def said(r: PilotRig, word: str) -> int:
+    return sum(word in line for line in r.orders)
+
+
+@BOTH
+@pytest.mark.parametrize("slow", ["late", "rare"])
+def test_positions_that_are_late_or_rare_land_like_others(dialect: str, slow: str) -> None:
+    """0.4 s one way, or one a second: nobody holds, and nothing counts as a jump."""
+    r = rig(dialect, link={"delay": 0.4} if slow == "late" else None)
+    if slow == "rare":
+        seldom(r, 1.0)
+    modes = modes_of(r)
+    assert r.fly(S.LANDED, 200.0)
+    assert Doing.HOLD not in modes
+    assert not said(r, "jumped")
+    assert np.hypot(*(r.truth()[:2] - PLACE)) < 0.5
+
+
+@BOTH
+def test_positions_that_stop_are_held_only_when_they_are_old(dialect: str) -> None:
+    r = rig(dialect)
+    assert r.fly(S.APPROACH)
+    assert r.run(10.0, lambda: float(np.linalg.norm(r.sim.vehicle.velocity)) > 3.0)
+    seldom(r, 1e9)
+    t = r.t
+    r.run(1.3)
+    assert not said(r, "hold")
+    assert r.run(4.0, lambda: r.sim.logic.doing is Doing.HOLD)
+    assert 1.3 < r.t - t < 4.0  # a heartbeat is waited for
+
+
+def test_a_position_is_carried_on_for_a_while() -> None:
+    """By its velocity from the newest report; not before the first, where it would be of another estimate."""
+    state = VehicleState(ArduPilotFirmware())
+    told(state, report(1000, HERE, (500, 0, 0)), report(2000, HERE, (500, 0, 0)))
+    for ms, metres in ((2400, 2.0), (3400, 7.0), (1700, -1.5), (1550, 2.75)):
+        found = state.place_at(ms * 1_000_000)
+        assert found is not None
+        assert (found.latitude - 47.6) * 111_132.0 == pytest.approx(metres, abs=0.01)
+    assert state.place_at(3_600_000_000) is None
+    assert state.place_at(500_000_000) is None
+
+
+# -- where it stays
+
+
+@BOTH
+@pytest.mark.parametrize("jump", [[25.0, 0.0, 0.0], [0.0, -8.0, 0.0], [0.0, 0.0, 12.0]])
+def test_a_place_that_is_kept_is_forgotten_when_the_estimate_jumps(dialect: str, jump: list[float]) -> None:
+    """Below 55 m a jump is believed at once: the old latitude and longitude are another place then."""
+    r = rig(dialect)
+    assert r.fly(S.LOOK)
+    assert r.pilot is not None
+    r.pilot._judge = lambda about: None  # type: ignore[method-assign]
+    assert r.run(30.0, lambda: r.orders[-1] == "stay")
+    r.run(1.0)
+    at, t, ways = r.truth(), r.t, [0.0]
+    r.sim.estimate.error = r.sim.estimate.error + jump
+    while r.t < t + 10.0:
+        r.step()
+        ways.append(float(np.linalg.norm(r.truth() - at)))
+    assert r.pilot.state is S.LOOK
+    assert max(ways) < 1.2
