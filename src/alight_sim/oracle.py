@@ -9,22 +9,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from alight.arrays import F64, I64, U8, Mask
+from alight.arrays import F64, U8, Mask
 from alight.geometry import Pose
 from alight.records import Terrain
+from alight_sim.resting import resting_on_feet, resting_on_skids
 from alight_sim.things.base import Box
 from alight_sim.world import World
 
 BEARS = (Terrain.BARE, Terrain.SHORT_GRASS, Terrain.PAVED, Terrain.ROCK)
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))  # rad: any number of them is spread over any symmetry of the gear
 ASIDE = ("headings", "support", "foot_contact")  # how a map is judged: here all is tried, and feet stand on the highest
-_TIE = 1e-6  # metres: poses of rest whose height differs by less are all possible
 _RIM = 8  # places on the rim of a foot
 _BATCH = 4_000_000  # heights looked at together
 
@@ -247,7 +246,7 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
     firm = np.isin(disc.label, lander.upon) | ~disc.inside
     if lander.feet is not None or lander.skids is not None:
         at, height, contact = _contacts(surface, lander, centres, heading)
-        planes = _resting_on_feet(at, height) if lander.feet is not None else _resting_on_skids(at, height)
+        planes = resting_on_feet(at, height) if lander.feet is not None else resting_on_skids(at, height)
         firm = np.isin(contact, lander.upon)
     tilt = np.arctan(np.hypot(planes[..., 1], planes[..., 2])).max(axis=1)
     gap = (lander.belly_clearance or 0.0) - _highest_above(disc, planes)
@@ -256,16 +255,13 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
         ring = _disc(surface, centres, lander.rotor_radius, heading)
         beyond = ring.inside & (ring.forward**2 + ring.left**2 > lander.radius**2)
         rise = _highest_above(ring._replace(inside=beyond), planes)
+    step = np.zeros(len(centres)) if lander.max_step is None else _largest_step(surface, centres, lander.radius)
     clear = lander.belly_clearance
     has_gear = lander.feet is not None or lander.skids is not None
     wrong = {
         "slope": tilt > lander.max_slope,
         "roughness": roughness > lander.max_roughness if clear is None or not has_gear else np.zeros(len(tilt), bool),
-        "step": (
-            np.zeros(len(tilt), bool)
-            if lander.max_step is None
-            else _largest_step(surface, centres, lander.radius) > lander.max_step
-        ),
+        "step": step > (math.inf if lander.max_step is None else lander.max_step),
         "belly": gap < 0.0 if clear is not None else np.zeros(len(tilt), bool),
         "rotor": rise > lander.rotor_rise,
         "ground": ~firm.all(axis=1),
@@ -273,41 +269,41 @@ def _judged(surface: TrueSurface, lander: OracleLander, centres: F64, heading: f
     return _Found(tilt, gap, roughness, rise, wrong)
 
 
-def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> Disc:
+def _cells(
+    surface: TrueSurface, centres: F64, radius: float, beside: tuple[int, int] = (0, 0)
+) -> tuple[F64, F64, F64, U8, Mask]:
+    """East and north of centres (N, 2), height, class and whether within the radius: cells about them, (N, M) each.
+
+    `beside`: rows and columns by which all of the cells are moved, to compare them with their neighbours.
+    """
     k = math.ceil(radius / surface.cell) + 1
     row, col = surface.index(centres)
     steps = np.arange(-k, k + 1)
     a, b = (g.ravel() for g in np.meshgrid(steps, steps, indexing="ij"))
     near = np.hypot(a, b) * surface.cell <= radius + 1.5 * surface.cell
-    i, j = np.rint(row).astype(np.int64)[:, None] + a[near], np.rint(col).astype(np.int64)[:, None] + b[near]
+    i = np.rint(row).astype(np.int64)[:, None] + a[near] + beside[0]
+    j = np.rint(col).astype(np.int64)[:, None] + b[near] + beside[1]
     rows, cols = surface.height.shape
     there = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
     i, j = np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)
     east = surface.east + surface.cell * j - centres[:, :1]
     north = surface.north + surface.cell * i - centres[:, 1:]
     inside = there & (east**2 + north**2 <= radius**2 + 1e-9)
+    return east, north, surface.height[i, j], surface.label[i, j], inside
+
+
+def _disc(surface: TrueSurface, centres: F64, radius: float, heading: float) -> Disc:
+    east, north, height, label, inside = _cells(surface, centres, radius)
     s, c = math.sin(heading), math.cos(heading)
-    return Disc(s * east + c * north, s * north - c * east, surface.height[i, j], surface.label[i, j], inside)
+    return Disc(s * east + c * north, s * north - c * east, height, label, inside)
 
 
 def _largest_step(surface: TrueSurface, centres: F64, radius: float) -> F64:
     """(N,) metres between neighbouring cells of the discs about centres (N, 2)."""
-    k = math.ceil(radius / surface.cell) + 1
-    row, col = (np.rint(v).astype(np.int64)[:, None] for v in surface.index(centres))
-    a, b = (g.ravel() for g in np.meshgrid(np.arange(-k, k + 1), np.arange(-k, k + 1), indexing="ij"))
-    rows, cols = surface.height.shape
-
-    def cells(i: I64, j: I64) -> tuple[F64, Mask]:
-        north = surface.north + surface.cell * i - centres[:, 1:]
-        east = surface.east + surface.cell * j - centres[:, :1]
-        there = (i >= 0) & (i < rows) & (j >= 0) & (j < cols)
-        height = surface.height[np.clip(i, 0, rows - 1), np.clip(j, 0, cols - 1)]
-        return height, there & (east**2 + north**2 <= radius**2 + 1e-9)
-
-    here, inside = cells(row + a, col + b)
+    _, _, here, _, inside = _cells(surface, centres, radius)
     worst = np.zeros(len(centres))
-    for i, j in ((1, 0), (0, 1)):
-        there, within = cells(row + a + i, col + b + j)
+    for beside in ((1, 0), (0, 1)):
+        _, _, there, _, within = _cells(surface, centres, radius, beside)
         worst = np.maximum(worst, np.where(inside & within, np.abs(there - here), 0.0).max(axis=1))
     return worst
 
@@ -359,58 +355,3 @@ def _contacts(surface: TrueSurface, lander: OracleLander, centres: F64, heading:
             foot = _disc(surface, places[:, k], spread, 0.0)
             height[:, k] = np.maximum(height[:, k], np.where(foot.inside, foot.height, -math.inf).max(axis=1))
     return at, height, label
-
-
-def _resting_on_feet(at: F64, height: F64) -> F64:
-    """(N, P, 3) planes on which the lander rests, repeated to P; it may rock between those of one centre.
-
-    At rest the centre is as low as it can be with no foot in the ground: a plane through three feet.
-    """
-    found = []
-    for three in combinations(range(len(at)), 3):
-        A = np.column_stack([np.ones(3), at[list(three)]])
-        if abs(np.linalg.det(A)) < 1e-9:
-            continue
-        plane = height[:, list(three)] @ np.linalg.inv(A).T
-        under = height - plane @ np.column_stack([np.ones(len(at)), at]).T
-        lowest = np.where((under <= _TIE).all(axis=1), plane[:, 0], math.inf)
-        found.append(np.column_stack([plane, lowest]))
-    planes = np.stack(found, axis=1)
-    best = planes[:, :, 3].min(axis=1, keepdims=True)
-    rests = planes[:, :, 3] <= best + _TIE
-    first = np.take_along_axis(planes, np.argmin(planes[:, :, 3], axis=1)[:, None, None], axis=1)
-    return np.asarray(np.where(rests[..., None], planes, first)[..., :3])
-
-
-def _resting_on_skids(at: F64, height: F64) -> F64:
-    """(N, 2, 3) planes on which two rails rest: those of the lowest and of the highest pitch where it rocks.
-
-    With a pitch p a rail passes over its middle at max(z - p s): the sum over both rails is convex in p.
-    """
-    half = len(at) // 2
-    s, wide = at[:half, 0], float(at[0, 1] - at[half, 1])
-    left, right = height[:, :half], height[:, half:]
-
-    def middles(pitch: F64) -> tuple[F64, F64]:
-        return (left - pitch[:, None] * s).max(axis=1), (right - pitch[:, None] * s).max(axis=1)
-
-    def total(pitch: F64) -> F64:
-        a, b = middles(pitch)
-        return a + b
-
-    low, high = np.full(len(height), -4.0), np.full(len(height), 4.0)
-    for _ in range(60):
-        a, b = low + (high - low) / 3.0, high - (high - low) / 3.0
-        left_lower = total(a) <= total(b)
-        low, high = np.where(left_lower, low, a), np.where(left_lower, b, high)
-    best = 0.5 * (low + high)
-    least, ends = total(best), []
-    for end in (-4.0, 4.0):
-        inside, outside = best.copy(), np.full(len(best), end)
-        for _ in range(50):
-            middle = 0.5 * (inside + outside)
-            rests = total(middle) <= least + _TIE
-            inside, outside = np.where(rests, middle, inside), np.where(rests, outside, middle)
-        a, b = middles(inside)
-        ends.append(np.stack([0.5 * (a + b), inside, (a - b) / wide], -1))
-    return np.stack(ends, axis=1)

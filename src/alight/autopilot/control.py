@@ -81,7 +81,7 @@ class ControlWatch:
         return f"the mode went from {before[1]} to {name}, which we did not ask for"
 
     def _is_ours(self, mode: FlightMode, t_ns: int) -> bool:
-        """Whether we have asked for this mode; once it is seen, that and all that was asked before it is used up."""
+        """True if we have asked for this mode; once it is seen, that and all that was asked before it is used up."""
         asked_ns = self._asked.get(mode, -_REMEMBERED_NS)
         if t_ns - asked_ns >= _REMEMBERED_NS:
             return False

@@ -1,4 +1,4 @@
-"""Whether the vehicle is heard: its heartbeat comes, and somebody listens for it."""
+"""The watch over the link: the vehicle's heartbeat comes, and somebody listens for it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LinkWatch:
         return self._lose("nobody listens to the link") if self.is_deaf(now_ns) else ""
 
     def is_deaf(self, now_ns: int) -> bool:
-        """Whether ticks have stopped."""
+        """True if ticks have stopped."""
         if self._ticked_ns is None or self._looks < _LOOKS:
             return False
         return now_ns - self._ticked_ns > _DEAF_NS

@@ -61,7 +61,7 @@ class MissionTransfer:
 
     @property
     def holds_part(self) -> bool:
-        """Whether the autopilot may hold a part of a mission, until a deletion or a whole mission is confirmed."""
+        """True if the autopilot may hold a part of a mission, until a deletion or a whole mission is confirmed."""
         return self._removal.pending or (self.active and self._begun)
 
     def start(self, items: tuple[MissionItem, ...], t_ns: int) -> None:

@@ -16,14 +16,7 @@ PLACES: tuple[Outcome, ...] = ("landed safely", "rightly refused")  # what is wa
 MOST_LANDINGS = 100_000  # of a campaign: years of CPU time
 LARGEST_SEED = 2**63 - 1
 STRIKE = "strike"  # of what stands beside it, in flight
-GROUND = (
-    "slope",
-    "roughness",
-    "step",
-    "belly",
-    "rotor",
-    "ground",
-)  # reasons that are the ground's; the rest is the flying's
+GROUND = ("slope", "roughness", "step", "belly", "rotor", "ground")  # of the ground; the other reasons are the flying's
 
 
 class _Line(BaseModel):
