@@ -17,8 +17,10 @@ from scipy.special import logit
 from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.evidence import ground_odds
+from alight.hazards.factors import deviation_hazards
 from alight.hazards.picture_spots import picture_spots
 from alight.hazards.usable_heights import measured_height
+from alight.learned.terms import NearTerm
 from alight.raster import clearance_of
 from alight.records import Datum, ElevationMap, Flag, Hazard, HazardMap, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -464,3 +466,17 @@ def test_clearance_has_the_same_bits_whatever_else_the_machine_does() -> None:
         found.append(clearance_of(safe, 0.1).tobytes())
     cv2.setNumThreads(before)
     assert len(set(found)) == 1
+
+
+def test_a_broad_deviation_counts_at_the_limit_and_a_narrow_one_from_half_of_it() -> None:
+    """The rim of a ditch is as high as measured. A stone may be higher."""
+    over = np.array([0.3, 0.67, 0.8, 0.9, 1.0, 1.1, 2.0], np.float32)
+
+    def expected(narrow: float) -> np.ndarray:
+        return deviation_hazards({NearTerm.RISE: np.log(over), NearTerm.NARROW: np.full_like(over, narrow)})
+
+    assert_allclose(expected(0.2), [0, 0, 0, 0, 0.39, 0.78, 0.78], atol=1e-6)
+    assert_allclose(expected(1.0)[[0, 2, -1]], [0, 0.39, 0.78], atol=1e-6)
+    between = expected(0.75)
+    assert_allclose(between, (expected(0.2) + expected(1.0)) / 2, atol=1e-6)
+    assert (np.diff(between) >= 0).all()

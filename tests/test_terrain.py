@@ -16,8 +16,8 @@ from alight.records import ElevationMap, Flag, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander, TerrainSettings
 from alight.terrain import classify, open_water
 from alight.terrain.appearance import appearance
-from alight.terrain.relief import ground_under, open_to_rim, standing_water
-from alight.terrain.water import flooded, wetness
+from alight.terrain.relief import ground_under, open_to_rim, relief, standing_water
+from alight.terrain.water import WaterSigns, flooded, wetness
 
 SHAPE = (240, 240)
 SETTINGS = TerrainSettings()
@@ -177,6 +177,18 @@ def test_black_ground_of_which_no_picture_shows_more_is_like_nothing_known(side:
     assert np.isnan(classify(gap, SETTINGS).landable[inside]).all()
 
 
+def test_ground_without_a_colour_has_the_class_that_its_finest_picture_shows() -> None:
+    """A map built view by view has the colours of the newest one; the orthophoto shows what earlier ones saw."""
+    gap = (slice(60, 180), slice(100, 140))
+    e, water = pond(0.7)
+    bare = e.rgb.copy()
+    bare[gap] = 0
+    whole, partly = classify(e, SETTINGS), classify(replace(e, rgb=bare, fine=e.rgb), SETTINGS)
+    assert (partly.label == whole.label).all()
+    assert_allclose(partly.landable, whole.landable, atol=0.05)
+    assert (partly.landable[gap][water[gap]] < 0.5).mean() > 0.95
+
+
 def test_an_empty_map_is_classified_without_a_complaint() -> None:
     t = classify(ground(np.full((30, 40), np.nan)), SETTINGS)
     assert not t.label.any()
@@ -238,6 +250,25 @@ def test_only_unknown_ground_that_reaches_the_rim_is_outside() -> None:
     assert (open_to_rim(unknown) == (unknown & (C[:9, :9] == 7))).all()
 
 
+def rolling() -> ElevationMap:
+    """A grey plain with a hollow that leaves the map at both ends, a closed hollow, and grass on its one side."""
+    hollow = 0.5 * (1 - np.exp(-(((C - 90) / 25) ** 2))) + 0.0005 * (R - 120)
+    rgb = textured(POND, SHAPE, 0.02, 2)
+    rgb[:, 225:] = textured(GREEN, SHAPE, 0.05, 1)[:, 225:]
+    return ground(hollow + noise(0.02) + bowl(0.6, 2.5, (120, 185)), sigma=0.04, rgb=rgb)
+
+
+def test_a_grey_plain_that_looks_like_water_all_over_is_none_where_the_ground_lets_it_out() -> None:
+    """Under a grey sky all bare ground looks like water. The rim of the map is a shore only of what is a pond."""
+    e = rolling()
+    shape = relief(e, wetness(e, appearance(e)), SETTINGS)
+    assert (shape.depth[:, 80:100] > 0.2).mean() > 0.9  # as if the rim held the water
+    assert (shape.walled[:, 80:100] < 0.05).all()
+    found = classify(e, SETTINGS)
+    assert (found.landable[:, :140] > 0.5).mean() > 0.95
+    assert (found.landable[110:130, 175:195] < 0.5).all()
+
+
 def test_a_car_park_on_a_slope_is_no_pond() -> None:
     """It looks like water, but water would run down the meadow below. On the level, or where it moves, it may be."""
     slab = (np.abs(R - 120) < 30) & (np.abs(C - 120) < 30)
@@ -246,7 +277,8 @@ def test_a_car_park_on_a_slope_is_no_pond() -> None:
     def water(slope: float, moving: float) -> np.ndarray:
         e = scene(noise(0.02) + slope * 0.1 * (SHAPE[0] - R), slab, POND, 0.02)
         wet = wetness(e, appearance(e))
-        return flooded(seed, wet, np.full(SHAPE, moving, np.float32), e.height.astype(np.float32), 0.1, 0.2)
+        moves, bed = np.full(SHAPE, moving, np.float32), e.height.astype(np.float32)
+        return flooded(WaterSigns(seed, seed, wet, moves, bed, np.zeros(SHAPE, bool)), 0.1, 0.2)
 
     assert not water(0.08, moving=0.1).any()
     assert water(0.0, moving=0.1)[slab].mean() > 0.5

@@ -35,6 +35,8 @@ FINEST = 1 / 40  # of the height of an obstacle: finer pixels show no more of it
 LEAST_RATE = 1e-9  # keeps the logarithm of a rate finite
 DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # of all measured heights, over the limit
 EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # hazards that these alone let expect (docs/lab/looks.md)
+RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
+RIDGES_EXPECTED = 0.0, 0.39, 0.78  # hazards that these alone let expect: they are as high as measured
 BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
@@ -139,12 +141,15 @@ def _blended(afar: F32, name: str, found: Evidence) -> F32:
 def deviation_hazards(near: Mapping[str, F32]) -> F32:
     """Hazards expected by the largest deviation of all measured heights alone, from the terms of a near look (G7g).
 
-    A narrow one counts in full: it may be a stone that matching has flattened. A broad ridge is as high as measured.
+    A narrow one may be a stone that matching has flattened, and counts from half of the limit. A broad ridge or rim is
+    as high as measured, and counts at the limit.
 
     The fit also sees the shadow that an obstacle throws. Where the sky is grey, or the sun high, there is none.
     """
-    expected = np.interp(near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED)
-    return np.asarray(expected * np.interp(near[NearTerm.NARROW], BROAD_TO_NARROW, (0.0, 1.0)), np.float32)
+    stone = np.interp(near[NearTerm.RISE], np.log(DEVIATIONS), EXPECTED)
+    ridge = np.interp(near[NearTerm.RISE], np.log(RIDGES), RIDGES_EXPECTED)
+    narrow = np.interp(near[NearTerm.NARROW], BROAD_TO_NARROW, (0.0, 1.0))
+    return np.asarray(narrow * stone + (1 - narrow) * ridge, np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.raster import block_mean, cells_as_blocks, masked_gaussian, upsample
+from alight.raster import block_mean, masked_gaussian, upsample
 from alight.records import ElevationMap, Flag
 
 PIXEL = 0.1  # metres: the finest detail that is looked at
@@ -24,10 +24,14 @@ class Appearance:
 
 
 def seen(elevation: ElevationMap) -> Mask:
-    """Cells that any camera saw, and that the map or, of black ground, its finest picture shows."""
-    pictured, black = lit(elevation.rgb), black_ground(elevation)
-    if elevation.fine is not None and black.any():
-        pictured |= black & cells_as_blocks(lit(elevation.fine), elevation.finest[1]).any(axis=(1, 3))
+    """Cells that any camera saw, and that the map or its finest picture shows: a map built view by view has the colours
+    of the newest view alone.
+    """
+    pictured = lit(elevation.rgb)
+    if elevation.fine is not None:
+        rows, cols = np.nonzero((elevation.views > 0) & ~pictured)
+        (r, c), n = pictured.shape, elevation.finest[1]
+        pictured[rows, cols] = elevation.fine.reshape(r, n, c, n, 3)[rows, :, cols].any(axis=(1, 2, 3))
     return np.asarray((elevation.views > 0) & pictured)
 
 

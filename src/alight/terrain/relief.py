@@ -21,6 +21,7 @@ class Relief:
     height_above: F32  # above the surrounding ground, less the height that a hill of that width may have (G12)
     rough: F32  # root mean square height about its 0.5 m mean
     depth: F32  # of water that would stand there before it ran off (G13)
+    walled: F32  # the same where only ground holds it: a rim that looks like water lets it out
     level: F32  # height of that water's surface
     ground: F32  # height of the ground under everything, the nearest known one where it is unknown
 
@@ -87,6 +88,7 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     size = max(1, round(settings.block / cell))
     bed = ground_under(block_quantile(height, size, 0.5), settings.ground_window / (2 * size * cell))
     depth, level = standing_water(bed, block_quantile(wet, size, 0.5) > 0.5)
+    walled, _ = standing_water(bed, np.zeros(bed.shape, np.bool_))
     weight = known.astype(np.float32)
     detail = np.nan_to_num(height) - np.nan_to_num(masked_gaussian(np.nan_to_num(height), weight, 0.5 / cell))
     power = masked_gaussian(detail**2, weight, 0.35 / cell)
@@ -94,6 +96,7 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
         height_above=height_above_ground(height, block_quantile(height, size, 0.1), size, settings, cell),
         rough=np.where(known, np.sqrt(power), np.float32(np.nan)),
         depth=upsample(depth, size, shape),
+        walled=upsample(walled, size, shape),
         level=upsample(level, size, shape),
         ground=upsample(nearest_known(bed, ~np.isnan(bed)), size, shape),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from scipy.ndimage import median
@@ -17,6 +19,8 @@ DRY = 0.2  # likeness to water below which ground is dry
 CONTRADICTED = 2.0  # times the area of a pond, of dry ground that lies lower and is not shut off from it
 LOWER = 0.5  # metres, by which it must lie lower: more than heights are off
 RESTLESS = 0.5  # share of a pond that moves, from which heights say nothing of where it drains
+STILL = 0.2  # share that moves, below which the shape alone tells of water
+SHALLOW = 0.25  # of the depth of a basin: ground with less water than that lies outside
 MIN_MEDIAN = 0.5  # median P(water) of a patch whose heights are withdrawn; the sample's pond has 0.98
 
 
@@ -43,10 +47,12 @@ def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
     return out
 
 
-def water_odds(colours: Appearance, shape: Relief, moving: F32, settings: TerrainSettings) -> F32:
-    """Log odds of water (G14): a closed basin, likeness to water, motion; any two strong ones suffice."""
+def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
+    """Log odds of water (G14): a closed basin (`depth` of its water, metres), likeness to water, motion; any two strong
+    ones suffice.
+    """
     d = settings.basin_depth
-    basin = linear_ramp(shape.depth, d / 2, 1.5 * d)
+    basin = linear_ramp(depth, d / 2, 1.5 * d)
     plain = 1 - linear_ramp(colours.texture, 0.03, 0.06)
     odds: F32 = (-5 + 3.5 * basin + 1.5 * plain + 2.5 * water_likeness(colours) + 3.0 * moving).astype(np.float32)
     return odds
@@ -58,37 +64,50 @@ def _grown(seed: Mask, into: Mask) -> Mask:
     return np.asarray(np.isin(labels, np.unique(labels[seed]))) & (into | seed)
 
 
-def flooded(odds: F32, wet: F32, moving: F32, bed: F32, cell: float, least_share: float) -> Mask:
+@dataclass(frozen=True, eq=False)
+class WaterSigns:
+    """What speaks for water, (R, C) each."""
+
+    odds: F32  # log odds
+    walled_odds: F32  # the same where a rim that looks like water closes no basin
+    wet: F32  # likeness to water, 0 to 1
+    moving: F32  # share of the cells near by that move
+    bed: F32  # metres, smoothed heights, NaN = unknown
+    outside: Mask  # of every basin
+
+
+def flooded(signs: WaterSigns, cell: float, least_share: float) -> Mask:
     """Grow water over the ground that must be wet too (G15).
 
     First over connected cells that look like water; then over connected cells that lie lower, because the surface of a
     pond is level: this closes the gaps where the bed looks like the shore. Where the second step would more than double
-    the water, it is left out. A patch that stands still and would run out over dry ground is no water at all.
+    the water, it is left out. A patch that stands still and would run out over dry ground is no water at all. One that
+    stands still and lies mostly outside of any basin only looks like water: there its rim closes no basin either.
 
     Args:
-        odds: (R, C) log odds of water.
-        wet: (R, C) likeness to water, 0 to 1.
-        moving: (R, C) share of the cells near by that move.
-        bed: (R, C) metres, smoothed heights, NaN = unknown.
+        signs: of water.
         cell: metres.
         least_share: of a patch that looks like water, that is water by itself: a slab looks like water, too.
     """
-    seed = without_specks(odds > 0, cell, 1.0)
+    seed, walled = (without_specks(odds > 0, cell, 1.0) for odds in (signs.odds, signs.walled_odds))
     out = np.zeros_like(seed)
-    alike = _grown(seed, wet > 0.4)
+    alike = _grown(seed, signs.wet > 0.4)
     count, labels = cv2.connectedComponents(alike.astype(np.uint8), connectivity=8)
     for i in range(1, count):
         pond = labels == i
+        known, moving = pond & np.isfinite(signs.bed), signs.moving[pond].mean()
+        if known.any() and moving < STILL and signs.outside[known].mean() > 0.5:
+            out |= pond & walled
+            continue
         if seed[pond].mean() < least_share:  # a slab with a wet corner is no pond
             out |= pond & seed
             continue
-        known = pond & np.isfinite(bed)
         if not known.any():
             out |= pond
             continue
-        if moving[pond].mean() < RESTLESS and _drains(known, wet, bed):
+        if moving < RESTLESS and _drains(known, signs.wet, signs.bed):
             continue
-        lower = _grown(pond, bed <= np.percentile(bed[known], 95))
+        lower = _grown(pond, signs.bed <= np.percentile(signs.bed[known], 95))
         out |= lower if lower.sum() <= 2 * pond.sum() else pond
     return out
 
@@ -102,11 +121,13 @@ def _drains(pond: Mask, wet: F32, bed: F32) -> bool:
 
 def ponds(elevation: ElevationMap, colours: Appearance, shape: Relief, wet: F32, settings: TerrainSettings) -> Mask:
     """(R, C): water by its basin, colour, texture and motion, and the connected ground below its level."""
-    cell = elevation.grid.cell
-    moving = _moving(elevation)
-    odds = water_odds(colours, shape, moving, settings)
-    near = masked_gaussian(odds, seen(elevation).astype(np.float32), 0.2 / cell)
-    return flooded(near, wet, moving, shape.level - shape.depth, cell, settings.pond_share)
+    cell, weight, moving = elevation.grid.cell, seen(elevation).astype(np.float32), _moving(elevation)
+    odds, walled = (
+        masked_gaussian(water_odds(colours, depth, moving, settings), weight, 0.2 / cell)
+        for depth in (shape.depth, shape.walled)
+    )
+    outside = shape.depth < SHALLOW * settings.basin_depth
+    return flooded(WaterSigns(odds, walled, wet, moving, shape.level - shape.depth, outside), cell, settings.pond_share)
 
 
 def open_water(land_cover: TerrainMap) -> Mask:
