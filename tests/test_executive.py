@@ -571,6 +571,15 @@ def test_too_low_to_go_up_and_lost_it_sinks_straight_down(change: dict[str, Any]
     assert all(o.what == "land" and o.down and o.position is None for o in blind)
 
 
+def test_the_last_metres_of_a_landing_go_sideways_still_slower() -> None:
+    """A GPS that jumps just before the touchdown must not make it drift."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    assert f.fly() is S.LANDED
+    down = [(o.speed, p[2]) for s, o, p in f.orders if s is S.COMMIT and o.down]
+    assert {v for v, up in down if up > 1.7} == {0.4}
+    assert {v for v, up in down if up < 1.3} == {0.2}
+
+
 def test_a_landing_that_does_not_come_down_is_broken_off() -> None:
     """An autopilot that refuses to land, say."""
 

@@ -11,6 +11,8 @@ from alight.records import Site
 from alight.records.executive import Order, Situation
 from alight.settings import StageSettings
 
+LAST = 0.5  # of the sideways speed, from where a landing is not broken off: it must not drift as it touches down
+
 
 class Descent:
     """Over the place first, then slowly down; over it again from beside, while the landing may be broken off.
@@ -58,11 +60,12 @@ class Descent:
         Where the vehicle is not known in the frame of the place it sinks straight down where it is: it is too low to
         break the landing off.
         """
-        speed, sink = self._keys.aside_speed, self._keys.landing_speed
+        low, sink = left < self._keys.abort_height, self._keys.landing_speed
+        speed = self._keys.aside_speed * (LAST if low else 1.0)
         if now.position is None or not same_frame:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
         within = self._keys.off_site if self._over else self._keys.over_site
-        self._over = beside <= within or left < self._keys.abort_height
+        self._over = beside <= within or low
         at = np.array([place.east, place.north, place.up])
         return Order("land", at, speed if self._over else self._cruise, sink, down=self._over)

@@ -60,7 +60,7 @@ class ExecutiveTuning(FrozenModel):
     off_site: Positive = Field(0.7, description="Distance from the site beyond which it keeps its height again, m")
     aside_speed: Positive = Field(
         0.4,
-        description="Speed sideways while it comes down, m/s: a jump of GPS must not rush it. "
+        description="Speed sideways while it comes down, m/s, half of it at last: a jump of GPS must not rush it. "
         "An autopilot that lands by itself has its own",
     )
     abort_height: Positive = Field(1.5, description="Height above the site below which a landing is not broken off, m")
