@@ -394,6 +394,21 @@ def test_a_ground_that_was_found_wrong_is_found_again() -> None:
     assert not lane.out_of_range
 
 
+def test_a_ground_that_was_found_wrong_is_found_again_where_nothing_lies_at_an_end_of_the_range() -> None:
+    """What is matched there contradicts itself, and no height is given out: so for a whole flight."""
+    lane = lane_of(level()[:8], load_settings("", [*SMALL, "tuning.mapping.beyond=1.0"]))
+    lane._points = lane._points + np.array([0.0, 0.0, 12.0])
+    lane.ground = 12.0
+    steps(lane, level()[:8])
+    assert lane.elevation is not None
+    assert lane.out_of_range
+    assert not under(lane, level()[7]).trusted.any()
+    lane.find_ground_again(level()[:8], 0.08)
+    steps(lane, level()[8:])
+    assert worth(lane, level()[-1])[0] > 0.9
+    assert not lane.out_of_range
+
+
 @pytest.mark.parametrize("trees", [15.0, 6.0, 0.0])
 def test_trees_are_sought_on_new_ground_beside_mapped_fields(trees: float) -> None:
     """The trusted heights of a field span two metres; a tree that comes into the picture is higher, up to half way."""

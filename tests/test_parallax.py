@@ -17,7 +17,7 @@ from alight.geometry import Grid, Pose, so3_exp
 from alight.parallax import Images, RecursiveParallax, find_points, ground_sampling, height_range, match_tile
 from alight.parallax.gauss_newton import Skyline
 from alight.parallax.plane_sweep import parallax_per_metre
-from alight.parallax.sparse_points import triangulate_pair
+from alight.parallax.sparse_points import _Features, _pair, triangulate_pair
 from alight.parallax.views import choose_views, may_see, prepare_view
 from alight.records import REFUSED, Flag, Heights, View, is_trusted
 from alight.settings import ParallaxSettings
@@ -359,6 +359,24 @@ def test_the_range_of_a_place_is_that_of_its_own_points() -> None:
     assert height_range(points, 40.0)[1] > 15.0
     assert height_range(points, 40.0, (0.0, 0.0, 10.0))[1] < 5.0
     assert height_range(points, 40.0, (500.0, 0.0, 10.0)) == height_range(points, 40.0)  # nothing near: all
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.3, 0), (0.7, 70)])
+def test_a_pair_whose_rays_mostly_meet_at_too_small_an_angle_gives_no_points(share: float, found: int) -> None:
+    """The few that do not are wrong matches, all of them too high: a whole flight was searched at their height."""
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(-8, 8, (100, 2)), np.full(100, -100.0)])
+    ground[: round(100 * share), 2] = -40.0  # a base of 1 m: angles of 0.01 and 0.025 rad
+
+    def seen(centre: np.ndarray) -> _Features:
+        f = object.__new__(_Features)
+        rays = ground - centre
+        f.rays, f.centre = rays / np.linalg.norm(rays, axis=1, keepdims=True), centre
+        f.descriptors = 100 * np.eye(100, 128, dtype=np.float32)
+        return f
+
+    points, _ = _pair(seen(np.zeros(3)), seen(np.array([1.0, 0.0, 0.0])), PointsTuning())
+    assert len(points) == found
 
 
 def test_nothing_moves_nothing_is_found() -> None:

@@ -18,6 +18,8 @@ from alight.parallax.views import grey_of
 from alight.records import View
 from alight.settings.tuning.parallax import PointsTuning
 
+NO_POINTS = np.empty((0, 3))
+
 
 class _Features:
     """SIFT features of one view, as descriptors and rays in the world."""
@@ -71,14 +73,16 @@ def triangulate_pair(ca: F64, rays_a: F64, cb: F64, rays_b: F64) -> tuple[F64, F
 
 
 def _pair(a: _Features, b: _Features, tuning: PointsTuning) -> tuple[F64, float]:
-    """Points of a pair of views and the median angle between its matched rays."""
+    """Points of a pair of views and the median angle between its matched rays.
+
+    None where most rays meet at too small an angle: those that do not are wrong matches, and all of them too near.
+    """
     m = _matches(a, b, tuning.descriptor_ratio)
     if len(m) < 12:
-        return np.empty((0, 3)), np.inf
+        return NO_POINTS, np.inf
     points, angle, miss = triangulate_pair(a.centre, a.rays[m[:, 0]], b.centre, b.rays[m[:, 1]])
-    good = (angle > tuning.least_angle) & (miss < 0.01)
-    near = points[good]
-    return (near if len(near) >= 8 else np.empty((0, 3))), float(np.median(angle))
+    good, median = (angle > tuning.least_angle) & (miss < 0.01), float(np.median(angle))
+    return (points[good] if good.sum() >= 8 and median > tuning.least_angle else NO_POINTS), median
 
 
 def _starts(count: int, most: int) -> Iterator[int]:
@@ -112,7 +116,7 @@ def find_points(views: Sequence[View], tuning: PointsTuning) -> F64:
             break
         for k in [k for k in features if k < i]:
             del features[k]
-    points = np.concatenate(found) if found else np.empty((0, 3))
+    points = np.concatenate(found) if found else NO_POINTS
     return supported(points, float(np.median([v.centre[2] for v in views])), tuning)
 
 

@@ -26,7 +26,7 @@ class RecursiveMap(GroundMap):
     """Recursive parallax over a window of keyframes."""
 
     ground_here: float | None = None  # metres above the origin, under the newest keyframe; None before the first step
-    out_of_range: bool = False  # most of the newest step's heights lie at an end of the searched range
+    out_of_range: bool = False  # many of the newest heights lie at an end of the searched range, or none is given out
     level: int = 0  # of the newest keyframe's cells
     passed: Remembered = NOWHERE  # where something moved, in the frame of the poses
     came: Remembered = NOWHERE  # where somebody came to stand, in the same frame
@@ -116,9 +116,8 @@ class RecursiveMap(GroundMap):
             self.elevation.add(changed(found, known, where), replace_all=True)
         self._note_traffic(grid, flags, down[0].t_ns, up - ground)
         self._note_who_came(ring, down[0].t_ns)
-        self.out_of_range = bool(
-            ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean() > self.settings.mapping.beyond
-        )
+        at_an_end = ((flags[::COARSE, ::COARSE] & np.uint16(Flag.RANGE)) != 0).mean()
+        self.out_of_range = bool(at_an_end > self.settings.mapping.beyond or not is_trusted(flags).any())
         heights = height[np.isfinite(height)]
         if len(heights) >= self.settings.mapping.least_known // 4:
             self.ground_here = float(np.median(heights))
