@@ -18,7 +18,7 @@ from alight.geometry import Grid
 from alight.hazards import assess
 from alight.hazards.evidence import ground_odds
 from alight.hazards.factors import deviation_hazards
-from alight.hazards.picture_spots import picture_spots
+from alight.hazards.picture_spots import green_spots, picture_spots
 from alight.hazards.usable_heights import measured_height
 from alight.learned.terms import NearTerm
 from alight.raster import clearance_of
@@ -370,6 +370,44 @@ def test_a_brighter_exposure_has_the_same_spots() -> None:
     assert_allclose(bright.dark, dim.dark, atol=0.03)
     assert dim.dark.max() > 0.05
     assert_allclose(bright.power.mean(), dim.power.mean(), rtol=0.1)
+
+
+def tuft(colour: tuple[int, int, int], gain: float = 1.0) -> ElevationMap:
+    """Grey ground with a spot of 0.3 m of another colour."""
+    rgb = np.full((81, 81, 3), (60, 60, 60), np.float32)
+    rgb[39:42, 39:42] = colour
+    return ground(flat(), rgb=(gain * rgb).astype(np.uint8))
+
+
+def test_a_green_spot_stands_out_at_any_exposure_and_a_brown_one_does_not() -> None:
+    green, brighter, brown = (
+        green_spots(e, 0.15) for e in (tuft((50, 70, 40)), tuft((50, 70, 40), 3.0), tuft((80, 60, 40)))
+    )
+    assert green[MID] > 0.1
+    assert green[10, 10] < 0.01
+    assert_allclose(brighter, green, atol=0.01)
+    assert brown.max() < 0.02
+
+
+def test_a_grey_picture_does_not_count_as_one_without_green() -> None:
+    assert (green_spots(tuft((90, 90, 90)), 0.15) == 0.02).all()
+
+
+def test_what_was_not_seen_is_no_green_spot() -> None:
+    e = tuft((50, 70, 40))
+    e.rgb[:20] = 0
+    spots = green_spots(e, 0.15)
+    assert (spots[:20] == 0).all()
+    assert np.abs(spots[20:30]).max() < 0.02
+
+
+def test_a_tuft_that_matching_has_flattened_is_evidence_against_the_ground_from_near_by() -> None:
+    near = [
+        replace(e, sampling=np.full_like(e.height, 0.04), fine_sampling=np.full_like(e.height, 0.02))
+        for e in (tuft((62, 61, 60)), tuft((50, 70, 40)))
+    ]
+    bare, green = (assess(e, None, Lander(radius=1.0), HazardsSettings()) for e in near)
+    assert 1 - green.p_ground[MID] > 10 * (1 - bare.p_ground[MID])
 
 
 def test_ground_seen_from_far_is_less_sure_than_the_same_ground_seen_from_near() -> None:

@@ -14,7 +14,7 @@ from scipy.special import logit
 
 from alight.arrays import F32
 from alight.hazards.contact import Footprint
-from alight.hazards.picture_spots import picture_spots
+from alight.hazards.picture_spots import green_spots, picture_spots
 from alight.learned.terms import DensityTerm, GroundTerm, NearTerm, ReliefTerm
 from alight.raster import (
     block_max,
@@ -150,15 +150,22 @@ def obstacle_terms(
     }
 
 
-def near_terms(shape: FootprintShape, lander: Lander, discs: Discs) -> dict[str, F32]:
-    """Evidence of all measured heights against a footprint that was seen from near by, on the cells of `discs`."""
+def near_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, discs: Discs, by: F32) -> dict[str, F32]:
+    """Evidence against a footprint that was seen from near by, on the cells of `discs`: all heights, and green spots.
+
+    `by`: the nearness; where it is 0 all over, green spots are not looked for.
+    """
     highest = np.float32(lander.max_roughness)
     measured = np.nan_to_num(shape.measured_roughness, nan=UNMEASURED * lander.max_roughness)
     rise, smooth = (log_at_least(v / highest, 0.03) for v in (measured, shape.roughness_smooth))
+    green = np.zeros_like(by)
+    if (by > 0).any():
+        green = discs.worst(discs.largest(green_spots(elevation, lander.tallest_obstacle)), beyond=0.0)
     return {
         NearTerm.RISE: discs.largest(rise),
         NearTerm.RISE_UNKNOWN: discs.largest(shape.unmeasured),
         NearTerm.NARROW: discs.largest(rise - np.nan_to_num(smooth)),
+        NearTerm.GREEN: green,
     }
 
 

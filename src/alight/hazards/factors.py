@@ -76,8 +76,8 @@ def evidence_of(
     ground = ground_terms(elevation, terrain, discs)
     curves, nothing = read_detection(), np.full_like(pixel, np.nan)
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
-    near = obstacle | ground | near_terms(shape, lander, discs)
     by = nearness(sampling, pixel, lander.tallest_obstacle)
+    near = obstacle | ground | near_terms(elevation, shape, lander, discs, by)
     return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by)
 
 

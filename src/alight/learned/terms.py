@@ -59,6 +59,7 @@ class NearTerm(StrEnum):
     RISE = "rise"  # as `ReliefTerm.ROUGHNESS`, of all measured heights: doubtful ones show tufts
     RISE_UNKNOWN = "rise_unknown"  # share of the footprint where nothing was measured well
     NARROW = "narrow"  # log of that deviation over the one of smoothed heights: matching flattens stones, not ridges
+    GREEN = "green"  # excess green of the greenest spot as wide as an obstacle: a tuft on bare ground, however flat
 
 
 class SurfaceTerm(StrEnum):
