@@ -14,7 +14,7 @@ from pymavlink import mavextra, mavutil, mavwp
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.quaternion import Quaternion
 
-from alight.autopilot import EstimateTie, Setpoint, TelemetryEvents, mission_of
+from alight.autopilot import EstimateTie, Setpoint, TelemetryEvents, metres_between, mission_of
 from alight.autopilot.border import enu, flu, frd, ned, world_from_body_of_angles, world_from_body_of_quaternion
 from alight.autopilot.clock import VehicleClock
 from alight.autopilot.firmware import ArduPilotFirmware, Firmware, Px4Firmware
@@ -406,3 +406,9 @@ def test_numbers_that_are_not_finite_do_no_harm(nan: float) -> None:
     state = heard(ArduPilotFirmware(), *messages)
     assert state.world_from_body is None
     assert np.isnan(state.wind_world).all()
+
+
+def test_two_places_are_as_near_across_the_date_line_as_elsewhere() -> None:
+    here = Place(-17.0, 179.99999, 5.0, 5.0)
+    assert metres_between(here, Place(-17.0, -179.99999, 5.0, 5.0)) == pytest.approx(2.126, abs=0.01)
+    assert metres_between(here, Place(-17.0, 179.99999, 9.0, 9.0)) == pytest.approx(4.0)

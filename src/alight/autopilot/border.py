@@ -14,6 +14,7 @@ from alight.geometry.rotations import ENU_FROM_NED, FRD_FROM_FLU
 from alight.records import Place
 
 GRAVITY = 9.80665  # m/s^2, of the unit mg
+METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
 def enu(north: float, east: float, down: float) -> F64:
@@ -57,6 +58,18 @@ def scaled_degrees(angle: float) -> int:
 def signed_angle(angle: float) -> float:
     """Return an angle in rad as the same angle from -pi to pi."""
     return math.remainder(angle, 2 * math.pi)
+
+
+def metres_per_degree_east(place: Place) -> float:
+    """Return the metres of a degree of longitude at a place; not quite 0 at the poles."""
+    return METRES_PER_DEGREE * max(math.cos(math.radians(place.latitude)), 1e-6)
+
+
+def metres_between(a: Place, b: Place) -> float:
+    """Return the metres between two places that lie near to each other, across the date line as well."""
+    north = (b.latitude - a.latitude) * METRES_PER_DEGREE
+    east = math.remainder(b.longitude - a.longitude, 360.0) * metres_per_degree_east(a)
+    return math.hypot(north, east, b.altitude_msl - a.altitude_msl)
 
 
 @dataclass(frozen=True, eq=False)

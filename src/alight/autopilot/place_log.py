@@ -26,7 +26,7 @@ class PlaceLog:
 
     @property
     def doubted(self) -> bool:
-        """Whether the newest reports contradict what was known."""
+        """True if the newest reports contradict what was known."""
         return self._watch.doubts
 
     def take(self, report: PlaceReport, now_ns: int) -> bool:

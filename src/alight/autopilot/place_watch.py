@@ -1,14 +1,14 @@
-"""Which reported positions are believed: those on Earth that a vehicle can have flown to."""
+"""The watch over reported positions: those on Earth that a vehicle can have flown to are believed."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from alight.arrays import F64
+from alight.autopilot.border import METRES_PER_DEGREE, metres_between, metres_per_degree_east
 from alight.records import Place
 from alight.records.telemetry import HIGHEST
 
@@ -17,7 +17,6 @@ _FASTEST = 30.0  # m/s, where the vehicle was slower when it was last heard
 _LONGEST = 60.0  # s, for which an old report says where the vehicle can be
 _AGREED_NS = 1_000_000_000  # of reports that agree with each other, until a jump is believed
 _NO_SPEED = 32_767  # of an int16 that is not filled
-_METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +32,8 @@ class PlaceReport:
         north, east, down = self.velocity_ned * ((boot_ns - self.boot_ns) * 1e-9)
         place = self.place
         return Place(
-            place.latitude + north / _METRES_PER_DEGREE,
-            place.longitude + east / _per_degree_east(place),
+            place.latitude + north / METRES_PER_DEGREE,
+            place.longitude + east / metres_per_degree_east(place),
             place.altitude_msl - down,
             place.above_home - down,
         )
@@ -73,7 +72,7 @@ class PlaceWatch:
 
     @property
     def doubts(self) -> bool:
-        """Whether the newest reports contradict what was known."""
+        """True if the newest reports contradict what was known."""
         return self._doubted is not None
 
     def believes(self, new: PlaceReport) -> bool:
@@ -92,18 +91,8 @@ class PlaceWatch:
 
 
 def _can_follow(old: PlaceReport, new: PlaceReport) -> bool:
-    """Whether a vehicle that reported the old place can be at the new one."""
+    """True if a vehicle that reported the old place can be at the new one."""
     dt = min(abs(new.boot_ns - old.boot_ns) * 1e-9, _LONGEST)
     speed = max(float(np.linalg.norm(old.velocity_ned)), _FASTEST)
     expected = old.at(old.boot_ns + round(dt * 1e9))
-    return _apart(expected, new.place) <= _MARGIN + speed * dt
-
-
-def _apart(a: Place, b: Place) -> float:
-    north = (b.latitude - a.latitude) * _METRES_PER_DEGREE
-    east = math.remainder(b.longitude - a.longitude, 360.0) * _per_degree_east(a)
-    return math.hypot(north, east, b.altitude_msl - a.altitude_msl)
-
-
-def _per_degree_east(place: Place) -> float:
-    return _METRES_PER_DEGREE * max(math.cos(math.radians(place.latitude)), 1e-6)
+    return metres_between(expected, new.place) <= _MARGIN + speed * dt

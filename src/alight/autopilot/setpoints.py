@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from alight.arrays import F64
-from alight.autopilot.border import EstimateTie, ned, scaled_degrees, signed_angle
+from alight.autopilot.border import EstimateTie, metres_between, ned, scaled_degrees, signed_angle
 from alight.autopilot.pymavlink_dialect import message
 from alight.records import Place
 
 _GLOBAL_MSL, _LOCAL_NED = 5, 1  # MAV_FRAME_GLOBAL_INT, MAV_FRAME_LOCAL_NED
 _NO_POSITION, _NO_VELOCITY, _NO_ACCELERATION, _NO_YAW, _NO_YAW_RATE = 7, 56, 448, 1024, 2048
-_METRES_PER_DEGREE = 111_132.0  # of latitude
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,9 +47,7 @@ class Target:
         """
         if self.place is None:
             return self
-        north = (self.place.latitude - here.latitude) * _METRES_PER_DEGREE
-        per_degree = _METRES_PER_DEGREE * math.cos(math.radians(here.latitude))
-        away = math.hypot(north, (self.place.longitude - here.longitude) * per_degree)
+        away = metres_between(here, replace(self.place, altitude_msl=here.altitude_msl))
         share = min(1.0, self.speed / gain / max(away, 1e-6))
         lower = max(here.altitude_msl - self.sink / gain - self.place.altitude_msl, 0.0)  # than it may be for now
         return replace(self, place=Place(

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from alight.arrays import F32, U8, Mask
-from alight.raster import block_light, block_max, block_mean, difference_of_gaussians, gaussian_mean
+from alight.raster import block_green, block_light, block_max, block_mean, difference_of_gaussians, gaussian_mean
 from alight.records import ElevationMap
 
 NARROW, WIDE = 0.45, 2.3  # heights of the obstacle, 1-sigma: an obstacle is about twice as wide as high
 GREY = 0.02  # excess green of the greenest spot of a grey picture, which shows none: as ground with a few plants
-STRIP = 256  # rows of cells that are done at a time
+WHOLE = 0.999  # share of a block from which it was seen whole
 
 
 class PictureSpots(NamedTuple):
@@ -37,13 +37,7 @@ def picture_spots(elevation: ElevationMap, height: float) -> PictureSpots:
     """
     rgb, factor = elevation.finest
     halves = min(factor, 2)
-    pixel = elevation.grid.cell / halves
-    light, seen = _light_and_seen(rgb, factor // halves)
-    if not seen.all():
-        _fill_evenly(light, seen, WIDE * height / pixel)
-    spot = spots_of(light, height / pixel)
-    del light
-    spot *= seen
+    spot = _seen_spots(*_light_and_seen(rgb, factor // halves), height * halves / elevation.grid.cell)
     return PictureSpots(block_mean(spot * spot, halves), block_max(-spot, halves), block_max(spot, halves))
 
 
@@ -58,34 +52,22 @@ def green_spots(elevation: ElevationMap, height: float) -> F32:
     """
     rgb, factor = elevation.finest
     halves = min(factor, 2)
-    pixel = elevation.grid.cell / halves
-    green, seen, coloured = _green_and_seen(rgb, factor // halves)
+    green, share, coloured = block_green(rgb, factor // halves)
     if not coloured:
         return np.full(elevation.grid.shape, GREY, np.float32)
-    if not seen.all():
-        _fill_evenly(green, seen, WIDE * height / pixel)
-    spot = spots_of(green, height / pixel)
-    spot *= seen
-    return block_max(spot, halves)
-
-
-def _green_and_seen(rgb: U8, inner: int) -> tuple[F32, Mask, bool]:
-    """Excess green of blocks of `inner` x `inner` pixels, which of them were seen whole, and if any has a colour."""
-    rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
-    green, seen, coloured = np.zeros((rows, cols), np.float32), np.empty((rows, cols), np.bool_), False
-    for top in range(0, rows, STRIP):
-        part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
-        r, g, b = (block_mean(part[..., k].astype(np.float32), inner) for k in range(3))
-        total = r + g + b
-        green[at] = (2 * g - r - b) / np.maximum(total, 1)
-        seen[at] = block_mean((part[..., 1] > 0).astype(np.float32), inner) > 0.999
-        coloured = coloured or bool((part[..., 0] != part[..., 1]).any())
-    return green, seen, coloured
+    return block_max(_seen_spots(green, share > WHOLE, height * halves / elevation.grid.cell), halves)
 
 
 def _light_and_seen(rgb: U8, inner: int) -> tuple[F32, Mask]:
     light, share, _ = block_light(rgb, inner)
-    return light, share > 0.999
+    return light, share > WHOLE
+
+
+def _seen_spots(measure: F32, seen: Mask, height: float) -> F32:
+    """The spots of a measure, of an obstacle of a height in pixels; what was not seen is even. It is worn out by it."""
+    if not seen.all():
+        _fill_evenly(measure, seen, WIDE * height)
+    return spots_of(measure, height) * seen
 
 
 def _fill_evenly(light: F32, seen: Mask, sigma: float) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from alight.arrays import F32
-from alight.hazards.contact import CERTAIN, Footprint
+from alight.hazards.contact import CERTAIN, NO_NOISE, Footprint
 from alight.hazards.footprint import feet_of
 from alight.settings import HazardsSettings, Lander
 
@@ -19,7 +19,7 @@ from alight.settings import HazardsSettings, Lander
 def _over(margin: F32, sigma: F32) -> F32:
     """The margin in sigmas; +-`CERTAIN` without noise."""
     sure = np.where(margin >= 0, CERTAIN, -CERTAIN)
-    out = np.where(sigma > 1e-9, margin / np.maximum(sigma, np.float32(1e-9)), sure)
+    out = np.where(sigma > NO_NOISE, margin / np.maximum(sigma, np.float32(NO_NOISE)), sure)
     return np.asarray(np.where(np.isfinite(margin), out, np.float32(np.nan)), np.float32)
 
 

@@ -1,7 +1,7 @@
 """Operators on rasters that several stages share. Ground floor: imports nothing of ours but the array types."""
 
 from alight.raster.blocks import block_max, block_mean, block_quantile, cells_as_blocks, upsample
-from alight.raster.brightness import BlockLight, block_light, log_brightness, log_levels
+from alight.raster.brightness import BlockLight, block_green, block_light, log_brightness, log_levels
 from alight.raster.disc import (
     DiscWindow,
     disc_any,
@@ -31,6 +31,7 @@ __all__ = [
     "DiscWindow",
     "Rise",
     "WeightedMean",
+    "block_green",
     "block_light",
     "block_max",
     "block_mean",

@@ -1,4 +1,4 @@
-"""Log brightness of a picture: contrasts in it do not depend on the exposure."""
+"""Log brightness and excess green of a picture: contrasts in them do not depend on the exposure."""
 
 from __future__ import annotations
 
@@ -41,7 +41,33 @@ def block_light(rgb: U8, inner: int, within: bool = False) -> BlockLight:
         part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
         light = log_brightness(part)
         out.mean[at] = block_mean(light, inner)
-        out.seen[at] = block_mean((part[..., 1] > 0).astype(np.float32), inner)
+        out.seen[at] = _seen_share(part, inner)
         if within and inner > 1:
             out.within[at] = np.maximum(block_mean(light * light, inner) - out.mean[at] * out.mean[at], 0)
     return out
+
+
+class BlockGreen(NamedTuple):
+    """Excess green, (2 G - R - B) / (R + G + B), of square blocks of pixels, (R, C)."""
+
+    mean: F32  # of the mean colour
+    seen: F32  # as `BlockLight.seen`
+    coloured: bool  # some pixel is not grey
+
+
+def block_green(rgb: U8, inner: int) -> BlockGreen:
+    """Excess green of blocks of `inner` x `inner` pixels of a picture (R inner, C inner, 3)."""
+    rows, cols = rgb.shape[0] // inner, rgb.shape[1] // inner
+    mean, seen, coloured = np.zeros((rows, cols), np.float32), np.zeros((rows, cols), np.float32), False
+    for top in range(0, rows, STRIP):
+        part, at = rgb[top * inner : (top + STRIP) * inner], slice(top, top + STRIP)
+        r, g, b = (block_mean(part[..., k].astype(np.float32), inner) for k in range(3))
+        mean[at] = (2 * g - r - b) / np.maximum(r + g + b, 1)
+        seen[at] = _seen_share(part, inner)
+        coloured = coloured or bool((part[..., 0] != part[..., 1]).any())
+    return BlockGreen(mean, seen, coloured)
+
+
+def _seen_share(rgb: U8, inner: int) -> F32:
+    """Share of every block that is not black."""
+    return block_mean((rgb[..., 1] > 0).astype(np.float32), inner)

@@ -24,8 +24,9 @@ class Appearance:
 
 
 def seen(elevation: ElevationMap) -> Mask:
-    """Cells that any camera saw, and that the map or its finest picture shows: a map built view by view has the colours
-    of the newest view alone.
+    """Cells that any camera saw, and that the map or its finest picture shows.
+
+    A map that is built view by view has the colours of the newest view alone.
     """
     pictured = lit(elevation.rgb)
     if elevation.fine is not None:

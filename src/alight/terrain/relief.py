@@ -87,8 +87,9 @@ def relief(elevation: ElevationMap, wet: F32, settings: TerrainSettings) -> Reli
     height = np.where(known, elevation.height, np.float32(np.nan))
     size = max(1, round(settings.block / cell))
     bed = ground_under(block_quantile(height, size, 0.5), settings.ground_window / (2 * size * cell))
-    depth, level = standing_water(bed, block_quantile(wet, size, 0.5) > 0.5)
-    walled, _ = standing_water(bed, np.zeros(bed.shape, np.bool_))
+    like_water = block_quantile(wet, size, 0.5) > 0.5
+    depth, level = standing_water(bed, like_water)
+    walled = standing_water(bed, np.zeros_like(like_water))[0] if like_water.any() else depth
     weight = known.astype(np.float32)
     detail = np.nan_to_num(height) - np.nan_to_num(masked_gaussian(np.nan_to_num(height), weight, 0.5 / cell))
     power = masked_gaussian(detail**2, weight, 0.35 / cell)

@@ -48,8 +48,9 @@ def wetness(elevation: ElevationMap, colours: Appearance) -> F32:
 
 
 def water_odds(colours: Appearance, depth: F32, moving: F32, settings: TerrainSettings) -> F32:
-    """Log odds of water (G14): a closed basin (`depth` of its water, metres), likeness to water, motion; any two strong
-    ones suffice.
+    """Log odds of water (G14): a closed basin, likeness to water, motion; any two strong ones suffice.
+
+    `depth`: (R, C) metres, of the water that a basin holds.
     """
     d = settings.basin_depth
     basin = linear_ramp(depth, d / 2, 1.5 * d)

@@ -11,13 +11,12 @@ import numpy as np
 from alight.arrays import F64, Mask
 from alight.elevation import TiledElevation, TileStore
 from alight.geometry import Grid
-from alight.parallax import find_points, ground_sampling, height_range, supported
+from alight.parallax import NO_POINTS, find_points, ground_sampling, height_range, supported
 from alight.pipeline.mapping.view_geometry import looking_down, nice_cell
 from alight.records import Datum, ElevationMap, Flag, Heights, View, is_trusted
 from alight.settings import StageSettings
 from alight.settings.tuning import MappingTuning
 
-NO_POINTS = np.empty((0, 3))
 NO_PARALLAX = "no parallax: the aircraft did not move, or the ground has no texture, so no height can be measured"
 
 
@@ -53,7 +52,7 @@ class GroundMap:
     ground: float | None = None  # metres above the origin, the ground in general
     reason: str = ""  # why there is no map
     gauge: Datum | None = None  # what all heights share
-    _points: F64 = field(default_factory=lambda: np.empty((0, 3)))
+    _points: F64 = field(default_factory=lambda: NO_POINTS)
 
     def find_ground(self, views: Sequence[View], least: float = 0.0, points: F64 = NO_POINTS) -> bool:
         """Find where the ground is and how fine the map shall be; False (see `reason`) when nothing can be measured.

@@ -10,7 +10,7 @@ import numpy as np
 from alight.arrays import F64, U16
 from alight.elevation import TiledElevation
 from alight.geometry import Grid
-from alight.parallax import RecursiveParallax, ground_sampling
+from alight.parallax import NO_POINTS, RecursiveParallax, ground_sampling
 from alight.pipeline.mapping.ground_map import GroundMap, Surroundings
 from alight.pipeline.mapping.passing import what_moves, who_came
 from alight.pipeline.mapping.size import BYTES_A_CELL, BYTES_A_STEP, refuse_too_large
@@ -39,7 +39,7 @@ class RecursiveMap(GroundMap):
 
     def find_ground_again(self, views: Sequence[View], least: float) -> None:
         """Find the ground where it lies beyond what was searched; what was found there is looked at anew."""
-        known, self._points = self._points, np.empty((0, 3))
+        known, self._points = self._points, NO_POINTS
         if not self.find_ground(views, least):
             self._points = known
         elif self._ring is not None:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from alight.arrays import F64
-from alight.autopilot import EstimateTie, Setpoint
+from alight.autopilot import EstimateTie, Setpoint, metres_between
 from alight.records import FlightMode, Place
 
 SAID_AGAIN = 0.5  # m by which a set-point has to move until its words are said again
@@ -124,10 +124,3 @@ def words_of(place: Place) -> str:
     """Return a place in words: degrees, metres above the sea, and above home where that is known."""
     above = "" if math.isnan(place.above_home) else f", {place.above_home:.1f} m above home"
     return f"{place.latitude:.7f} {place.longitude:.7f}, {place.altitude_msl:.1f} m above the sea{above}"
-
-
-def metres_between(a: Place, b: Place) -> float:
-    """Return the metres between two places."""
-    north = (a.latitude - b.latitude) * 111_132.0
-    east = (a.longitude - b.longitude) * 111_132.0 * math.cos(math.radians(a.latitude))
-    return math.hypot(north, east, a.altitude_msl - b.altitude_msl)

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from alight.arrays import F64
-from alight.autopilot import EstimateTie, RemoteVehicle, Setpoint
+from alight.autopilot import EstimateTie, RemoteVehicle, Setpoint, metres_between
 from alight.geometry import LocalFrame
 from alight.records import FlightMode, Landed, Motion, Place
 from alight.records.executive import FlightState, Order
 from alight.runner.fly.contact import Contact
 from alight.runner.fly.near import near_way, own_way
-from alight.runner.fly.order_taker import OrderTaker, metres_between, words_of
+from alight.runner.fly.order_taker import OrderTaker, words_of
 
 AGAIN_NS = 2_000_000_000  # until a mode that was refused is asked for again
 OFTEN = 3  # refusals in a row, after which a person is told
