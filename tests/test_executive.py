@@ -302,6 +302,29 @@ def test_it_climbs_over_what_stands_in_the_way() -> None:
     assert min(p[2] for p in over) >= 26.0 + 3.0 - 1.0
 
 
+def test_wind_does_not_carry_it_away_while_it_climbs() -> None:
+    """Seen in a campaign: a gust blew it into the tree that it climbed for, because it climbed wherever it was."""
+    ground = Ground({(28.0, 0.0): clearer_from_below}, sees=40.0, tall=26.0)
+    low = list[float]()
+
+    def blow(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.APPROACH:
+            if not low:
+                f.position[:] = (0.0, 0.0, 8.0)
+                low.append(now.t)
+            assert now.position is not None
+            aside = np.array([0.0, min(0.1 * (now.t - low[0]), 3.0), 0.0])  # a gust that it does not hold against
+            return replace(now, position=f.position + aside)
+        return now
+
+    f = Flight(ground, Executive(settings()), blow)
+    f.fly(60.0)
+    climbs = [o.position[:2] for _, o, p in f.orders if o.position is not None and p[2] < 25.0][:20]
+    assert len(climbs) == 20
+    assert climbs[2][0] < 1.0
+    assert np.ptp(np.array(climbs[2:]), axis=0).max() == 0.0
+
+
 # -- below the commit height
 
 
@@ -374,6 +397,26 @@ def test_verdicts_a_little_below_the_limit_do_not_break_a_landing_off(every: int
     assert f.fly() is S.LANDED
     assert count
     assert S.ABORT not in f.states
+
+
+@pytest.mark.parametrize(("p_safe", "verdicts"), [(0.88, 5), (0.7, 2)])
+def test_a_place_that_comes_into_doubt_and_stays_there_breaks_a_landing_off(p_safe: float, verdicts: int) -> None:
+    """Seen in a campaign: from the commit on P(safe) was 0.88 in thirty verdicts, and it landed on a kerb."""
+    taken = set[float]()
+
+    def doubt(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT and now.seen is not None:
+            taken.add(now.seen.t)
+            p = np.minimum(now.seen.hazards.p_safe, np.float32(p_safe))
+            hazards = replace(now.seen.hazards, p_safe=p)
+            return replace(now, seen=replace(now.seen, hazards=hazards, sites=Sites((), "", 0, ())))
+        return now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), doubt)
+    f.fly(100.0)
+    first = next(x for x in f.executive.diary.transitions if x.after is S.ABORT)
+    assert first.event is FlightEvent.REFUSED
+    assert len([t for t in taken if t <= first.t]) in (verdicts, verdicts + 1)  # that of the look may be among them
 
 
 def test_one_low_verdict_does_not_break_a_landing_off() -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections import deque
+from statistics import median
 
 import numpy as np
 
-from alight.landing.executive.opinion import Standing
+from alight.landing.executive.opinion import Opinion, Standing
 from alight.records import Site
 from alight.records.executive import Order, Situation
 from alight.settings import StageSettings
@@ -30,21 +32,30 @@ class Descent:
         self._begun = self._judged = t
         self._over = False  # it is over the place, and comes down
         self._unseen = 0  # verdicts in a row that do not see the place whole
+        self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) of the last ones that do
 
-    def judged(self, t: float, standing: Standing, left: float) -> bool:
-        """Take a new verdict; whether so many in a row see too little of the place that it counts as refused.
+    def judged(self, t: float, said: Opinion, left: float) -> bool:
+        """Take a new verdict; whether the last ones together refuse the place.
 
-        Near the ground that is no reason: of grass from 2 m the whole picture sways, and counts as moving.
+        They do where several in a row see too little of it, or where it has come into doubt and stays there: one low
+        verdict may be grass that sways. Near the ground neither is a reason: of grass from 2 m the whole picture sways,
+        and counts as moving.
 
         Args:
             t: s.
-            standing: of the place.
+            said: of the place.
             left: metres above it.
         """
         self._judged = t
-        seen = standing is not Standing.NOT_SEEN or left < self._keys.degraded_height
-        self._unseen = 0 if seen else self._unseen + 1
-        return self._unseen >= self._keys.unseen
+        if left < self._keys.degraded_height:
+            self._unseen = 0
+            return False
+        if said.standing is Standing.NOT_SEEN:
+            self._unseen += 1
+            return self._unseen >= self._keys.unseen
+        self._unseen = 0
+        self._p.append(said.p_safe)
+        return len(self._p) == self._p.maxlen and median(self._p) < self._keys.doubted
 
     def too_long(self, t: float, left: float) -> str:
         """Say that it takes too long, or that no verdict has come for too long; empty: neither."""

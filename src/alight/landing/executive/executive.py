@@ -63,6 +63,7 @@ class Executive:
         self._above: float | None = None  # metres above it, as known last
         self._lanes: SearchLanes | None = None
         self._way: F64 | None = None  # where to fly in this state
+        self._rises: F64 | None = None  # (2,) metres, where it climbs to be clear
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
         self._descent = Descent(settings)
@@ -257,7 +258,7 @@ class Executive:
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
         said = opinion(self.target, seen, self._limit, same, least, may)
-        if low and self._descent.judged(now.t, said.standing, self._left):
+        if low and self._descent.judged(now.t, said, self._left):
             self._refusals = self._keys.sure
         elif said.standing is not Standing.NOT_SEEN:
             fallen = said.standing is Standing.REFUSED or (low and said.p_safe < least)
@@ -275,7 +276,7 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._across, self._leg_done = None, None, None
+        self._way, self._across, self._leg_done, self._rises = None, None, None, None
         if after is S.APPROACH:
             self._begin_place(now)
         elif after in (S.DESCEND, S.LOOK):
@@ -305,7 +306,7 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self.target = now.frame_id, None, None
+        self._frame, self._lanes, self.target, self._rises = now.frame_id, None, None, None
         self._home = now.position.copy()
         if self._above is not None:  # it goes on at the same height above the ground, in a frame of another height
             self._ground = float(now.position[2]) - self._above
@@ -345,12 +346,13 @@ class Executive:
         away = float(np.hypot(*(to[:2] - now.position[:2])))
         if self.state is S.LOOK or away < 2 * self._keys.arrived:  # nothing stands beside a look leg
             return to
-        if seen is None:  # nothing is known of what stands about: up before aside
-            low = now.position[2] < to[2] - self._keys.arrived
-            return np.array([*now.position[:2], to[2]]) if low else to
-        level = max(float(to[2]), self._clear_way.level(now.position, to, seen, self.state is S.DESCEND))
+        level = float(to[2])
+        if seen is not None:  # else nothing is known of what stands about: up before aside
+            level = max(level, self._clear_way.level(now.position, to, seen, self.state is S.DESCEND))
         if now.position[2] < level - self._keys.arrived:
-            return np.array([*now.position[:2], level])
+            self._rises = now.position[:2].copy() if self._rises is None else self._rises  # no wind carries it away
+            return np.array([*self._rises, level])
+        self._rises = None
         return np.array([to[0], to[1], level])
 
     def _plan(self, leg: LookLeg | None) -> None:

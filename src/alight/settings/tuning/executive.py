@@ -28,6 +28,8 @@ class ExecutiveTuning(FrozenModel):
         0.5, description="The same once the landing has begun: it comes down without a swerve, m"
     )
     fallen: Fraction = Field(0.8, description="P(safe) below which a verdict on a landing under way refuses its place")
+    doubted: Fraction = Field(0.9, description="The same for the median of the last verdicts on it")
+    last_verdicts: int = Field(5, ge=1, description="So many of them")
     banned: Positive = Field(3.0, description="Distance about a refused place within which none is tried again, m")
     plain: Fraction = Field(
         0.1, description="P(safe) that bare and paved ground counts more when the next place is chosen"
