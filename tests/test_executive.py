@@ -20,6 +20,7 @@ from alight.geometry import Grid
 from alight.landing.executive import TABLE, Executive, as_markdown
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
+from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.search import square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
@@ -323,6 +324,28 @@ def test_wind_does_not_carry_it_away_while_it_climbs() -> None:
     assert len(climbs) == 20
     assert climbs[2][0] < 1.0
     assert np.ptp(np.array(climbs[2:]), axis=0).max() == 0.0
+
+
+def test_it_comes_down_to_a_look_only_on_its_way() -> None:
+    """Seen in a campaign: a gust blew it 4 m off, into a tree, and it went on down meanwhile."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
+    heights, left = list[float](), list[float]()
+
+    def blow(now: Situation, executive: Executive) -> Situation:
+        if executive.state is not S.DESCEND:
+            return now
+        if not left:
+            left.append(now.t)
+        assert now.position is not None
+        if 0.0 < now.t - left[0] < 5.0:
+            heights.append(float(f.position[2]))
+        aside = 4.0 if 0.0 < now.t - left[0] < 5.0 else 0.0
+        return replace(now, position=now.position + aside * np.array([1.0, 1.0, 0.0]))
+
+    f.change = blow
+    assert f.fly() is S.LANDED
+    assert heights[0] > 6.5
+    assert np.ptp(heights) == 0.0
 
 
 # -- below the commit height
@@ -839,6 +862,23 @@ def test_a_look_leg_turns_away_from_what_stands_beside_it() -> None:
     assert f.fly() is S.LANDED
     np.testing.assert_allclose(f.position[:2], place, atol=0.3)
     assert min(np.hypot(e[0] - east, e[1] - north) for e in ends_of_looks(f)) > 3.0
+
+
+def test_a_look_leg_keeps_twice_the_distance_where_it_can() -> None:
+    """Seen in a campaign: 3 m are enough beside a tree, but a gust carried the vehicle 2 m off its way."""
+    place, posts = np.array([10.0, 5.0]), ((10.0, 9.0, 12.0),)  # beside the place, 4 m
+    seen = Ground({(10.0, 5.0): clearer_from_below}, posts=posts).seen(1, 0.0, AWAY)
+    leg = LookLeg(np.array([*place, 8.0]), 1.5, np.array([30.0, 5.0, 8.0]), None)
+    near = ClearWay(settings()).turned(leg, 0.0, seen)
+    assert near is not None
+    assert near.turned == 0.0  # it is 4 m from the tree, whichever way it leads
+    along = replace(leg, place=np.array([10.0, 2.0, 8.0]))  # 7 m: past the tree there is room, not towards it
+    past = ClearWay(settings()).turned(along, 0.0, seen)
+    assert past is not None
+    assert past.turned == 0.0
+    found = ClearWay(settings()).turned(replace(along, position=np.array([10.0, 30.0, 8.0])), 0.0, seen)
+    assert found is not None
+    assert abs(abs(found.turned) - np.pi / 2) < 1e-6
 
 
 def test_a_place_among_trees_is_not_flown_to() -> None:

@@ -172,6 +172,18 @@ def test_a_gust_pushes_for_its_time(level):
     assert blown.true_pose.translation == pytest.approx(place, abs=0.02)
 
 
+def test_a_gust_that_lasts_is_learned_as_a_wind_is(level):
+    """Within the autopilot's limits it would hold against 3 m/s^2 with nothing to spare, and it was blown 7 m away."""
+    flight = SteeredFlight(level, 1, start=(0, 0, 20), steered_by="truth", **BLIND)
+    place, away = flight.true_pose.translation, []
+    flight.gust((0.0, 3.0, 0.0), 9.0)
+    for _ in range(44):
+        flight.step(0.2, Wanted(position=place))
+        away.append((flight.true_pose.translation - place)[1])
+    assert 0.3 < max(away) < 2.0
+    assert abs(away[-1]) < 0.05
+
+
 def test_the_battery_pays_for_hovering_and_climbing_and_its_end_is_a_fall(level):
     cost = TrueBattery(share=0.9, endurance=100.0, climb=0.01)
     flight = SteeredFlight(level, 1, start=(0, 0, 5), steered_by="truth", battery=cost, **BLIND)

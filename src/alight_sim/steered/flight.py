@@ -31,7 +31,7 @@ NIMBLE = FlightLimits(lag=0.08)
 IMU_RATE_HZ = 100.0  # of a flight that is not given an IMU; the vehicle moves in such steps
 STRIKE_STEPS = 5  # samples of the IMU between two looks at what is beside
 LAST = 1.0  # metres above the ground: below, it comes down
-_TRIM = 1.5  # s in which the autopilot has learned a new wind
+_TRIM = 1.5  # s in which the autopilot has learned a new wind, or a gust that lasts
 _SETTLE = 1.0  # s over which the autopilot smooths its navigation solution
 
 
@@ -132,6 +132,7 @@ class SteeredFlight:
         self._below, self._radius, self._strikes = GroundBelow(self.world, radius), radius, False
         self._air, self._trimmed = np.array(wind, float), np.array(wind, float)
         self._pushes: list[tuple[float, float, F64]] = []
+        self._leant = np.zeros(3)  # m/s^2, against them
         self._steps, self._asked_ns = 0, 0
         self._start_vehicle(np.array(start, float), heading, limits or NIMBLE, gusts)
         self._believed = np.zeros(3)  # metres: error of the position that the autopilot steers by
@@ -290,10 +291,12 @@ class SteeredFlight:
         return wanted if wanted.position is None else replace(wanted, position=wanted.position - self._believed)
 
     def _blown(self, now: float, h: float) -> F64:
-        """(3,) m/s^2: gusts on command, and wind that the autopilot has not learned yet."""
-        self._trimmed = self._trimmed + (1.0 - math.exp(-h / _TRIM)) * (self._air - self._trimmed)
-        push = self._vehicle.limits.drag * (self._air - self._trimmed)
-        return np.asarray(sum((a for start, end, a in self._pushes if start <= now < end), push))
+        """(3,) m/s^2: wind and gusts on command, less what the autopilot has learned of them."""
+        learned = 1.0 - math.exp(-h / _TRIM)
+        self._trimmed = self._trimmed + learned * (self._air - self._trimmed)
+        gusts: F64 = sum((a for start, end, a in self._pushes if start <= now < end), np.zeros(3))
+        self._leant = self._leant + learned * (gusts - self._leant)
+        return np.asarray(self._vehicle.limits.drag * (self._air - self._trimmed) + gusts - self._leant)
 
     def _spend(self, flying: bool, h: float, risen: float) -> None:
         cost = (h / self._cost.endurance + max(risen, 0.0) * self._cost.climb) if flying else 0.0

@@ -15,6 +15,7 @@ from alight.settings import StageSettings
 
 TURNS = tuple(math.radians(angle) for angle in (0, 45, -45, 90, -90, 135, -135, 180))  # of a look leg, tried in turn
 WIDE = 2.0  # times the vehicle's radius, from its middle to what stands beside it, at least
+ROOMY = 2.0  # times that distance, where some leg leaves so much: a gust carries the vehicle metres off its way
 LOW = 0.5  # of its height, at the most: the clearance of a look leg above what stands beside it
 
 
@@ -44,23 +45,31 @@ class ClearWay:
         return max(below.clear, seen.ground + k.search_height) if untold and not at_a_place else below.clear
 
     def turned(self, leg: LookLeg, ground: float, seen: Seen) -> LookLeg | None:
-        """Turn a leg as little as it takes for nothing to stand beside it; None: something does whichever way.
+        """Turn a leg as little as it takes for nothing to stand beside it, nor `ROOMY` times as far where it can be.
+
+        None: something stands beside it, whichever way it is turned.
 
         Args:
             leg: across a place.
             ground: metres up, of the place.
             seen: the newest verdict.
         """
-        turns = (replace(leg, turned=turn) for turn in TURNS)
-        return next((t for t in turns if self.is_free(t.start, t.end, ground, seen)), None)
+        free: LookLeg | None = None
+        for turned in (replace(leg, turned=turn) for turn in TURNS):
+            if self.is_free(turned.start, turned.end, ground, seen, ROOMY):
+                return turned
+            if free is None and self.is_free(turned.start, turned.end, ground, seen):
+                free = turned
+        return free
 
-    def is_free(self, start: F64, to: F64, ground: float, seen: Seen) -> bool:
+    def is_free(self, start: F64, to: F64, ground: float, seen: Seen, times: float = 1.0) -> bool:
         """Whether a level way (3,) near a place may be flown: beside it nothing is tall, or reaches up to the way.
 
         Tall is what rises by more than `executive.rise`; beside the way is within `route.clearance`, or twice the
-        lander's radius if that is more.
+        lander's radius if that is more; or `times` that.
         """
-        grid, reach = seen.elevation.grid, self._beside + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
+        grid, width = seen.elevation.grid, times * self._beside
+        reach = width + 0.5 * math.hypot(to[0] - start[0], to[1] - start[1])
         middle = 0.5 * (start + to)
         row, col = (float(i) for i in grid.index(middle[0], middle[1]))
         k = math.ceil(reach / grid.cell) + 1
@@ -69,7 +78,7 @@ class ClearWay:
             slice(max(int(col) - k, 0), max(int(col) + k + 1, 0)),
         )
         top = self._obstructions_of(seen).top[rows, cols]
-        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), self._beside)
+        _, near = along_way(start, to, grid.window(rows.start, cols.start, *top.shape), width)
         spare = min(self._clearance, LOW * (float(start[2]) - ground))
         highest = float(np.max(top[near & np.isfinite(top)], initial=-math.inf))
         return highest <= min(ground + self._keys.rise, float(start[2]) - spare)

@@ -16,6 +16,7 @@ import numpy as np
 
 from alight.arrays import F64
 from alight.landing.executive.clear_way import ClearWay
+from alight.landing.executive.course import Course
 from alight.landing.executive.descent import Descent
 from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.limits import exceeded, held_enough, is_too_weak, patience
@@ -54,6 +55,7 @@ class Executive:
         self.state, self.diary = S.SEARCH, FlightDiary()
         self._clear_way = ClearWay(settings)
         self._looks = LookPlanner(settings, self._clear_way)
+        self._course = Course(settings, self._clear_way)
         self.target: Site | None = None
         self._begun: float | None = None  # s
         self._since = 0.0  # s, in this state
@@ -63,7 +65,6 @@ class Executive:
         self._above: float | None = None  # metres above it, as known last
         self._lanes: SearchLanes | None = None
         self._way: F64 | None = None  # where to fly in this state
-        self._rises: F64 | None = None  # (2,) metres, where it climbs to be clear
         self._height = 0.0  # of this look above the place
         self._left = math.inf  # metres above the target, as known last
         self._descent = Descent(settings)
@@ -276,7 +277,8 @@ class Executive:
         if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
             self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
-        self._way, self._across, self._leg_done, self._rises = None, None, None, None
+        self._way, self._across, self._leg_done = None, None, None
+        self._course.begin()
         if after is S.APPROACH:
             self._begin_place(now)
         elif after in (S.DESCEND, S.LOOK):
@@ -306,7 +308,8 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self.target, self._rises = now.frame_id, None, None, None
+        self._frame, self._lanes, self.target = now.frame_id, None, None
+        self._course.begin()
         self._home = now.position.copy()
         if self._above is not None:  # it goes on at the same height above the ground, in a frame of another height
             self._ground = float(now.position[2]) - self._above
@@ -340,20 +343,14 @@ class Executive:
         return Order("fly", to, speed, sink)
 
     def _clear(self, now: Situation, to: F64) -> F64:
-        """(3,) metres, where to fly next on the way to a point: first up, where something mapped stands in the way."""
+        """(3,) metres, where to fly next on the way to a point."""
         assert now.position is not None
-        seen = self._seen(now)
+        if self.state in (S.APPROACH, S.DESCEND):
+            to = self._course.downwards(now.position, to)
         away = float(np.hypot(*(to[:2] - now.position[:2])))
         if self.state is S.LOOK or away < 2 * self._keys.arrived:  # nothing stands beside a look leg
             return to
-        level = float(to[2])
-        if seen is not None:  # else nothing is known of what stands about: up before aside
-            level = max(level, self._clear_way.level(now.position, to, seen, self.state is S.DESCEND))
-        if now.position[2] < level - self._keys.arrived:
-            self._rises = now.position[:2].copy() if self._rises is None else self._rises  # no wind carries it away
-            return np.array([*self._rises, level])
-        self._rises = None
-        return np.array([to[0], to[1], level])
+        return self._course.upwards(now.position, to, self._seen(now), self.state is S.DESCEND)
 
     def _plan(self, leg: LookLeg | None) -> None:
         """Fly to the start of a leg, or along it; None: no leg is clear, and the next verdict refuses the place."""
@@ -373,14 +370,14 @@ class Executive:
 
     def _beside(self, now: Situation) -> bool:
         """Whether something stands beside the way to a look or across a place; another leg is taken where one is."""
-        seen = self._seen(now)
-        if not self._keys.look_again or self.target is None or now.position is None or seen is None:
+        seen, t = self._seen(now), self.target
+        if not self._keys.look_again or t is None or now.position is None or seen is None:
             return False
         if self.state is S.LOOK and self._leg_now is not None:
             across = self._across
-            return across is not None and not self._clear_way.is_free(now.position, across, self.target.up, seen)
-        leg = self._leg(now)
-        if leg is not None and (self._leg_now is None or leg.turned != self._leg_now.turned):
+            return across is not None and not self._clear_way.is_free(now.position, across, t.up, seen)
+        leg, flown = self._leg(now), self._leg_now
+        if leg is not None and (flown is None or not self._clear_way.is_free(flown.start, flown.end, t.up, seen)):
             self._plan(leg)
         return leg is None
 

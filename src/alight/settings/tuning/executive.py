@@ -74,4 +74,6 @@ class ExecutiveTuning(FrozenModel):
         3.0, description="Height above the ground about it from which what is in doubt may be a tree, m"
     )
     risen: NonNegative = Field(1.0, description="Area of this below a way that may be flown low, m^2")
+    off_way: Positive = Field(0.6, description="Distance beside a way down to a look beyond which it stays level, m")
+    on_way: Positive = Field(0.3, description="Distance from this way within which it comes down again, m")
     arrived: Positive = Field(1.0, description="Distance within which a way-point is reached, m")
