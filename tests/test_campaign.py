@@ -23,7 +23,7 @@ from alight.records.campaign import Conditions, FaultRecord, LandingRecord, Ligh
 from alight.records.executive import FlightDiary, FlightEvent, FlightState, LookRecord, Transition
 from alight.report.campaign import campaign_numbers, unsafe_bound
 from alight.runner import campaign as runner
-from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign
+from alight.runner.campaign import Campaign, CampaignFolder, again, continued, fly_campaign, wanted_landings
 from alight.runner.campaign.faults import FAULTS, Happenings
 from alight.runner.campaign.flying import fly_conditions
 from alight.runner.campaign.plan import MOST_WIND, SUN, conditions_of, scenes_of
@@ -225,6 +225,9 @@ def test_what_is_done_is_not_flown_again(tmp_path: Path) -> None:
     assert [(e.done, e.of) for e in told] == [(4, 5), (5, 5)]
     assert told[-1].left_s == 0
     assert continued(tmp_path / "out").landings == 5
+    assert wanted_landings(tmp_path / "out", None) == 5  # named scenes again: no campaign shrinks by that
+    assert wanted_landings(tmp_path / "out", 7) == 7
+    assert wanted_landings(tmp_path / "other", None) == 20
 
 
 def test_an_interrupted_campaign_reports_what_there_is(tmp_path: Path) -> None:

@@ -44,10 +44,11 @@ class Ground:
     frame_id: int = 0
     sees: float = 20.0  # m about the vehicle
     tall: float = 0.0  # m, of a wall across east = 15
-    unlisted: tuple[float, float] = (0.0, 0.0)  # heights between which places are in doubt and not listed
+    unlisted: tuple[float, float] = (0.0, 0.0)  # heights between which places are not listed
     gap: bool = False  # of the map, about east = 0
     posts: tuple[tuple[float, float, float], ...] = ()  # east, north, height, metres; a cell each
     posts_show: float = 99.0  # m, the height below which the map shows them
+    room: float = 9.0  # m to the nearest refused touchdown
 
     def map(self, height: float = 0.0) -> ElevationMap:
         grid = Grid(-60.0, 60.0, 1.0, 121, 121)
@@ -76,7 +77,7 @@ class Ground:
                 continue
             p, (row, col) = p_of(float(at[2])), (round(v) for v in grid.index(np.array(e), np.array(n)))
             off_list = self.unlisted[0] < at[2] < self.unlisted[1]
-            doubt = int(Hazard.DOUBT) if off_list else 0
+            doubt = int(Hazard.DOUBT) if off_list and p < 0.95 else 0
             p_map[row, col], reasons[row, col] = p, doubt if p > 0 else int(Hazard.ROUGHNESS)
             if p > 0 and not off_list:
                 look = NextView(e, n, 8.0, 8.0, True)
@@ -86,7 +87,8 @@ class Ground:
         sites = tuple(s for s in listed if s.kind == "site")
         found = Sites(sites, "", self.frame_id, tuple(s for s in listed if s.kind == "candidate"))
         blank = np.zeros(grid.shape, np.float32)
-        danger = HazardMap(grid, blank, blank, blank, blank, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
+        room = np.full(grid.shape, self.room, np.float32)
+        danger = HazardMap(grid, blank, blank, blank, room, p_map, p_map, p_map, p_map, blank, blank, blank, reasons)
         return Seen(number, t, self.frame_id, found, danger, self.map(float(at[2])), 0.0)
 
 
@@ -154,6 +156,7 @@ def bad_from_below(height: float) -> float:
 def test_it_looks_again_from_lower_down_and_lands() -> None:
     f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()))
     assert f.fly() is S.LANDED
+    assert f.executive.diary.end == (S.LANDED, "the autopilot says so")
     looks = f.executive.diary.looks
     assert [round(x.height) for x in looks] == sorted((round(x.height) for x in looks), reverse=True)
     assert looks[-1].height == pytest.approx(6.0)
@@ -348,6 +351,19 @@ def test_it_comes_down_to_a_look_only_on_its_way() -> None:
     assert np.ptp(heights) == 0.0
 
 
+def test_a_return_that_ends_on_the_ground_is_no_landing() -> None:
+    """The autopilot lands at home: the answer is the reason of the return."""
+    f = Flight(Ground({}), Executive(settings()))
+    assert f.executive.diary.end is None
+    assert f.fly() is S.RETURN
+    f.position[2] = 0.0
+    f.executive.tick(Situation(f.t, f.position, MotionState.GOOD, 0, None, standing=True))
+    assert f.executive.state is S.LANDED
+    ended, why = f.executive.diary.end or (None, "")
+    assert ended is S.RETURN
+    assert why.startswith("within 60 m")
+
+
 # -- below the commit height
 
 
@@ -440,6 +456,23 @@ def test_a_place_that_comes_into_doubt_and_stays_there_breaks_a_landing_off(p_sa
     first = next(x for x in f.executive.diary.transitions if x.after is S.ABORT)
     assert first.event is FlightEvent.REFUSED
     assert len([t for t in taken if t <= first.t]) in (verdicts, verdicts + 1)  # that of the look may be among them
+
+
+@pytest.mark.parametrize("p_safe", [0.99, 0.86])
+def test_from_low_down_it_waits_for_enough_verdicts_to_break_the_landing_off(p_safe: float) -> None:
+    """A place in doubt is looked at from 4 m: on the way down to 3 m there is no time for five verdicts."""
+    ground = Ground({(10.0, 5.0): lambda h: 0.97 if h < 5.0 else 0.92})
+    f = Flight(ground, Executive(settings()))
+
+    def doubt(now: Situation, executive: Executive) -> Situation:
+        if executive.state is S.COMMIT:
+            ground.places[10.0, 5.0] = lambda h: p_safe
+        return now
+
+    f.change = doubt
+    f.fly(120.0)
+    assert f.executive.diary.looks[-1].height == 4.0
+    assert f.states[f.states.index(S.COMMIT) + 1] is (S.LANDED if p_safe > 0.9 else S.ABORT)
 
 
 def test_one_low_verdict_does_not_break_a_landing_off() -> None:
@@ -762,10 +795,25 @@ def test_who_else_flies_is_obeyed_at_once(
 def test_what_ends_the_attempt(
     state: FlightState, change: Callable[[Situation], Situation], event: FlightEvent
 ) -> None:
-    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), in_state(state, change))
+    at_once = Executive(settings("tuning.executive.lasting=0"))
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), at_once, in_state(state, change))
     assert f.fly() is S.RETURN
     assert f.events[-1] is event
     assert f.orders[-1][1].what == "return"
+
+
+@pytest.mark.parametrize("change", [{"wind": np.array([12.0, 0.0, 0.0])}, {"battery": 0.1}])
+@pytest.mark.parametrize("lasting", [2.0, 4.0])
+def test_wind_and_battery_end_it_once_they_have_been_beyond_their_limits_for_a_time(
+    change: dict[str, Any], lasting: float
+) -> None:
+    """A gust and a dip of the voltage pass, be they one after the other."""
+
+    def beyond(now: Situation, executive: Executive) -> Situation:
+        return replace(now, **change) if now.t % 5.0 < lasting else now
+
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings()), beyond)
+    assert f.fly() is (S.LANDED if lasting < 3.0 else S.RETURN)
 
 
 @pytest.mark.parametrize(
@@ -879,6 +927,90 @@ def test_a_look_leg_keeps_twice_the_distance_where_it_can() -> None:
     found = ClearWay(settings()).turned(replace(along, position=np.array([10.0, 30.0, 8.0])), 0.0, seen)
     assert found is not None
     assert abs(abs(found.turned) - np.pi / 2) < 1e-6
+
+
+@pytest.mark.parametrize(
+    "wind", [None, *((5.0 * np.cos(a), 5.0 * np.sin(a), 0.0) for a in np.radians(range(0, 360, 30)))]
+)
+def test_no_leg_passes_a_tree_whichever_way_the_wind_blows(wind: tuple[float, float, float] | None) -> None:
+    """A tree 3 m from the place: each leg of 3 m passes it too near. In wind only half of a leg was asked about."""
+    blown = None if wind is None else np.array(wind)
+    ground = Ground({(10.0, 5.0): clearer_from_below}, posts=((10.0, 2.0, 12.0),))
+    f = Flight(ground, Executive(settings()), lambda now, executive: replace(now, wind=blown))
+    f.position[:2] = (-20.0, 12.0)
+    assert f.fly() is S.RETURN
+    assert S.LOOK not in f.states
+
+
+def test_a_search_does_not_come_down_beside_what_it_has_climbed_over() -> None:
+    """A tree of 38 m beside the corner of a lane: the corner counts as reached from above it."""
+    corner = next(iter(square_spiral(np.zeros(2), 60.0 - 22.5, 0.7 * 22.5)))
+    tree = (round(corner[0]) + 1.0, round(corner[1]) + 1.0, 38.0)
+    f = Flight(Ground({}, posts=(tree,)), Executive(settings()))
+    assert f.fly() is S.RETURN
+    near = [p[2] for _, _, p in f.orders if np.hypot(p[0] - tree[0], p[1] - tree[1]) < 2.5]
+    assert near
+    assert min(near) > 38.0
+
+
+@pytest.mark.parametrize("off", [0.5, 0.8])
+def test_a_steady_error_of_position_does_not_keep_it_from_its_look(off: float) -> None:
+    """Beside its way it stays level, but not at the end of it."""
+    aside = np.array([off, 0.0, 0.0])
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("tuning.executive.over_site=0.9")))
+    f.change = lambda now, executive: replace(now, position=now.position + aside)  # type: ignore[operator]
+    f.fly(120.0)
+    assert S.COMMIT in f.states
+
+
+@pytest.mark.parametrize("state", [S.APPROACH, S.LOOK, S.DESCEND])
+def test_a_vehicle_that_does_not_get_on_leaves_the_place(state: FlightState) -> None:
+    """It is held where it is: after a minute the place is given up, and the search goes on."""
+    f = Flight(Ground({(10.0, 5.0): clearer_from_below}), Executive(settings("executive.time_budget=2000")))
+    stays = list[np.ndarray]()
+
+    def hold(now: Situation, executive: Executive) -> Situation:
+        if executive.state is state and not any(t.event is E.WAITED for t in executive.diary.transitions):
+            stays.append(f.position.copy())
+            f.position[:] = stays[0]
+            return replace(now, position=stays[0].copy())
+        return now
+
+    f.change = hold
+    f.fly(300.0)
+    waited = next(t for t in f.executive.diary.transitions if t.event is E.WAITED)
+    assert (waited.before, waited.after) == (state, S.SEARCH)
+    assert "nearer" in waited.reason
+
+
+def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None:
+    """Drift that begins while it climbs over a wall: past the wall it stays up as long as it is beside its way."""
+    places = {(4.0, 5.0): lambda h: 0.97 if h > 7.5 else 0.1, (35.0, 5.0): lambda h: 0.97}
+    f = Flight(Ground(places, sees=60.0, tall=24.0), Executive(settings()))
+
+    def blow(now: Situation, executive: Executive) -> Situation:
+        assert now.position is not None
+        if executive.state is not S.APPROACH or executive.about is None or executive.about[0] < 20.0:
+            return now
+        aside = 0.0 if now.position[0] > 30.0 else 4.0 if now.position[0] > 17.0 else 1.0
+        return replace(now, position=now.position + aside * np.array([0.0, 1.0, 0.0]))
+
+    f.change = blow
+    f.fly(90.0)
+    past = [p[2] for s, _, p in f.orders if s is S.APPROACH and 18.0 < p[0] < 29.0]
+    assert past
+    assert min(past) > 26.0
+
+
+def test_after_a_gap_of_pictures_a_search_goes_on_with_degraded_motion() -> None:
+    """It is good enough to search, and a search it was that the gap broke off."""
+
+    def change(now: Situation, executive: Executive) -> Situation:
+        return replace(now, state=MotionState.DEGRADED, picture_age=3.0 if 5.0 < now.t < 7.0 else 0.1, holds=True)
+
+    f = Flight(Ground({}), Executive(settings()), change)
+    assert f.fly() is S.RETURN
+    assert f.events[:2] == [E.CAMERA_LOST, E.RECOVERED]
 
 
 def test_a_place_among_trees_is_not_flown_to() -> None:
@@ -1079,6 +1211,17 @@ def test_good_ground_that_is_not_listed_is_not_dropped_on_the_way() -> None:
     f = Flight(ground, Executive(settings()))
     assert f.fly() is S.LANDED
     assert E.REFUSED not in f.events
+
+
+@pytest.mark.parametrize(("room", "landed"), [(9.0, True), (0.3, False)])
+def test_a_place_that_is_not_listed_is_a_site_only_with_room_about_it(room: float, landed: bool) -> None:
+    """A listed site has no refused touchdown within `sites.margin`: one that a better place keeps off the list, too."""
+    ground = Ground({(10.0, 5.0): clearer_from_below}, unlisted=(1.0, 9.0), room=room)
+    f = Flight(ground, Executive(settings()))
+    f.fly(120.0)
+    assert (S.COMMIT in f.states) is landed
+    if not landed:
+        assert "another is refused within 0.5 m" in f.executive.diary.looks[-1].doubt
 
 
 def test_after_four_refusals_the_search_goes_on_to_its_end() -> None:

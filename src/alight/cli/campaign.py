@@ -57,7 +57,7 @@ def campaign(
     from alight.runner import campaign as runner
 
     if scenes:
-        planned = runner.Campaign.of(scenes, landings or 20, seed or 0, chosen)
+        planned = runner.Campaign.of(scenes, runner.wanted_landings(out, landings), seed or 0, chosen)
     elif settings or assign or seed is not None:
         raise InputError("name SCENES beside --seed, --set, --settings or --no-look-again; without, OUT's own are used")
     else:

@@ -170,6 +170,17 @@ class FlightDiary:
     pictures: list[LookPicture] = field(default_factory=list)  # of the looks, where they were kept
 
     @property
+    def end(self) -> tuple[FlightState, str] | None:
+        """The last state and its reason in words; None: nothing has happened. One that returned and landed returned."""
+        if not self.transitions:
+            return None
+        last = self.transitions[-1]
+        if last.before is not FlightState.RETURN or last.after is not FlightState.LANDED:
+            return last.after, last.reason
+        why = next((t.reason for t in reversed(self.transitions) if t.after is FlightState.RETURN), "")
+        return FlightState.RETURN, f"{why}; landed where the autopilot returns to"
+
+    @property
     def entries(self) -> list[Transition | LookRecord]:
         """Looks and changes of state in order of time; a look stands before what it led to."""
         return sorted([*self.looks, *self.transitions], key=lambda e: e.t)

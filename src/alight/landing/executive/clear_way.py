@@ -56,11 +56,15 @@ class ClearWay:
         """
         free: LookLeg | None = None
         for turned in (replace(leg, turned=turn) for turn in TURNS):
-            if self.is_free(turned.start, turned.end, ground, seen, ROOMY):
+            if self.is_open(turned, ground, seen, ROOMY):
                 return turned
-            if free is None and self.is_free(turned.start, turned.end, ground, seen):
+            if free is None and self.is_open(turned, ground, seen):
                 free = turned
         return free
+
+    def is_open(self, leg: LookLeg, ground: float, seen: Seen, times: float = 1.0) -> bool:
+        """Whether a leg is free from end to end, wherever on it the vehicle joins it; arguments as of `is_free`."""
+        return self.is_free(2 * leg.place - leg.end, leg.end, ground, seen, times)
 
     def is_free(self, start: F64, to: F64, ground: float, seen: Seen, times: float = 1.0) -> bool:
         """Whether a level way (3,) near a place may be flown: beside it nothing is tall, or reaches up to the way.

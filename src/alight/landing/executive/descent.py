@@ -13,6 +13,7 @@ from alight.records import Site
 from alight.records.executive import Order, Situation
 from alight.settings import StageSettings
 
+HEARD = 2.0  # m in which enough verdicts come on the way down: lower than so much above the last of them it waits
 LAST = 0.5  # of the sideways speed, from where a landing is not broken off: it must not drift as it touches down
 
 
@@ -65,11 +66,16 @@ class Descent:
         late = silent > self._keys.unjudged and left >= self._keys.degraded_height and self._keys.look_again
         return f"no verdict for {silent:.1f} s" if late else ""
 
+    def _has_heard(self, left: float) -> bool:
+        """Whether so many verdicts have come, or will come on the way down, that they can break the landing off."""
+        above = left - self._keys.degraded_height
+        return not 0.0 <= above < HEARD or not self._keys.look_again or len(self._p) == self._p.maxlen
+
     def order(self, now: Situation, place: Site, left: float, same_frame: bool) -> Order:
         """Return the order for now.
 
-        Where the vehicle is not known in the frame of the place it sinks straight down where it is: it is too low to
-        break the landing off.
+        From low down it waits over the place until there are enough verdicts to break the landing off. Where the
+        vehicle is not known in the frame of the place it sinks straight down where it is: it is too low to break off.
         """
         low, sink = left < self._keys.abort_height, self._keys.landing_speed
         speed = self._keys.aside_speed * (LAST if low else 1.0)
@@ -77,6 +83,7 @@ class Descent:
             return Order("land", None, speed, sink, down=True)
         beside = math.hypot(place.east - now.position[0], place.north - now.position[1])
         within = self._keys.off_site if self._over else self._keys.over_site
-        self._over = beside <= within or low
+        heard = self._over or self._has_heard(left)
+        self._over = low or (beside <= within and heard)
         at = np.array([place.east, place.north, place.up])
         return Order("land", at, speed if self._over else self._cruise, sink, down=self._over)

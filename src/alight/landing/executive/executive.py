@@ -19,7 +19,7 @@ from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.course import Course
 from alight.landing.executive.descent import Descent
 from alight.landing.executive.known_places import KnownPlaces
-from alight.landing.executive.limits import exceeded, held_enough, is_too_weak, patience
+from alight.landing.executive.limits import AttemptLimits, held_enough, is_too_weak, patience
 from alight.landing.executive.look_leg import LookLeg
 from alight.landing.executive.look_planner import LookPlanner
 from alight.landing.executive.opinion import Opinion, Standing, opinion
@@ -47,11 +47,13 @@ class Executive:
     """One landing. Call `tick` several times a second.
 
     Args:
-        settings: of all stages; `executive`, `hazards.p_safe`, `route` and the lander are used.
+        settings: of all stages; `executive`, `hazards.p_safe`, `sites.margin`, `route` and the lander are used.
     """
 
     def __init__(self, settings: StageSettings) -> None:
-        self._keys, self._route, self._limit = settings.executive, settings.route, settings.hazards.p_safe
+        self._limits, self._held = AttemptLimits(settings.executive), S.SEARCH  # and what was flown before it held
+        self._keys, self._route, self._margin = settings.executive, settings.route, settings.sites.margin
+        self._limit = settings.hazards.p_safe
         self.state, self.diary = S.SEARCH, FlightDiary()
         self._clear_way = ClearWay(settings)
         self._looks = LookPlanner(settings, self._clear_way)
@@ -131,11 +133,13 @@ class Executive:
 
     def _trouble(self, now: Situation) -> tuple[FlightEvent, str] | None:
         k = self._keys
-        if self.state is S.HOLD and (over := held_enough(now, self._since, self._begun, k)) is not None:
-            return over
+        over = self._limits.exceeded(now, self._begun)
+        if self.state is S.HOLD and (enough := held_enough(now, self._since, over, k)) is not None:
+            return enough
         blind = now.picture_age > k.stale
         astray = now.position is None or now.state in (MotionState.LOST, MotionState.INITIALISING)
-        weak = is_too_weak(now, self.state, now.t - self._sound_at, self._left, k)
+        flown = self._held if self.state is S.HOLD else self.state
+        weak = is_too_weak(now, flown, now.t - self._sound_at, self._left, k)
         if self.state is not S.ABORT:
             if astray or weak:
                 lost = now.position is None and now.state not in (MotionState.LOST, MotionState.INITIALISING)
@@ -148,7 +152,6 @@ class Executive:
             return E.NEW_FRAME, f"frame {now.frame_id}"
         if self.state is S.COMMIT and (why := self._descent.too_long(now.t, self._left)):
             return E.WAITED, why
-        over = exceeded(now, self._begun, k)
         return over if over is not None and (self.state, over[0]) in TABLE else None  # else it goes on looking
 
     def _progress(self, now: Situation) -> tuple[FlightEvent | None, str]:
@@ -157,11 +160,7 @@ class Executive:
             return E.RECOVERED, ""
         if self.state is S.SEARCH:
             return self._searching(now)
-        if self.state is S.ABORT:
-            return self._aborting(now)
-        if self.state in AT_A_PLACE or self.state is S.COMMIT:
-            return self._at_place(now)
-        return None, ""
+        return self._aborting(now) if self.state is S.ABORT else self._at_place(now)
 
     def _searching(self, now: Situation) -> tuple[FlightEvent | None, str]:
         found = self._places.best(self._is_open(now))
@@ -169,8 +168,8 @@ class Executive:
             return self._found(found)
         assert self._home is not None
         lanes = self._lanes = self._lanes or SearchLanes(self._home, self._keys)
-        if self._reached(now, lanes.end(self._ground)):
-            lanes.reached()
+        if now.position is not None and math.hypot(*(lanes.end(self._ground) - now.position)[:2]) < self._keys.arrived:
+            lanes.reached()  # however high it must be flown
         if lanes.over:
             if found is not None:
                 return self._found(found)
@@ -201,8 +200,8 @@ class Executive:
         said = self._opinion(now) if self._keys.look_again else None
         if said is not None and self._refusals >= self._keys.sure:
             judged = self.state is S.COMMIT and said.standing is not Standing.NOT_SEEN
-            fallen = f"P(safe) has fallen to {said.p_safe:.2f}: " if judged else ""
-            return E.REFUSED, f"{fallen}{said.why}"
+            fallen = f"P(safe) has fallen to {said.p_safe:.2f}" if judged else ""
+            return E.REFUSED, ": ".join(filter(None, (fallen, said.why)))
         if said is not None and said.standing in (Standing.SITE, Standing.CANDIDATE):
             landing = self.state is S.COMMIT  # it comes down where it was begun: no step to the side near the ground
             self.target = replace(self.target, p_safe=said.p_safe) if landing else said.place
@@ -212,7 +211,15 @@ class Executive:
             return E.REFUSED, "something stands beside every way across it"
         if self.state is S.LOOK:
             return self._looking(now, said)
-        return (E.ARRIVED, "") if self._way is not None and self._reached(now, self._way) else (None, "")
+        return (E.ARRIVED, "") if self._reached(now, self._way) else self._stuck(now, self._way)
+
+    def _stuck(self, now: Situation, to: F64 | None) -> tuple[FlightEvent | None, str]:
+        """Whether it waits at a place for what does not come: the end of its way, or a verdict that refuses it."""
+        if to is None:
+            late = now.t - self._since > self._keys.wait
+            return (E.WAITED, "something stands beside every way across it") if late else (None, "")
+        stuck = now.position is not None and self._course.is_stuck(now.t, now.position, to)
+        return (E.WAITED, f"it comes no nearer for {self._keys.hold:.0f} s") if stuck else (None, "")
 
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
         """A look is over when a verdict holds what the whole leg saw."""
@@ -221,7 +228,8 @@ class Executive:
         if self._across is not None:
             if self._reached(now, self._across):
                 self._across, self._leg_done = None, now.t
-            return None, ""
+                return None, ""
+            return self._stuck(now, self._across)
         assert self.target is not None
         assert now.seen is not None or said is None
         if said is None or self._leg_done is None or (now.seen is not None and now.seen.t < self._leg_done):
@@ -238,7 +246,7 @@ class Executive:
             return E.LOWER, f"{said.standing.value}, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
         if candidate and self._height > self._keys.nearest * 1.05:
             return E.LOWER, f"in doubt, P(safe) {said.p_safe:.2f} from {self._height:.1f} m"
-        self._doubts += 1
+        self._doubts += candidate
         if candidate and self._doubts < self._keys.patience:
             self._leg_done = None
             self._plan(self._leg(now))  # once more, from the other side
@@ -258,7 +266,7 @@ class Executive:
         least = self._keys.fallen if low else self._keys.hopeless
         is_open = self._is_open(now)
         may = (lambda s: True) if low else (lambda s: not self._places.is_refused(s) and is_open(s))
-        said = opinion(self.target, seen, self._limit, same, least, may)
+        said = opinion(self.target, seen, self._limit, same, least, may, self._margin)
         if low and self._descent.judged(now.t, said, self._left):
             self._refusals = self._keys.sure
         elif said.standing is not Standing.NOT_SEEN:
@@ -274,9 +282,10 @@ class Executive:
         self.diary.transitions.append(
             Transition(now.t, self.state, event, after, why or event.value, place, None if t is None else t.p_safe)
         )
-        if event is E.REFUSED or (event is E.WAITED and self.state is S.LOOK) or self.state is S.COMMIT:
+        if event is E.REFUSED or (event is E.WAITED and self.state in AT_A_PLACE) or self.state is S.COMMIT:
             self._places.refuse(self.target)
         before, self.state, self._since = self.state, after, now.t
+        self._held = before if after is S.HOLD else self._held
         self._way, self._across, self._leg_done = None, None, None
         self._course.begin()
         if after is S.APPROACH:
@@ -308,7 +317,7 @@ class Executive:
     def _follow(self, now: Situation) -> None:
         """The motion began anew: places of the old frame are forgotten, the search begins about here."""
         assert now.position is not None
-        self._frame, self._lanes, self.target = now.frame_id, None, None
+        self._frame, self._lanes, self.target, self._way = now.frame_id, None, None, None
         self._course.begin()
         self._home = now.position.copy()
         if self._above is not None:  # it goes on at the same height above the ground, in a frame of another height
@@ -335,22 +344,12 @@ class Executive:
         to = self._across if self.state is S.LOOK and self._across is not None else self._way
         if to is None:
             return Order("hold")
-        to = self._clear(now, to)
+        to = self._course.next_point(now.position, to, self._seen(now), self.state)
         way = to - now.position
         speeds = {S.SEARCH: self._keys.search_speed, S.LOOK: LOOK_SPEED * r.cruise_speed}
         speed = ground_speed(way, now.wind, speeds.get(self.state, r.cruise_speed), r.air_speed)
         sink = r.descent_speed * (1.0 if is_from_behind(way, now.wind, r.calm) else 2.0)
         return Order("fly", to, speed, sink)
-
-    def _clear(self, now: Situation, to: F64) -> F64:
-        """(3,) metres, where to fly next on the way to a point."""
-        assert now.position is not None
-        if self.state in (S.APPROACH, S.DESCEND):
-            to = self._course.downwards(now.position, to)
-        away = float(np.hypot(*(to[:2] - now.position[:2])))
-        if self.state is S.LOOK or away < 2 * self._keys.arrived:  # nothing stands beside a look leg
-            return to
-        return self._course.upwards(now.position, to, self._seen(now), self.state is S.DESCEND)
 
     def _plan(self, leg: LookLeg | None) -> None:
         """Fly to the start of a leg, or along it; None: no leg is clear, and the next verdict refuses the place."""
@@ -377,7 +376,7 @@ class Executive:
             across = self._across
             return across is not None and not self._clear_way.is_free(now.position, across, t.up, seen)
         leg, flown = self._leg(now), self._leg_now
-        if leg is not None and (flown is None or not self._clear_way.is_free(flown.start, flown.end, t.up, seen)):
+        if leg is not None and (flown is None or not self._clear_way.is_open(flown, t.up, seen)):
             self._plan(leg)
         return leg is None
 
@@ -385,8 +384,12 @@ class Executive:
         """The newest verdict, if it is on a map of this frame."""
         return None if now.seen is None or now.seen.frame_id != self._frame else now.seen
 
-    def _reached(self, now: Situation, point: F64) -> bool:
-        return now.position is not None and float(np.linalg.norm(point - now.position)) < self._keys.arrived
+    def _reached(self, now: Situation, point: F64 | None) -> bool:
+        return (
+            now.position is not None
+            and point is not None
+            and float(np.linalg.norm(point - now.position)) < self._keys.arrived
+        )
 
     def _note_look(self, now: Situation, said: Opinion) -> None:
         p = said.place

@@ -6,8 +6,28 @@ from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
 
 
-def exceeded(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tuple[FlightEvent, str] | None:
-    """The limit that is exceeded, with its numbers in words; None: none is.
+class AttemptLimits:
+    """The limits of wind, battery and time; wind and battery count once they have been beyond theirs for a time."""
+
+    def __init__(self, keys: ExecutiveSettings) -> None:
+        self._keys, self._event, self._since = keys, FlightEvent.TIME, 0.0
+
+    def exceeded(self, now: Situation, begun: float | None) -> tuple[FlightEvent, str] | None:
+        """The limit that is exceeded, with its numbers in words; None: none is. Ask every time.
+
+        Args:
+            now: wind and battery: a gust and a dip of the voltage pass.
+            begun: s, when the landing was; None: not yet.
+        """
+        over = _beyond(now, begun, self._keys)
+        if over is None or over[0] is not self._event:
+            self._event, self._since = over[0] if over is not None else FlightEvent.TIME, now.t
+        lasts = now.t - self._since >= self._keys.lasting
+        return over if over is not None and (lasts or over[0] is FlightEvent.TIME) else None
+
+
+def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tuple[FlightEvent, str] | None:
+    """The limit that is exceeded at this moment.
 
     Args:
         now: wind and battery.
@@ -29,20 +49,20 @@ def patience(now: Situation, keys: ExecutiveSettings) -> float:
 
 
 def held_enough(
-    now: Situation, since: float, begun: float | None, keys: ExecutiveSettings
+    now: Situation, since: float, over: tuple[FlightEvent, str] | None, keys: ExecutiveSettings
 ) -> tuple[FlightEvent, str] | None:
     """Why a vehicle that holds is to wait no longer; None: it is to wait on.
 
     Args:
         now: whether the autopilot keeps its place.
         since: s, when it began to hold.
-        begun: s, when the landing was.
+        over: the limit that is exceeded.
         keys: the limits.
     """
     waited = now.t - since
     if waited > patience(now, keys):
         return FlightEvent.WAITED, f"for {waited:.0f} s"
-    return exceeded(now, begun, keys) if now.holds else None
+    return over if now.holds else None
 
 
 def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float, keys: ExecutiveSettings) -> bool:
@@ -53,12 +73,12 @@ def is_too_weak(now: Situation, state: FlightState, degraded: float, left: float
 
     Args:
         now: whether the autopilot holds its place.
-        state: what is flown.
+        state: what is flown, or was before it held.
         degraded: s, for which the motion has been.
         left: metres above the place.
         keys: the limits.
     """
     if state is FlightState.COMMIT and now.holds and left < keys.degraded_height:
         return False
-    near_a_place = (FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT, FlightState.HOLD)
+    near_a_place = (FlightState.LOOK, FlightState.DESCEND, FlightState.COMMIT)
     return state in near_a_place and degraded >= keys.degraded

@@ -40,6 +40,7 @@ def opinion(
     same: float,
     least: float = 0.0,
     free: Callable[[Site], bool] = lambda listed: True,
+    margin: float = 0.0,
 ) -> Opinion:
     """Look up the verdict on one place.
 
@@ -53,6 +54,7 @@ def opinion(
         same: metres within which a listed place is the same.
         least: P(safe) below which a place that is only in doubt counts as refused.
         free: whether a listed place may be taken for it.
+        margin: metres to the nearest refused touchdown that a site keeps; listed sites keep it already.
     """
     listed = [s for s in seen.sites.listed if free(s)]
     near = [s for s in listed if math.hypot(s.east - place.east, s.north - place.north) <= same]
@@ -76,4 +78,10 @@ def opinion(
     if p < least:
         return Opinion(Standing.REFUSED, found, p, "P(safe) is too low")
     doubt = bool(reasons & Hazard.DOUBT) or p < limit
-    return Opinion(Standing.CANDIDATE if doubt else Standing.SITE, found, p, "doubt" if doubt else "")
+    why = "doubt" if doubt else f"another is refused within {margin:.1f} m" if _is_tight(seen, row, col, margin) else ""
+    return Opinion(Standing.CANDIDATE if why else Standing.SITE, found, p, why)
+
+
+def _is_tight(seen: Seen, row: int, col: int, margin: float) -> bool:
+    """Whether a touchdown is refused within the margin."""
+    return not float(seen.hazards.clearance[row, col]) >= margin

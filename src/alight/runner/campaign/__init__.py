@@ -2,7 +2,16 @@
 
 from alight.report.campaign.page import comparison
 from alight.runner.campaign.folder import CampaignFolder
-from alight.runner.campaign.run import Campaign, Ended, again, continued, fly_campaign, numbers_in, outcome_lines
+from alight.runner.campaign.run import (
+    Campaign,
+    Ended,
+    again,
+    continued,
+    fly_campaign,
+    numbers_in,
+    outcome_lines,
+    wanted_landings,
+)
 
 __all__ = [
     "Campaign",
@@ -14,4 +23,5 @@ __all__ = [
     "fly_campaign",
     "numbers_in",
     "outcome_lines",
+    "wanted_landings",
 ]

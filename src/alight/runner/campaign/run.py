@@ -29,6 +29,7 @@ from alight_sim.campaign import campaign_worlds
 
 log = logging.getLogger(__name__)
 
+USUAL = 20  # landings of a new campaign
 LARGEST_PICTURE = 1_000_000  # bytes: ours have 20,000
 
 
@@ -83,6 +84,18 @@ class Campaign:
         for k, scene in enumerate(self.scenes):
             if k == 0 or scene not in known:
                 checked_vehicle(conditions_of(self.scenes, self.seed, k), self.settings)
+
+
+def wanted_landings(out: Path, asked: int | None) -> int:
+    """How many landings a campaign of named scenes has: as asked for, as the folder was begun with, or `USUAL`.
+
+    Raises:
+        InputError: the folder's campaign.json is damaged.
+    """
+    if asked is not None:
+        return asked
+    head = CampaignFolder(out).head()
+    return USUAL if head is None else head.landings
 
 
 def continued(out: Path, landings: int | None = None) -> Campaign:

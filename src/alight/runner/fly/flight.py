@@ -338,13 +338,13 @@ class _Cabin:
 
     def _finished(self) -> FlightOutcome:
         pilot, plan = self._pilot, self._plan
-        entries = pilot.diary.transitions
-        why = f"ended by the user; {self._stopped}" if self._stopped else entries[-1].reason
+        ended, why = pilot.diary.end or (pilot.state, "")
+        why = f"ended by the user; {self._stopped}" if self._stopped else why
         times = {"image to way-point": list(pilot.way_point_times), "image to set-point": list(pilot.set_point_times)}
         found = self._run.finish()
         result = replace(
             with_home(found, flown_home(plan.home, self._vehicle.telemetry, plan.separation)), diary=pilot.diary,
             timings={**found.timings, **{k: v for k, v in times.items() if v}},
-            notes={**found.notes, "landing": pilot.state.value},
+            notes={**found.notes, "landing": ended.value},
         )  # fmt: skip
-        return FlightOutcome(self._checks, why, pilot.state, result, *times.values())
+        return FlightOutcome(self._checks, why, ended, result, *times.values())

@@ -48,6 +48,7 @@ class ExecutiveTuning(FrozenModel):
     hold: Positive = Field(
         60.0, description="Time without navigation or pictures that the autopilot is let hold its place, s"
     )
+    lasting: NonNegative = Field(3.0, description="Time beyond the limit of wind or battery before it counts, s")
     degraded: Positive = Field(1.0, description="Time of degraded motion that ends a look, a descent or a landing, s")
     degraded_height: NonNegative = Field(
         3.0, description="Height above the site below which it does not end a landing, where the autopilot holds, m"
