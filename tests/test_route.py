@@ -86,6 +86,15 @@ def test_a_tree_on_the_way_keeps_the_line_level() -> None:
     assert "climbs 15.0 m" in low.warnings[0]
 
 
+@pytest.mark.parametrize(("height", "beside", "told"), [(6.5, 2.5, True), (2.0, 2.5, False), (6.5, 4.5, False)])
+def test_a_way_down_beside_what_is_tall_is_warned_of(height: float, beside: float, told: bool) -> None:
+    """The vehicle drifts while it comes down: 3 m are asked for beside a way, and beside the last one, too."""
+    z = np.zeros((101, 141))
+    z[50, round((60.0 + beside) / 0.5)] = height
+    got = route.plan_route(site(60.0, 25.0), ground(z, cell=0.5), np.array([5.0, 25.0, 30.0]), SETTINGS)
+    assert any("m high is what stands within 3 m of the way down" in w for w in got.warnings) is told
+
+
 def test_unknown_ground_may_be_as_high_as_anything_known() -> None:
     z = np.zeros((101, 141))
     z[5:8, 5:8] = 40.0  # far off the track

@@ -29,6 +29,7 @@ class _Corridor:
     share: F64  # (n,) how far along the way each cell is, 0 to 1
     top: F64  # (n,) metres, its height and two sigma
     unknown: bool  # part of the way is not mapped, or of what lies beside it
+    beside: float  # metres, the highest top within `clearance` of the site
     ceiling: float  # metres, the highest thing on the whole map: unknown ground may be as high
 
 
@@ -48,7 +49,10 @@ def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> 
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
     if not unknown:  # both ends lie on the map
         unknown = _beside_unmapped(start, np.array([site.east, site.north]), elevation.grid, known, width)
-    return _Corridor(share[here], top[here], unknown, float(top[known].max(initial=site.up)))
+    at = np.array([site.east, site.north])
+    _, about = along_way(at, at, elevation.grid, width)
+    beside = float(top[about & known].max(initial=site.up))
+    return _Corridor(share[here], top[here], unknown, beside, float(top[known].max(initial=site.up)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +220,8 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
 
     Returns:
         The way-points from the vehicle's position to the touchdown, with the speed towards each and the time at it.
-        Warnings say where the line climbs, or crosses or passes ground that is not mapped.
+        Warnings say where the line climbs, crosses or passes ground that is not mapped, or comes down beside what is
+        taller than `clearance`, nearer than that.
     """
     start = np.asarray(vehicle_position, dtype=np.float64)
     way = _corridor(start, site, elevation, settings.clearance)
@@ -227,6 +232,10 @@ def plan_route(site: Site, elevation: ElevationMap, vehicle_position: F64, setti
         warnings.append("the way to the site crosses ground that is not mapped: flown above the highest thing known")
     if heights[0] > start[2] + 0.05:
         warnings.append(f"the vehicle climbs {heights[0] - start[2]:.1f} m before it leaves")
+    if way.beside - site.up > settings.clearance:
+        warnings.append(
+            f"{way.beside - site.up:.1f} m high is what stands within {settings.clearance:g} m of the way down"
+        )
     points = _timed(start, site, _stops(start, site, heights, settings), settings, wind)
     over = [b.speed for a, b in pairwise(points) if math.hypot(*(b.position_world - a.position_world)[:2]) >= 0.5]
     if (slowest := min(over, default=math.inf)) < settings.cruise_speed - 0.05:

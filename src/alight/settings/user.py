@@ -252,7 +252,11 @@ class RouteKeys(FrozenModel):
     """The way to the best site."""
 
     approach_height: Positive = Field(10.0, description="Height above the site at which the final descent starts, m")
-    clearance: Positive = Field(3.0, description="Least distance to everything above and beside the way, m")
+    clearance: Positive = Field(
+        3.0,
+        description="Least distance to everything above and beside the way, m. "
+        "Beside the way down to the site it is only warned of",
+    )
     cruise_speed: Positive = Field(5.0, description="Speed on the way to the site, m/s")
     descent_speed: Positive = Field(1.0, description="Speed of the descent, m/s")
     wind: tuple[Offset, Offset] | None = Field(
@@ -270,7 +274,8 @@ class ExecutiveKeys(FrozenModel):
     search_side: Positive = Field(80.0, description="Side of the square about the start that is searched, m")
     commit_height: Positive = Field(
         6.0,
-        description="Height above the site of the last look; below it the vehicle lands or goes up, nothing else, m",
+        description="Height above the site of the last look; a place in doubt is looked at once more from "
+        "`tuning.executive.nearest`, m",
     )
     look_again: bool = Field(
         True,
