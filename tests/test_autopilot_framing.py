@@ -201,6 +201,10 @@ HANDLED = (  # messages that are used
     "EXTENDED_SYS_STATE STATUSTEXT COMMAND_ACK"
 )
 
+QUIET = {  # messages that move nothing
+    "HEARTBEAT", "TIMESYNC", "COMMAND_LONG", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_ITEM_INT", "MISSION_ACK",
+}  # fmt: skip
+
 
 def packed(kind: Any, talker: Any, payload: bytes) -> bytes:
     """A frame with this payload and a true checksum."""
@@ -233,3 +237,6 @@ def test_whatever_numbers_a_vehicle_sends_nothing_raises(messages: list[tuple[st
         ours.receive(packed(kind, talker, data[: kind.unpacker.size]), k * SECOND // 10)
         assert ours.telemetry is not None
     assert ours.counts.messages >= 2
+    sent = Framing(1, 1).decode(b"".join(ours.pending()), len(messages) * SECOND)
+    assert {"HEARTBEAT"} <= {h.name for h in sent} <= QUIET  # never a movement: nobody has ordered one
+    assert {h.message.command for h in sent if h.name == "COMMAND_LONG"} <= {511, 512}
