@@ -21,7 +21,8 @@ from alight.landing.executive import TABLE, Executive, as_markdown
 from alight.landing.executive.clear_way import ClearWay
 from alight.landing.executive.known_places import KnownPlaces
 from alight.landing.executive.look_leg import LookLeg
-from alight.landing.executive.search import square_spiral
+from alight.landing.executive.look_planner import LookPlanner
+from alight.landing.executive.search import SearchLanes, square_spiral
 from alight.landing.route import Obstructions, way_below
 from alight.records import ElevationMap, Flag, Hazard, HazardMap, MotionState, NextView, Sites, Terrain
 from alight.records.executive import FlightEvent, FlightState, Order, Seen, Situation
@@ -472,6 +473,9 @@ def test_from_low_down_it_waits_for_enough_verdicts_to_break_the_landing_off(p_s
     f.change = doubt
     f.fly(120.0)
     assert f.executive.diary.looks[-1].height == 4.0
+    waits = [o for s, o, _ in f.orders if s is S.COMMIT and not o.down]
+    assert len({o.height for o in waits}) == 1  # whatever the wind does meanwhile
+    assert waits[0].height == pytest.approx(4.0, abs=0.6)
     assert f.states[f.states.index(S.COMMIT) + 1] is (S.LANDED if p_safe > 0.9 else S.ABORT)
 
 
@@ -816,6 +820,18 @@ def test_wind_and_battery_end_it_once_they_have_been_beyond_their_limits_for_a_t
     assert f.fly() is (S.LANDED if lasting < 3.0 else S.RETURN)
 
 
+def test_gusts_do_not_hide_an_empty_battery() -> None:
+    """Each limit has its own clock."""
+
+    def gusts(now: Situation, executive: Executive) -> Situation:
+        return replace(now, battery=0.02, wind=np.array([12.0 if now.t % 3.0 < 1.0 else 0.0, 0.0, 0.0]))
+
+    f = Flight(Ground({}), Executive(settings()), gusts)
+    assert f.fly() is S.RETURN
+    assert f.events[-1] is E.BATTERY
+    assert f.t < 4.0
+
+
 @pytest.mark.parametrize(
     ("change", "event"),
     [
@@ -983,6 +999,17 @@ def test_a_vehicle_that_does_not_get_on_leaves_the_place(state: FlightState) -> 
     assert "nearer" in waited.reason
 
 
+def test_a_climb_and_a_descent_of_minutes_get_on() -> None:
+    """From one low place over a wall to the next: for more than a minute it is farther from there than it was."""
+    places = {(10.0, 5.0): lambda h: 0.97 if h > 9.0 else 0.1, (25.0, 5.0): lambda h: 0.96}
+    keys = settings("executive.search_height=120", "executive.time_budget=2000")
+    f = Flight(Ground(places, sees=99.0, tall=110.0), Executive(keys))
+    f.position[2] = 120.0
+    f.fly(600.0)
+    assert E.WAITED not in f.events
+    assert f.executive.state is S.LANDED
+
+
 def test_what_it_keeps_level_at_is_never_below_where_it_has_climbed_to() -> None:
     """Drift that begins while it climbs over a wall: past the wall it stays up as long as it is beside its way."""
     places = {(4.0, 5.0): lambda h: 0.97 if h > 7.5 else 0.1, (35.0, 5.0): lambda h: 0.97}
@@ -1011,6 +1038,33 @@ def test_after_a_gap_of_pictures_a_search_goes_on_with_degraded_motion() -> None
     f = Flight(Ground({}), Executive(settings()), change)
     assert f.fly() is S.RETURN
     assert f.events[:2] == [E.CAMERA_LOST, E.RECOVERED]
+
+
+def test_a_lane_that_passes_far_below_its_end_goes_on() -> None:
+    """It begins low, beneath the corner: that shows nothing of the ground about it."""
+    lanes = SearchLanes(np.array([0.0, 0.0, 30.0]), settings().executive)
+    first = lanes.end(0.0)
+    lanes.fly(np.array([*first[:2], 4.0]), 0.0)
+    assert lanes.end(0.0).tolist() == first.tolist()
+    lanes.fly(np.array([*first[:2], 41.0]), 0.0)  # above something tall
+    assert lanes.end(0.0).tolist() != first.tolist()
+
+
+def test_a_leg_that_is_flown_stays_where_no_other_is_clear() -> None:
+    """Legs turn by 45 degrees from the bearing of the vehicle: on its way to one, others are asked for."""
+    keys = settings()
+    planner = LookPlanner(keys, ClearWay(keys))
+    place = replace(some_site(), east=10.0, north=5.0, up=0.0)
+    posts = tuple((10.0 + e, 5.0 + n, 9.0) for e in (-4.0, 4.0) for n in (-2.0, -1.0, 0.0, 1.0, 2.0))
+    seen = Ground({}, posts=posts).seen(1, 0.0, AWAY)
+    now = Situation(0.0, np.array([10.0, 30.0, 8.0]), MotionState.GOOD, 0, seen)
+    along = planner.across(place, 8.0, now, seen)
+    assert along is not None
+    turned = replace(now, position=np.array([19.0, 26.0, 8.0]))
+    assert planner.across(place, 8.0, turned, seen) is None
+    assert planner.across(place, 8.0, turned, seen, along) is along
+    moved = replace(place, east=11.0)
+    assert planner.across(moved, 8.0, turned, seen, along) is None
 
 
 def test_a_place_among_trees_is_not_flown_to() -> None:

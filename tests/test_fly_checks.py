@@ -162,6 +162,20 @@ def test_the_machine(tmp_path: Path) -> None:
     assert "alight warmup" in cold.mend
 
 
+def test_a_search_that_would_begin_low_is_told_of(tmp_path: Path) -> None:
+    """Before the first verdict nobody knows what stands about: it flew 13 m aside, 2 m above the ground."""
+    request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), take_off=20.0)
+    with pytest.raises(InputError, match="search_height"):
+        fly_vehicle(request)
+    assert not (tmp_path / "out").exists()
+    low = PilotRig(Ground({}).seen)
+    low.up_and_flying(8.0)
+    low.run(6.0)
+    found = vehicle_checks(low)["in the air"]
+    assert found.verdict is WARNING
+    assert "8 m above home" in found.evidence
+
+
 def test_a_dry_run_takes_nothing_off(tmp_path: Path) -> None:
     request = FlightRequest("udp:127.0.0.1:0", str(tmp_path), tmp_path / "out", Settings(), dry_run=True, take_off=9.0)
     with pytest.raises(InputError, match="--take-off"):

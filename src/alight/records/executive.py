@@ -97,7 +97,8 @@ class Order:
     position: F64 | None = None  # (3,) metres, to fly to or to land on; None, to land: straight down where it is
     speed: float = 5.0  # m/s
     sink: float = 1.0  # m/s, downwards at most
-    down: bool = True  # False: to land, and over the place at the present height first
+    down: bool = True  # False: to land, and over the place first
+    height: float | None = None  # metres up, kept meanwhile; None: the present one
 
 
 @dataclass(frozen=True)

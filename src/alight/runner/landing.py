@@ -205,7 +205,8 @@ class _Loop:
         if order.what in ("fly", "land") and order.position is not None and self._tie.frame_id == m.frame_id:
             to = order.position
             if order.what == "land":
-                to = np.array([*to[:2], to[2] - BELOW if order.down else m.world_from_body.translation[2]])
+                kept = m.world_from_body.translation[2] if order.height is None else order.height
+                to = np.array([*to[:2], to[2] - BELOW if order.down else kept])
             target = to + self._tie.mean
             self._wanted = Wanted(target, speed=order.speed, sink=order.sink)
             self._held = None

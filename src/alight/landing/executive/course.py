@@ -33,10 +33,18 @@ class Course:
         self._from: F64 | None = None  # (2,) metres, where the way began
         self._to = np.full(2, np.nan)  # and where it leads
         self._level: float | None = None  # metres up, kept while the vehicle is beside it
-        self._nearest, self._nearer_at = math.inf, 0.0  # m from the end so far, and s, when it last came nearer
+        self._next = np.full(3, np.inf)  # metres, where it was last told to fly
+        self._nearest, self._nearer_at = math.inf, 0.0  # m from there so far, and s, when it last came nearer
 
     def next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
-        """(3,) metres, where to fly next.
+        """(3,) metres, where to fly next."""
+        told = self._next_point(position, to, seen, state)
+        if not float(np.linalg.norm(told - self._next)) < NEARER:
+            self._next, self._nearest = told, math.inf
+        return told
+
+    def _next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
+        """(3,) metres.
 
         Nothing stands beside a look leg, nor about its start. At the end of a lane of the search something may.
 
@@ -53,15 +61,14 @@ class Course:
             return to
         return self._upwards(position, to, seen, state is FlightState.DESCEND)
 
-    def is_stuck(self, t: float, position: F64, to: F64) -> bool:
-        """Whether the vehicle has come no nearer to the end of its way for `executive.hold` seconds.
+    def is_stuck(self, t: float, position: F64) -> bool:
+        """Whether the vehicle has come no nearer to where it was told to fly for `executive.hold` seconds.
 
         Args:
             t: s.
             position: (3,) metres, of the vehicle.
-            to: (3,) metres, where the way leads.
         """
-        left = float(np.linalg.norm(to - position))
+        left = float(np.linalg.norm(self._next - position))
         if left < self._nearest - NEARER:
             self._nearest, self._nearer_at = left, t
         return t - self._nearer_at > self._keys.hold

@@ -32,6 +32,7 @@ class Descent:
         """Begin a landing, at a time in seconds."""
         self._begun = self._judged = t
         self._over = False  # it is over the place, and comes down
+        self._kept: float | None = None  # metres up, the height that it keeps meanwhile
         self._unseen = 0  # verdicts in a row that do not see the place whole
         self._p = deque[float](maxlen=self._keys.last_verdicts)  # P(safe) of the last ones that do
 
@@ -86,4 +87,8 @@ class Descent:
         heard = self._over or self._has_heard(left)
         self._over = low or (beside <= within and heard)
         at = np.array([place.east, place.north, place.up])
-        return Order("land", at, speed if self._over else self._cruise, sink, down=self._over)
+        if self._over:
+            self._kept = None
+            return Order("land", at, speed, sink, down=True)
+        self._kept = float(now.position[2]) if self._kept is None else self._kept
+        return Order("land", at, self._cruise, sink, down=False, height=self._kept)

@@ -168,8 +168,7 @@ class Executive:
             return self._found(found)
         assert self._home is not None
         lanes = self._lanes = self._lanes or SearchLanes(self._home, self._keys)
-        if now.position is not None and math.hypot(*(lanes.end(self._ground) - now.position)[:2]) < self._keys.arrived:
-            lanes.reached()  # however high it must be flown
+        lanes.fly(now.position, self._ground)
         if lanes.over:
             if found is not None:
                 return self._found(found)
@@ -218,7 +217,7 @@ class Executive:
         if to is None:
             late = now.t - self._since > self._keys.wait
             return (E.WAITED, "something stands beside every way across it") if late else (None, "")
-        stuck = now.position is not None and self._course.is_stuck(now.t, now.position, to)
+        stuck = now.position is not None and self._course.is_stuck(now.t, now.position)
         return (E.WAITED, f"it comes no nearer for {self._keys.hold:.0f} s") if stuck else (None, "")
 
     def _looking(self, now: Situation, said: Opinion | None) -> tuple[FlightEvent | None, str]:
@@ -360,9 +359,9 @@ class Executive:
             self._way = leg.start
 
     def _leg(self, now: Situation) -> LookLeg | None:
-        """The leg across the target that nothing stands beside; None: there is none."""
+        """The leg across the target that nothing stands beside, else that of before; None: there is none."""
         assert self.target is not None
-        return self._looks.across(self.target, self._height, now, self._seen(now))
+        return self._looks.across(self.target, self._height, now, self._seen(now), self._leg_now)
 
     def _is_open(self, now: Situation) -> Callable[[Site], bool]:
         return partial(self._looks.is_open, now=now, seen=self._seen(now))

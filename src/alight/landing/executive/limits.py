@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from alight.records.executive import FlightEvent, FlightState, Situation
 from alight.settings import ExecutiveSettings
 
@@ -10,7 +12,8 @@ class AttemptLimits:
     """The limits of wind, battery and time; wind and battery count once they have been beyond theirs for a time."""
 
     def __init__(self, keys: ExecutiveSettings) -> None:
-        self._keys, self._event, self._since = keys, FlightEvent.TIME, 0.0
+        self._keys = keys
+        self._since: dict[FlightEvent, float] = {}  # s, when each was first beyond its limit
 
     def exceeded(self, now: Situation, begun: float | None) -> tuple[FlightEvent, str] | None:
         """The limit that is exceeded, with its numbers in words; None: none is. Ask every time.
@@ -19,15 +22,17 @@ class AttemptLimits:
             now: wind and battery: a gust and a dip of the voltage pass.
             begun: s, when the landing was; None: not yet.
         """
-        over = _beyond(now, begun, self._keys)
-        if over is None or over[0] is not self._event:
-            self._event, self._since = over[0] if over is not None else FlightEvent.TIME, now.t
-        lasts = now.t - self._since >= self._keys.lasting
-        return over if over is not None and (lasts or over[0] is FlightEvent.TIME) else None
+        beyond = dict(_beyond(now, begun, self._keys))
+        self._since = {event: self._since.get(event, now.t) for event in beyond}
+        lasting = {FlightEvent.TIME: 0.0}
+        for event, words in beyond.items():
+            if now.t - self._since[event] >= lasting.get(event, self._keys.lasting):
+                return event, words
+        return None
 
 
-def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tuple[FlightEvent, str] | None:
-    """The limit that is exceeded at this moment.
+def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> Iterator[tuple[FlightEvent, str]]:
+    """The limits that are exceeded at this moment, with their numbers in words.
 
     Args:
         now: wind and battery.
@@ -35,12 +40,11 @@ def _beyond(now: Situation, begun: float | None, keys: ExecutiveSettings) -> tup
         keys: the limits.
     """
     if now.wind_speed > keys.most_wind:
-        return FlightEvent.WIND, f"{now.wind_speed:.1f} m/s, limit {keys.most_wind:.1f}"
+        yield FlightEvent.WIND, f"{now.wind_speed:.1f} m/s, limit {keys.most_wind:.1f}"
     if now.battery < keys.least_battery:
-        return FlightEvent.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * keys.least_battery:.0f}"
+        yield FlightEvent.BATTERY, f"{100 * now.battery:.0f} %, limit {100 * keys.least_battery:.0f}"
     if begun is not None and now.t - begun > keys.time_budget:
-        return FlightEvent.TIME, f"{keys.time_budget:.0f} s"
-    return None
+        yield FlightEvent.TIME, f"{keys.time_budget:.0f} s"
 
 
 def patience(now: Situation, keys: ExecutiveSettings) -> float:

@@ -11,6 +11,8 @@ from alight.records import Site
 from alight.records.executive import Seen, Situation
 from alight.settings import StageSettings
 
+SAME = 0.3  # m between two middles of a leg across one place
+
 
 class LookPlanner:
     """Look legs over the newest map.
@@ -38,20 +40,30 @@ class LookPlanner:
         least = k.commit_height if height > k.commit_height * 1.05 else k.nearest
         return min(height, max(least, height * k.lower))
 
-    def across(self, place: Site, height: float, now: Situation, seen: Seen | None) -> LookLeg | None:
+    def across(
+        self, place: Site, height: float, now: Situation, seen: Seen | None, flown: LookLeg | None = None
+    ) -> LookLeg | None:
         """The leg across a place, turned as little as it takes for nothing to stand beside it; None: none is clear.
+
+        The turns begin at the bearing of the vehicle: while it flies to a leg others are asked for.
 
         Args:
             place: that is looked at.
             height: metres above it.
             now: where the vehicle is, and the wind.
             seen: the newest verdict on a map of this frame; None: nothing is known of what stands there.
+            flown: the leg that was planned before: taken where it crosses this place, and no other leg is clear.
         """
         assert now.position is not None
         half = max(self._keys.look_base * height, self._keys.least_base)
         above = np.array([place.east, place.north, place.up + height])
         leg = LookLeg(above, half, now.position, downwind(now.wind, self._calm))
-        return leg if seen is None else self._clear_way.turned(leg, place.up, seen)
+        if seen is None:
+            return leg
+        if (found := self._clear_way.turned(leg, place.up, seen)) is not None or flown is None:
+            return found
+        same = float(np.linalg.norm(flown.place - above)) < SAME
+        return flown if same and self._clear_way.is_open(flown, place.up, seen) else None
 
     def is_open(self, place: Site, now: Situation, seen: Seen | None) -> bool:
         """Whether a place can be crossed at the height of its first look; arguments as of `across`."""

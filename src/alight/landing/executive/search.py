@@ -25,6 +25,7 @@ class SearchLanes:
     def __init__(self, home: F64, keys: ExecutiveSettings) -> None:
         shown = keys.search_height * ASPECT
         self._corners = square_spiral(home, max(keys.search_side - shown, 0.0), keys.lane * shown)
+        self._arrived = keys.arrived
         self._height, self._ground = keys.search_height, float(home[2]) - keys.search_height
         self._corner = next(self._corners)
         self.over = False  # all was searched
@@ -33,10 +34,21 @@ class SearchLanes:
         """(3,) metres, the end of this lane, above the ground as it is known by now."""
         return np.array([*self._corner, (self._ground if ground is None else ground) + self._height])
 
-    def reached(self) -> None:
-        """The end of this lane: the next one begins, or the search is over."""
-        corner = next(self._corners, None)
-        self._corner, self.over = corner or self._corner, corner is None
+    def fly(self, position: F64 | None, ground: float | None) -> None:
+        """Begin the next lane where the end of this one is reached, or end the search.
+
+        The end counts from above it as well: something tall may stand beside it.
+
+        Args:
+            position: (3,) metres, of the vehicle; None: not known.
+            ground: metres up, as it is known by now.
+        """
+        if position is None:
+            return
+        left, near = self.end(ground) - position, self._arrived
+        if math.hypot(left[0], left[1]) < near and left[2] < near:
+            corner = next(self._corners, None)
+            self._corner, self.over = corner or self._corner, corner is None
 
 
 def square_spiral(centre: F64, side: float, lane: float) -> Iterator[tuple[float, float]]:

@@ -99,6 +99,11 @@ def fly_vehicle(plan: FlightRequest, tell: Tell = lambda status: None, say: Say 
     """
     if plan.dry_run and plan.take_off is not None:
         raise InputError("--take-off: a dry run sends nothing; leave it out, or leave out --dry-run")
+    if plan.take_off is not None and plan.take_off < plan.settings.executive.search_height:
+        raise InputError(
+            f"--take-off {plan.take_off:g}: the search begins where the climb ends, before a map tells what stands "
+            f"there; give at least executive.search_height, {plan.settings.executive.search_height:g} m, or lower that"
+        )
     if not plan.settings.executive.look_again:
         raise InputError("executive.look_again=false lands without looking: it is for campaigns; leave it out")
     prepare_folder(plan.out, plan.overwrite)

@@ -202,7 +202,7 @@ class OrderSender:
         """Over the place, or down with the target reported: where that is not used it goes straight down."""
         site = self._leg(place, motion, now_ns)
         goal = self._report(site, now_ns)
-        over = np.array([*place[:2], motion.world_from_body.translation[2]])
+        over = np.array([*place[:2], motion.world_from_body.translation[2] if order.height is None else order.height])
         lands = self._mode is FlightMode.LAND
         if site is None:
             stays = lands and order.down and self._fly_as(FlightMode.LAND, now_ns)

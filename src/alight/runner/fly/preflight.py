@@ -19,6 +19,7 @@ MOST_AGE = 1.0  # s between an exposure and its arrival
 OLD_PLACE = 0.5  # s, age of the autopilot's position above which the link or the rate is slow
 MOST_SIGMA = 0.02  # s, of the autopilot's clock
 LEAST_MB, SPARE = 200.0, 1.5  # of the disk; and times what the recording is expected to need
+LOW = 2.0  # times the height to commit from, above home: a search that begins lower is warned of
 BATTERY_MARGIN = 0.1
 NEEDED = ("ATTITUDE_QUATERNION", "GLOBAL_POSITION_INT", "GPS_RAW_INT")  # without which nothing flies
 
@@ -75,7 +76,7 @@ def judge_vehicle(
     return [
         _clock(vehicle), _streams(vehicle.missing_streams), _estimator(vehicle, missing), _home(heard, home_given),
         _battery(heard, settings.executive.least_battery), _wind(heard, settings.executive.most_wind),
-        _place(heard, take_off, dry),
+        _place(heard, take_off, dry, LOW * settings.executive.commit_height),
     ]  # fmt: skip
 
 
@@ -141,7 +142,8 @@ def _wind(heard: Telemetry, most: float) -> CheckResult:
     return good("wind", f"{speed:.1f} m/s, limit {most:.1f}")
 
 
-def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
+def _place(heard: Telemetry, take_off: bool, dry: bool, least: float) -> CheckResult:
+    """Check where it is; it should fly at least so many metres above home, where it is no take-off."""
     above = "" if heard.place is None else f", {heard.place.above_home:.0f} m above home"
     if heard.landed is Landed.GROUND or not heard.armed:
         if take_off and heard.ready and heard.checks_off:
@@ -158,6 +160,9 @@ def _place(heard: Telemetry, take_off: bool, dry: bool) -> CheckResult:
         return bad("in the air", "it stands on the ground", "take off and hover, or give --take-off 30")
     if take_off:
         return bad("on the ground", f"it flies{above}", "leave out --take-off")
+    if heard.place is not None and heard.place.above_home < least:
+        why = f"it flies{above}: the search begins at that height, before a map tells what stands there"
+        return warning("in the air", why, "climb clear of everything about, unless home lies higher than that")
     return good("in the air", f"it flies{above}")
 
 
