@@ -52,18 +52,23 @@ def usable_height(elevation: ElevationMap, lander: Lander, settings: HazardsSett
 
 
 def measured_height(elevation: ElevationMap, lander: Lander, settings: HazardsSettings) -> F32:
-    """Heights (R, C) that tell of an obstacle, doubtful ones as well, metres; NaN where a height is too vague (G7f).
+    """Heights (R, C) that tell of an obstacle, doubtful ones as well, metres (G7f).
 
-    A vague one counts all the same where it stands out by several of its sigmas from the trusted ground about it.
+    A vague one counts in full where it stands out by several of its sigmas from the trusted ground about it; else it
+    counts as one sigma nearer to that ground, and as not measured, NaN, within one sigma.
     """
     vague = elevation.sigma > np.float32(settings.vague * lander.max_roughness)
     known = elevation.trusted
-    if vague.any() and known.any():
-        height = elevation.height - np.float32(np.median(elevation.height[known]))
-        ground = weighted_gaussian(height, known.astype(np.float32), ABOUT / elevation.grid.cell)
-        off = np.abs(height - ground.mean) > np.float32(settings.stands_out) * elevation.sigma
-        vague &= ~(off & (ground.share > LEAST_SHARE))
-    return np.where(vague, np.float32(np.nan), elevation.height)
+    if not vague.any() or not known.any():
+        return np.where(vague, np.float32(np.nan), elevation.height)
+    middle = np.float32(np.median(elevation.height[known]))
+    ground = weighted_gaussian(elevation.height - middle, known.astype(np.float32), ABOUT / elevation.grid.cell)
+    about = np.where(ground.share > LEAST_SHARE, ground.mean + middle, np.float32(np.nan))
+    off = elevation.height - about
+    vague &= ~(np.abs(off) > np.float32(settings.stands_out) * elevation.sigma)
+    above = np.abs(off) - elevation.sigma
+    least = np.where(above > 0, about + np.copysign(above, off), np.float32(np.nan))
+    return np.where(vague, least, elevation.height)
 
 
 def smoothed_height(height: F32, cell: float, sigma: float) -> F32:

@@ -87,10 +87,11 @@ class HazardsTuning(FrozenModel):
     )
     surely_sigmas: NonNegative = Field(4.0, description="The same for single heights, sigmas")
     vague: Positive = Field(
-        1.5, description="Sigma over the limit of roughness from which a doubtful height tells nothing of an obstacle"
+        1.5,
+        description="Sigma over the limit of roughness from which a height counts as a sigma nearer to the ground",
     )
     stands_out: Positive = Field(
-        3.0, description="Sigmas from the trusted ground about it, beyond which it tells of one all the same"
+        3.0, description="Sigmas from the trusted ground about it, beyond which it counts in full all the same"
     )
     even_length: Vehicle = Field(0.2, description="1-sigma of the window of averaged heights, m")
     broad_length: Vehicle = Field(0.45, description="1-sigma of the window of broadly averaged heights, m")
