@@ -43,13 +43,13 @@ def along_way(start: F64, to: F64, grid: Grid, width: float) -> tuple[F64, Mask]
 
 
 def _corridor(start: F64, site: Site, elevation: ElevationMap, width: float) -> _Corridor:
-    share, near = along_way(start, np.array([site.east, site.north]), elevation.grid, width)
+    at = np.array([site.east, site.north])
+    share, near = along_way(start, at, elevation.grid, width)
     top = Obstructions.of(elevation).top
     here, known = near & np.isfinite(top), np.isfinite(top)
     unknown = _track_unknown(start, site, elevation, elevation.trusted)
     if not unknown:  # both ends lie on the map
-        unknown = _beside_unmapped(start, np.array([site.east, site.north]), elevation.grid, known, width)
-    at = np.array([site.east, site.north])
+        unknown = _beside_unmapped(start, at, elevation.grid, known, width)
     _, about = along_way(at, at, elevation.grid, width)
     beside = float(top[about & known].max(initial=site.up))
     return _Corridor(share[here], top[here], unknown, beside, float(top[known].max(initial=site.up)))

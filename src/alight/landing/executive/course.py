@@ -37,16 +37,7 @@ class Course:
         self._nearest, self._nearer_at = math.inf, 0.0  # m from there so far, and s, when it last came nearer
 
     def next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
-        """(3,) metres, where to fly next."""
-        told = self._next_point(position, to, seen, state)
-        if not float(np.linalg.norm(told - self._next)) < NEARER:
-            self._next, self._nearest = told, math.inf
-        return told
-
-    def _next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
-        """(3,) metres.
-
-        Nothing stands beside a look leg, nor about its start. At the end of a lane of the search something may.
+        """(3,) metres, where to fly next.
 
         Args:
             position: (3,) metres, of the vehicle.
@@ -54,6 +45,13 @@ class Course:
             seen: the newest verdict on a map of this frame; None: nothing is known of what stands about.
             state: of the executive.
         """
+        told = self._next_point(position, to, seen, state)
+        if not float(np.linalg.norm(told - self._next)) < NEARER:
+            self._next, self._nearest = told, math.inf
+        return told
+
+    def _next_point(self, position: F64, to: F64, seen: Seen | None, state: FlightState) -> F64:
+        """(3,) metres; nothing stands beside a look leg, nor about its start, but at the end of a lane it may."""
         if state in DOWN_TO_A_LOOK:
             to = self._downwards(position, to)
         near = math.hypot(*(to[:2] - position[:2])) < 2 * self._keys.arrived

@@ -24,9 +24,8 @@ class AttemptLimits:
         """
         beyond = dict(_beyond(now, begun, self._keys))
         self._since = {event: self._since.get(event, now.t) for event in beyond}
-        lasting = {FlightEvent.TIME: 0.0}
         for event, words in beyond.items():
-            if now.t - self._since[event] >= lasting.get(event, self._keys.lasting):
+            if event is FlightEvent.TIME or now.t - self._since[event] >= self._keys.lasting:
                 return event, words
         return None
 
