@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from alight.hazards import assess
 from alight.hazards.evidence import FAR_PIXEL, FAR_SAMPLING, NEAR_PIXEL, NEAR_SAMPLING, nearness
-from alight.records import ElevationMap, Flag, HazardMap
+from alight.records import ElevationMap, Flag, HazardMap, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
 
 LIMIT = 0.15
@@ -43,21 +43,57 @@ def rough_ground(height: float) -> np.ndarray:
     return np.asarray(height / np.abs(bumps).max() * bumps)
 
 
-def looked_at(height: np.ndarray, pixel: float, doubtful: np.ndarray | None = None) -> HazardMap:
+def looked_at(
+    height: np.ndarray,
+    pixel: float,
+    doubtful: np.ndarray | None = None,
+    cover: TerrainMap | None = None,
+    sampling: float | None = None,
+) -> HazardMap:
     """The verdict on spotted ground of these heights, seen with pixels of this size."""
     grey = ground(height, sigma=0.005, rgb=(150, 150, 150))
-    n = grey.grid.shape
+    n, sample = grey.grid.shape, 2 * pixel if sampling is None else sampling
     spots = cv2.GaussianBlur(np.random.default_rng(4).normal(0, 1, (2 * n[0], 2 * n[1])), (0, 0), 1.5)
     light = (150 * np.exp(0.2 / spots.std() * spots)).clip(0, 255).astype(np.uint8)
     e: ElevationMap = replace(
         grey, fine=np.repeat(light[..., None], 3, axis=2),
-        sampling=np.full(n, 2 * pixel, np.float32), fine_sampling=np.full(n, pixel, np.float32),
+        sampling=np.full(n, sample, np.float32), fine_sampling=np.full(n, pixel, np.float32),
     )  # fmt: skip
     if doubtful is not None:
         flags = e.flags.copy()
         flags[doubtful] = Flag.UNSURE
         e = replace(e, flags=flags)
-    return assess(e, None, Lander(radius=1.0), HazardsSettings())
+    return assess(e, cover, Lander(radius=1.0), HazardsSettings())
+
+
+def plants(bears: float) -> TerrainMap:
+    """Tall plants with this chance of bearing, which no class refuses."""
+    shape = (81, 81)
+    every = np.full(shape, bears, np.float32)
+    grid = ground(np.zeros(shape)).grid
+    return TerrainMap(grid, np.full(shape, Terrain.TALL_VEGETATION, np.uint8), every, bears=every.copy())
+
+
+def test_even_ground_that_hardly_bears_is_no_site_from_near_by_and_a_footprint_of_half_a_chance_costs_nothing() -> None:
+    ground_of = [looked_at(np.zeros((81, 81)), 0.02, cover=plants(p)).p_ground[MID] for p in (0.21, 0.35, 0.5, 0.9)]
+    assert ground_of[0] < 0.6
+    assert ground_of[0] < ground_of[1] < 0.95 < ground_of[2] <= ground_of[3]
+
+
+def test_what_hardly_bears_all_over_counts_more_than_one_cell_of_it() -> None:
+    one = plants(0.9)
+    assert one.bears is not None
+    one.bears[MID] = 0.21
+    all_over, single = (looked_at(np.zeros((81, 81)), 0.02, cover=c).p_ground[MID] for c in (plants(0.21), one))
+    assert single > 0.9 > all_over
+
+
+def test_a_bump_of_fine_heights_counts_whatever_the_picture_shows() -> None:
+    bump = np.zeros((81, 81))
+    bump[MID] = 0.13
+    fine, coarse = (looked_at(bump, pixel, sampling=0.04).p_obstacle[MID] for pixel in (0.02, 0.075))
+    assert fine < 0.7
+    assert coarse < 0.7
 
 
 def test_level_ground_is_surer_from_near_by() -> None:

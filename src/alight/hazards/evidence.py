@@ -171,9 +171,14 @@ def near_terms(elevation: ElevationMap, shape: FootprintShape, lander: Lander, d
 
 def nearness(sampling: F32, pixel: F32, limit: float) -> F32:
     """How far a footprint counts as seen from near by, 0 to 1: by its samples and its pixels, both over the limit."""
-    ends = ((sampling, NEAR_SAMPLING, FAR_SAMPLING), (pixel, NEAR_PIXEL, FAR_PIXEL))
-    shares = [np.log(far * limit / v) / np.log(far / near) for v, near, far in ends]
-    return np.asarray(np.minimum(*shares).clip(0, 1), np.float32)
+    pictures = np.log(FAR_PIXEL * limit / pixel) / np.log(FAR_PIXEL / NEAR_PIXEL)
+    return np.asarray(np.minimum(sampled_finely(sampling, limit), pictures.clip(0, 1)), np.float32)
+
+
+def sampled_finely(sampling: F32, limit: float) -> F32:
+    """How far heights show what is as high as the limit, 0 to 1, whatever the pictures show."""
+    share = np.log(FAR_SAMPLING * limit / sampling) / np.log(FAR_SAMPLING / NEAR_SAMPLING)
+    return np.asarray(share.clip(0, 1), np.float32)
 
 
 def sampled(elevation: ElevationMap) -> F32:

@@ -20,10 +20,11 @@ from alight.hazards.evidence import (
     obstacle_terms,
     pictured,
     sampled,
+    sampled_finely,
 )
 from alight.hazards.probability import TouchdownGeometry, kept, margins_over_sigma, safe_probability
 from alight.learned import read_rate
-from alight.learned.terms import NearTerm
+from alight.learned.terms import GroundTerm, NearTerm
 from alight.raster import log_at_least
 from alight.records import ElevationMap, MissingVeto, Terrain, TerrainMap
 from alight.settings import HazardsSettings, Lander
@@ -37,6 +38,8 @@ DEVIATIONS = 0.33, 0.53, 0.67, 0.8, 1.17  # of all measured heights, over the li
 EXPECTED = 0.0, 0.004, 0.017, 0.39, 0.78  # hazards that these alone let expect (docs/lab/looks.md)
 RIDGES = 0.9, 1.0, 1.1  # broad deviations over the limit
 RIDGES_EXPECTED = 0.0, 0.39, 0.78  # hazards that these alone let expect: they are as high as measured
+SOFT = 0.0, 1.1, 1.39  # log odds against ground that bears: probabilities of 0.5, 0.25 and 0.2
+SOFT_EXPECTED = 0.0, 0.2, 0.7  # hazards that these alone let expect, near by
 BROAD_TO_NARROW = 0.5, 1.0  # log of the deviation over that of smoothed heights
 PIXELS_A_SAMPLE = 2.0  # what a sample of the match covers, in pixels: cells are 1.8 pixels wide
 
@@ -53,6 +56,7 @@ class Evidence:
     ground: dict[str, F32]  # terms of `ground_rate`
     near: dict[str, F32]  # terms of `near_obstacle_rate` and `near_ground_rate`
     nearness: F32  # 0 to 1: how far these two count
+    sampled: F32  # 0 to 1: the same of the heights alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +82,8 @@ def evidence_of(
     hidden, unseen = (curves.unseen_share(lander.tallest_obstacle, sampling, p) for p in (nothing, pixel))
     by = nearness(sampling, pixel, lander.tallest_obstacle)
     near = obstacle | ground | near_terms(elevation, shape, lander, discs, by)
-    return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by)
+    heights = sampled_finely(sampling, lander.tallest_obstacle)
+    return Evidence(tilt, discs, obstacle, hidden, unseen, ground, near, by, heights)
 
 
 def factors_of(
@@ -122,9 +127,10 @@ def _chances(
     usual = area * _density(terrain, elevation.grid.shape, found.discs, settings)
     shown, about = (np.exp(read_rate(k).log_rate(found.obstacle)) for k in ("relief_rate", "density_rate"))
     afar = shown + np.maximum(found.hidden * about, found.unseen * usual)
-    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.nearness * deviation_hazards(found.near))
+    expected = np.maximum(_blended(afar, "near_obstacle_rate", found), found.sampled * deviation_hazards(found.near))
     expected = expected + found.nearness * found.unseen * usual
     wet = _blended(np.exp(read_rate("ground_rate").log_rate(found.ground)), "near_ground_rate", found)
+    wet = np.maximum(wet, found.nearness * soft_ground_hazards(found.ground))
     wet = wet + _unlike_dry_ground(terrain, found.discs, settings)
     wet = wet + np.float32(_unrefused(terrain, missing, settings))
     obstacle, ground = (found.discs.fine(np.exp(-number)) for number in (expected, wet))
@@ -150,6 +156,14 @@ def deviation_hazards(near: Mapping[str, F32]) -> F32:
     ridge = np.interp(near[NearTerm.RISE], np.log(RIDGES), RIDGES_EXPECTED)
     narrow = np.interp(near[NearTerm.NARROW], BROAD_TO_NARROW, (0.0, 1.0))
     return np.asarray(narrow * stone + (1 - narrow) * ridge, np.float32)
+
+
+def soft_ground_hazards(ground: Mapping[str, F32]) -> F32:
+    """Hazards expected by the least likely bearing 0.2 m of a footprint alone, from its terms (G7h).
+
+    Near by, the fit leans on heights: where they are even, ground mostly bears. Tops of tall plants are even too.
+    """
+    return np.asarray(np.interp(ground[GroundTerm.WORST_SMOOTH], SOFT, SOFT_EXPECTED), np.float32)
 
 
 def _unrefused(terrain: TerrainMap | None, missing: MissingVeto, settings: HazardsSettings) -> float:
