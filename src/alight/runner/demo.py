@@ -70,11 +70,12 @@ def fly_demo(out: Path, seed: int, settings: Settings, overwrite: bool, tell: Te
 
     flown = fly_landing(vehicle, settings, replay.appearance_of(settings), happening, keep_pictures=True, map_all=True)
     assert flown.decision is not None
-    tell(flown.state.value, 1.0)
+    ended, _ = flown.diary.end or (flown.state, "")
+    tell(ended.value, 1.0)
     result = replay.result_of(vehicle, settings, flown.decision, flown.timings)
-    notes = {**result.notes, "landing": flown.state.value}
+    notes = {**result.notes, "landing": ended.value}
     result = replace(result, diary=flown.diary, notes=notes, route=None)  # it is there
-    return DemoLanding(result, flown.state, flown.seconds, judge_flight(vehicle, lander))
+    return DemoLanding(result, ended, flown.seconds, judge_flight(vehicle, lander))
 
 
 def compile_kernels(tell: Tell) -> None:
